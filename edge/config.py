@@ -1,0 +1,164 @@
+"""The one TOML file: a frozen struct per stage, checked whole before anything is opened.
+
+`default.toml` beside this file shows every key with its unit, range and default; a test holds it against the
+structs. Paths are relative to the folder of the config file that names them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from edge.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+DEFAULT_TOML = Path(__file__).with_name("default.toml")
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+
+class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[camera]: which camera, and what is asked of it."""
+
+    kind: str = "v4l2"
+    device: str = "/dev/video0"
+    width: Annotated[int, Meta(ge=16, le=8192)] = 640
+    height: Annotated[int, Meta(ge=16, le=8192)] = 480
+    fps: Annotated[float, Meta(gt=0, le=240)] = 15.0
+    fourcc: Annotated[str, Meta(pattern="^.{4}$")] = "MJPG"
+    stall_timeout_s: Annotated[float, Meta(ge=0.1, le=60)] = 2.0
+
+
+class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[sampling]: which of the camera's frames are places; the paper samples at a constant 2 m."""
+
+    spacing_m: Annotated[float, Meta(gt=0, le=100)] = 2.0
+    interval_s: Annotated[float, Meta(gt=0, le=60)] = 0.5
+
+
+class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[descriptor]: how a frame becomes fc6, and how fc6 is normalised (eq. 1, sections III-B and III-D)."""
+
+    model: str = ""
+    regions: Literal["left-right", "whole"] = "left-right"
+    region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
+    normalization: Literal["online", "none"] = "online"
+    renormalize_ring: bool = True
+    standing_change: Annotated[float, Meta(ge=0, le=1)] = 0.002
+
+
+class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[map]: the reference map to recognise places of."""
+
+    path: str = "/var/lib/lookback/map"
+
+
+class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[sequence]: the search of eq. 2 and 3."""
+
+    length: Annotated[int, Meta(ge=2, le=500)] = 20
+    slope_limit_rad: Annotated[float, Meta(ge=0, le=0.6)] = 0.2
+    slopes: Annotated[int, Meta(ge=1, le=101)] = 21
+    directions: Literal["both", "forward", "reverse"] = "both"
+    region_order: Literal["sequence", "frame"] = "sequence"
+    max_gap_s: Positive = 30.0
+
+
+class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[acceptance]: when a best match is believed (section IV-B)."""
+
+    uniqueness_min: Annotated[float, Meta(ge=1)] = 1.08
+    window_m: Positive = 80.0
+    window_places: Annotated[int, Meta(ge=1)] = 10
+    hold_off_s: NotNegative = 1.0
+
+
+class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[rig]: how far along the route the matched place lies from where the vehicle is."""
+
+    ahead_same_way_m: float = 0.0
+    ahead_way_home_m: float = 0.0
+
+
+class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[telemetry]: the MAVLink connection, what is sent on it, and the journal."""
+
+    connection: str = "serial:/dev/serial0:921600"
+    emit: Literal["report", "external_position"] = "report"
+    component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    sigma_m: Positive = 10.0
+    journal: str = "/var/lib/lookback/events.jsonl"
+
+
+class Config(Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole configuration."""
+
+    camera: CameraConfig = CameraConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    descriptor: DescriptorConfig = DescriptorConfig()
+    map: MapConfig = MapConfig()
+    sequence: SequenceConfig = SequenceConfig()
+    acceptance: AcceptanceConfig = AcceptanceConfig()
+    rig: RigConfig = RigConfig()
+    telemetry: TelemetryConfig = TelemetryConfig()
+
+
+def load_config(path: Path) -> Config:
+    """Read and check a config file; ConfigError names the file and the key, in one line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read it: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not UTF-8 text") from None
+    return parse_config(text, path)
+
+
+def parse_config(text: str, path: Path) -> Config:
+    """Check the text of a config file; `path` is for messages and for resolving relative paths."""
+    try:
+        config = msgspec.convert(tomllib.loads(text), Config)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {_explain(str(error))}") from None
+    return _resolve_paths(config, path.parent)
+
+
+def _explain(message: str) -> str:
+    """Turn msgspec's "Expected `int` - at `$.camera.fps`" into "[camera] fps: expected `int`"."""
+    what, _, where = message.partition(" - at `$.")
+    section, _, key = where.rstrip("`").partition(".")
+    what = what[:1].lower() + what[1:]
+    if not section:
+        return what.replace("object contains unknown field", "unknown section")
+    if not key:
+        return f"[{section}] {what.replace('object contains unknown field', 'unknown key')}"
+    return f"[{section}] {key}: {what}"
+
+
+def _resolve_paths(config: Config, folder: Path) -> Config:
+    """Make the file paths in the config relative to the folder it lies in."""
+
+    def resolve(value: str) -> str:
+        return str(folder / value) if value else value
+
+    camera = config.camera
+    if camera.kind == "feed":
+        camera = msgspec.structs.replace(camera, device=resolve(camera.device))
+    return msgspec.structs.replace(
+        config,
+        camera=camera,
+        descriptor=msgspec.structs.replace(config.descriptor, model=resolve(config.descriptor.model)),
+        map=msgspec.structs.replace(config.map, path=resolve(config.map.path)),
+        telemetry=msgspec.structs.replace(config.telemetry, journal=resolve(config.telemetry.journal)),
+    )

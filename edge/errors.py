@@ -1,0 +1,57 @@
+"""Everything that can go wrong, in three kinds.
+
+    LookbackError
+    ├── SetupError        cannot start: bad configuration, map, model or feed. Exit 78, and no restart.
+    │   ├── ConfigError
+    │   ├── MapError
+    │   ├── ModelError
+    │   └── FeedError
+    ├── LostError         a device or a link went away. Recovered inside the daemon, and reported.
+    │   ├── CameraLost
+    │   └── LinkLost
+    └── FrameError        one bad frame. Dropped and counted.
+
+Every message is one line that names the file, key or field and says what to do.
+"""
+
+EXIT_SETUP = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus names it
+
+
+class LookbackError(Exception):
+    """Any error that Lookback raises on purpose; `str()` is one line for the user."""
+
+
+class SetupError(LookbackError):
+    """The daemon cannot start as configured; a restart would not help."""
+
+
+class ConfigError(SetupError):
+    """A configuration file or an option is wrong; names the file and the key."""
+
+
+class MapError(SetupError):
+    """A reference map is missing, damaged, or made with something else."""
+
+
+class ModelError(SetupError):
+    """A network file is missing, damaged, or not a fc6 model."""
+
+
+class FeedError(SetupError):
+    """A recorded traverse is missing, damaged, or not in the feed format."""
+
+
+class LostError(LookbackError):
+    """A device or a link that was there is gone."""
+
+
+class CameraLost(LostError):
+    """The camera stopped, was unplugged, or never answered."""
+
+
+class LinkLost(LostError):
+    """The MAVLink port vanished or refuses to be written."""
+
+
+class FrameError(LookbackError):
+    """One frame could not be read; the next may be good."""
