@@ -1,0 +1,197 @@
+"""The one thread of the program: reads a camera as fast as it delivers, and keeps only the newest frame.
+
+A recogniser that is slower than the camera must work on what the camera sees now, not on a queue that grows older,
+and a camera that is unplugged must come back without a restart.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from edge.camera import Camera, Frame
+from edge.errors import FrameError, LookbackError, LostError, SetupError
+
+FIRST_BACK_OFF_S = 0.5
+LONGEST_BACK_OFF_S = 5.0
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """State of the camera and counts since the start.
+
+    reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
+    since_ns: CLOCK_MONOTONIC of the last change of `state`.
+    delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
+    bad: frames that could not be read. reopened: how often the camera came back.
+    """
+
+    state: Literal["running", "lost", "ended"]
+    reason: str
+    since_ns: int
+    delivered: int = 0
+    overwritten: int = 0
+    bad: int = 0
+    reopened: int = 0
+    differences: tuple[str, ...] = ()
+
+
+class NewestFrame:
+    """Owns a camera and its thread: the camera is opened, read and closed in that thread and in no other."""
+
+    def __init__(
+        self,
+        open: Callable[[], Camera],
+        *,
+        close_timeout_s: float = 5.0,
+        first_back_off_s: float = FIRST_BACK_OFF_S,
+        longest_back_off_s: float = LONGEST_BACK_OFF_S,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """Start the thread and wait for the first opening; SetupError from it is raised here.
+
+        A camera that is not there yet (CameraLost) is reported by `health` and opened again with back-off.
+        close_timeout_s: how long close() waits for a read that hangs; at least the camera's stall timeout.
+        """
+        self._open = open
+        self._close_timeout_s = close_timeout_s
+        self._first_back_off_s = first_back_off_s
+        self._longest_back_off_s = longest_back_off_s
+        self._clock_ns = clock_ns
+        self._changed = threading.Condition()
+        self._stop = threading.Event()
+        self._opened = threading.Event()
+        self._failure: Exception | None = None
+        self._newest: Frame | None = None
+        self._health = CameraHealth("lost", "opening", clock_ns())
+        self._next_index = 0  # of the first frame after the next opening, so that indices never go back
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+        self._opened.wait()
+        if isinstance(self._failure, SetupError):
+            raise self._failure
+
+    @property
+    def health(self) -> CameraHealth:
+        """State and counts as of now."""
+        with self._changed:
+            return self._health
+
+    @property
+    def ended(self) -> bool:
+        """True once the feed has ended and its last frame was taken; take() then returns None at once."""
+        with self._changed:
+            return self._health.state == "ended" and self._newest is None
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The newest frame that nobody took yet; waits for one up to `timeout_s`.
+
+        None when there is none in that time (see `health`) or the feed has ended. An error that no camera should
+        raise (a defect) is raised here, in the thread that can report it.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._finished(), timeout_s)
+            if self._newest is None and self._failure is not None:
+                raise self._failure
+            frame, self._newest = self._newest, None
+            return frame
+
+    def _finished(self) -> bool:
+        return self._failure is not None or self._health.state == "ended" or self._stop.is_set()
+
+    def close(self) -> None:
+        """Stop the thread, which closes the camera; more than once is harmless.
+
+        A read that hangs in a driver is waited for at most `close_timeout_s`; the thread never outlives the process.
+        """
+        with self._changed:
+            self._stop.set()
+            self._changed.notify_all()
+        self._thread.join(self._close_timeout_s)
+
+    def _run(self) -> None:
+        back_offs_s = self._back_offs_s()
+        try:
+            while not self._stop.is_set():
+                delivered = self.health.delivered
+                if self._open_and_read():
+                    return
+                if self.health.delivered > delivered:  # it worked for a while: start over
+                    back_offs_s = self._back_offs_s()
+                self._stop.wait(next(back_offs_s))
+        except Exception as error:
+            with self._changed:
+                self._failure = error
+                self._changed.notify_all()
+        finally:
+            self._opened.set()
+
+    def _back_offs_s(self) -> Iterator[float]:
+        back_off_s = self._first_back_off_s
+        while True:
+            yield back_off_s
+            back_off_s = min(2 * back_off_s, self._longest_back_off_s)
+
+    def _open_and_read(self) -> bool:
+        """Open the camera and read it until it is lost; True when it is over for good (feed ended, or close())."""
+        first = not self._opened.is_set()
+        try:
+            camera = self._open()
+        except LookbackError as error:
+            # Later on, a device that is just coming back can look like a wrong one for a moment.
+            if first and isinstance(error, SetupError):
+                raise
+            self._set_state("lost", str(error))
+            self._opened.set()
+            return False
+        self._set_running(camera, first)
+        self._opened.set()
+        try:
+            return self._read_until_lost(camera)
+        finally:
+            camera.close()
+
+    def _read_until_lost(self, camera: Camera) -> bool:
+        first_index = self._next_index
+        while not self._stop.is_set():
+            try:
+                frame = camera.read()
+            except FrameError as error:
+                self._count_bad(str(error))
+                continue
+            except LostError as error:
+                self._set_state("lost", str(error))
+                return False
+            if frame is None:
+                self._set_state("ended", "")
+                return True
+            self._next_index = first_index + frame.index + 1
+            self._put(replace(frame, index=first_index + frame.index) if first_index else frame)
+        return True
+
+    def _put(self, frame: Frame) -> None:
+        with self._changed:
+            health = self._health
+            overwritten = health.overwritten + (self._newest is not None)
+            self._health = replace(health, delivered=health.delivered + 1, overwritten=overwritten)
+            self._newest = frame
+            self._changed.notify_all()
+
+    def _count_bad(self, reason: str) -> None:
+        with self._changed:
+            self._health = replace(self._health, bad=self._health.bad + 1, reason=reason)
+
+    def _set_running(self, camera: Camera, first: bool) -> None:
+        self._set_state("running", "")
+        with self._changed:
+            reopened = self._health.reopened + (not first)
+            self._health = replace(self._health, reopened=reopened, differences=camera.differences)
+
+    def _set_state(self, state: Literal["running", "lost", "ended"], reason: str) -> None:
+        with self._changed:
+            since_ns = self._health.since_ns if state == self._health.state else self._clock_ns()
+            self._health = replace(self._health, state=state, reason=reason, since_ns=since_ns)
+            self._changed.notify_all()

@@ -1,0 +1,87 @@
+"""A recorded feed, or a bare video file, played as a camera.
+
+Two ways: at its recorded pace, as the stand-in for a live camera (`in_real_time`), or as fast as the reader asks, with
+the feed's own stamps (maps, replays).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from edge.camera import Frame
+from edge.camera.feed import Feed, FeedImages, read_feed
+from edge.config import CameraConfig
+
+
+class RecordedCamera:
+    """Plays the rows of a feed in order; a picture that cannot be read is a FrameError, and the next read goes on."""
+
+    differences: tuple[str, ...] = ()  # a recording is what it is: nothing is asked of it
+
+    def __init__(
+        self,
+        feed: Feed,
+        *,
+        real_time: bool = False,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        """Open the feed's pictures; FeedError if its video cannot be opened.
+
+        real_time: the first read() starts the clock; each frame then comes when it is due and is stamped with that
+        moment of `clock_ns`. A frame that is asked for late comes at once, with the stamp that it was due at.
+        """
+        self._feed = feed
+        self._images: FeedImages | None = FeedImages(feed)
+        self._real_time = real_time
+        self._clock_ns = clock_ns
+        self._sleep = sleep
+        self._next = 0
+        self._offset_ns: int | None = None if real_time else 0  # from the feed's time to `clock_ns`
+
+    @classmethod
+    def in_real_time(
+        cls,
+        config: CameraConfig,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> RecordedCamera:
+        """Play the feed or video `config.device` at its own pace; size and rate are the recording's, not the config's.
+
+        Raises FeedError.
+        """
+        return cls(read_feed(Path(config.device)), real_time=True, clock_ns=clock_ns, sleep=sleep)
+
+    def read(self) -> Frame | None:
+        """The next row's frame, None after the last; FrameError names the picture and the next call goes on.
+
+        In real time this blocks until the frame is due, however long the gap in the recording is.
+        """
+        if self._images is None or self._next >= len(self._feed.rows):
+            return None
+        index, self._next = self._next, self._next + 1
+        stamp_ns = self._due_ns(index)
+        # Decoded before the wait, so that the frame is handed on at its stamp and not a decoding time later.
+        image = self._images.read(index)
+        self._wait_until(stamp_ns)
+        return Frame(image, stamp_ns, index)
+
+    def _due_ns(self, index: int) -> int:
+        if self._offset_ns is None:
+            self._offset_ns = self._clock_ns() - self._feed.rows[0].stamp_ns
+        return self._feed.rows[index].stamp_ns + self._offset_ns
+
+    def _wait_until(self, stamp_ns: int) -> None:
+        if not self._real_time:
+            return
+        wait_ns = stamp_ns - self._clock_ns()
+        if wait_ns > 0:
+            self._sleep(wait_ns / 1e9)
+
+    def close(self) -> None:
+        """Release the pictures; a later read() returns None."""
+        if self._images is not None:
+            self._images.close()
+            self._images = None

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.camera import Camera, Frame
+from edge.camera.feed import read_feed
+from edge.camera.newest import NewestFrame
+from edge.camera.recorded import RecordedCamera
+from edge.errors import CameraLost, ConfigError, FrameError
+
+PATIENCE_S = 10.0
+
+
+class ScriptedCamera:
+    """Gives what it is told to: a frame for an int, an error for an error; then ends, or waits to be let go.
+
+    drained: set once the script is used up, when all of its frames have been put. closed: set by close().
+    """
+
+    differences: tuple[str, ...] = ("fps: asked for 30, device gives 25",)
+
+    def __init__(self, *script: int | Exception, then_wait: threading.Event | None = None) -> None:
+        self._script = iter(script)
+        self._then_wait = then_wait
+        self.threads: set[str] = set()
+        self.drained = threading.Event()
+        self.closed = threading.Event()
+
+    def read(self) -> Frame | None:
+        self.threads.add(threading.current_thread().name)
+        step = next(self._script, None)
+        if isinstance(step, Exception):
+            raise step
+        if step is None:
+            self.drained.set()
+            if self._then_wait is not None:
+                self._then_wait.wait(PATIENCE_S)
+            return None
+        return Frame(np.zeros((2, 2, 3), np.uint8), step * 10, step)
+
+    def close(self) -> None:
+        self.threads.add(threading.current_thread().name)
+        self.closed.set()
+
+
+def opener(*results: Camera | Exception) -> Callable[[], Camera]:
+    remaining = iter(results)
+
+    def open_next() -> Camera:
+        result = next(remaining)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    return open_next
+
+
+@pytest.fixture
+def let_go() -> threading.Event:
+    return threading.Event()
+
+
+def test_only_the_newest_frame_is_kept_and_what_it_replaced_is_counted(let_go: threading.Event) -> None:
+    camera = ScriptedCamera(0, 1, 2, then_wait=let_go)
+    newest = NewestFrame(opener(camera))
+    assert camera.drained.wait(PATIENCE_S)
+    health = newest.health
+    assert (health.state, health.delivered, health.overwritten, health.bad) == ("running", 3, 2, 0)
+    assert health.differences == camera.differences
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.index == 2
+    assert newest.take(0.0) is None
+    assert not newest.ended
+    let_go.set()
+    newest.close()
+
+
+def test_the_end_of_a_feed_is_visible_after_its_last_frame() -> None:
+    camera = ScriptedCamera(0, 1)
+    newest = NewestFrame(opener(camera))
+    assert camera.closed.wait(PATIENCE_S)
+    assert newest.health.state == "ended"
+    assert not newest.ended
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.index == 1
+    assert newest.ended
+    assert newest.take(PATIENCE_S) is None
+    newest.close()
+
+
+def test_each_frame_of_a_real_time_feed_is_taken_once_or_counted_as_overwritten(feed_path: Path) -> None:
+    newest = NewestFrame(lambda: RecordedCamera(read_feed(feed_path), real_time=True))
+    taken = []
+    while not newest.ended:
+        frame = newest.take(PATIENCE_S)
+        if frame is not None:
+            taken.append(frame.index)
+    newest.close()
+    assert taken == sorted(set(taken))
+    assert len(taken) + newest.health.overwritten == newest.health.delivered == 12
+
+
+def test_a_bad_frame_is_counted_and_the_camera_goes_on() -> None:
+    camera = ScriptedCamera(0, FrameError("frame 1 is torn"), 2)
+    newest = NewestFrame(opener(camera))
+    assert camera.closed.wait(PATIENCE_S)
+    assert (newest.health.delivered, newest.health.bad) == (2, 1)
+    newest.close()
+
+
+def test_a_lost_camera_is_closed_and_opened_again_and_its_indices_never_go_back(let_go: threading.Event) -> None:
+    before = ScriptedCamera(0, 1, CameraLost("/dev/video0: unplugged"))
+    after = ScriptedCamera(0, 1, then_wait=let_go)
+    newest = NewestFrame(opener(before, CameraLost("not there yet"), after), first_back_off_s=0.001)
+    assert after.drained.wait(PATIENCE_S)
+    assert before.closed.is_set()
+    health = newest.health
+    assert (health.state, health.reason, health.reopened) == ("running", "", 1)
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.index == 3
+    let_go.set()
+    newest.close()
+
+
+def test_while_the_camera_is_lost_health_says_why_and_since_when_and_close_does_not_wait_for_the_back_off() -> None:
+    camera = ScriptedCamera(0, CameraLost("/dev/video0: unplugged"))
+    newest = NewestFrame(opener(camera), first_back_off_s=1e6, longest_back_off_s=1e6, clock_ns=lambda: 5_000)
+    assert camera.closed.wait(PATIENCE_S)
+    health = newest.health
+    assert (health.state, health.reason, health.since_ns) == ("lost", "/dev/video0: unplugged", 5_000)
+    assert newest.take(0.0) is not None
+    assert newest.take(0.0) is None
+    newest.close()
+    assert "camera" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_a_camera_that_is_not_there_at_the_start_is_waited_for() -> None:
+    newest = NewestFrame(opener(CameraLost("no such device"), ScriptedCamera(0)), first_back_off_s=0.001)
+    assert newest.take(PATIENCE_S) is not None
+    newest.close()
+
+
+def test_the_back_off_starts_over_once_a_frame_came(let_go: threading.Event) -> None:
+    # 24 losses of a camera that gives a frame each time: doubling all along would wait for 1e-4 * 2**24 s in all.
+    flapping = [ScriptedCamera(0, CameraLost("gone")) for _ in range(24)]
+    last = ScriptedCamera(0, then_wait=let_go)
+    newest = NewestFrame(opener(*flapping, last), first_back_off_s=1e-4, longest_back_off_s=1e6)
+    assert last.drained.wait(PATIENCE_S)
+    let_go.set()
+    newest.close()
+
+
+def test_the_back_off_grows_only_up_to_its_limit(let_go: threading.Event) -> None:
+    gone = [CameraLost("gone")] * 24
+    last = ScriptedCamera(0, then_wait=let_go)
+    newest = NewestFrame(opener(*gone, last), first_back_off_s=1e-4, longest_back_off_s=2e-4)
+    assert last.drained.wait(PATIENCE_S)
+    let_go.set()
+    newest.close()
+
+
+def test_a_setup_error_of_the_first_opening_is_raised_to_the_caller() -> None:
+    with pytest.raises(ConfigError, match="kind"):
+        NewestFrame(opener(ConfigError("[camera] kind: no camera is called 'x'")))
+
+
+def test_a_setup_error_later_on_is_a_camera_that_is_lost() -> None:
+    gone = ScriptedCamera(CameraLost("gone"))
+    newest = NewestFrame(opener(gone, ConfigError("not a camera"), ScriptedCamera(0)), first_back_off_s=0.001)
+    assert newest.take(PATIENCE_S) is not None
+    newest.close()
+
+
+def test_a_defect_in_a_camera_is_raised_where_it_can_be_reported() -> None:
+    camera = ScriptedCamera(0, ZeroDivisionError("defect"))
+    newest = NewestFrame(opener(camera))
+    assert camera.closed.wait(PATIENCE_S)
+    assert newest.take(PATIENCE_S) is not None
+    with pytest.raises(ZeroDivisionError):
+        newest.take(PATIENCE_S)
+    newest.close()
+
+
+def test_one_thread_opens_reads_and_closes_the_camera() -> None:
+    camera = ScriptedCamera(0, 1)
+    opened_in = []
+
+    def open_here() -> Camera:
+        opened_in.append(threading.current_thread().name)
+        return camera
+
+    newest = NewestFrame(open_here)
+    newest.close()
+    newest.close()
+    assert camera.closed.is_set()
+    assert {*opened_in, *camera.threads} == {"camera"}

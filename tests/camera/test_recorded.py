@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from edge.camera import open_camera
+from edge.camera.feed import read_feed
+from edge.camera.recorded import RecordedCamera
+from edge.config import CameraConfig
+from edge.errors import FeedError, FrameError
+
+
+class Clock:
+    """A clock that only sleep() moves."""
+
+    def __init__(self) -> None:
+        self.now_ns = 777_000_000_000
+        self.slept_s: list[float] = []
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.slept_s.append(seconds)
+        self.now_ns += round(seconds * 1e9)
+
+
+def test_as_fast_as_it_goes_has_the_feeds_own_stamps(feed_path: Path) -> None:
+    clock = Clock()
+    camera = RecordedCamera(read_feed(feed_path), clock_ns=clock, sleep=clock.sleep)
+    stamps = [frame.stamp_ns for frame in iter(camera.read, None)]
+    assert stamps == [1_000_000_000 + index * 50_000_000 for index in range(12)]
+    assert clock.slept_s == []
+
+
+def test_real_time_hands_each_frame_on_when_it_is_due(feed_path: Path) -> None:
+    clock = Clock()
+    camera = RecordedCamera.in_real_time(CameraConfig(kind="feed", device=str(feed_path)), clock, clock.sleep)
+    started_ns = clock()
+    for index, frame in enumerate(iter(camera.read, None)):
+        assert frame.stamp_ns == clock() == started_ns + index * 50_000_000
+    assert clock.slept_s == pytest.approx([0.05] * 11)
+
+
+def test_real_time_asked_late_gives_the_frame_at_once_stamped_when_it_was_due(feed_path: Path) -> None:
+    clock = Clock()
+    camera = RecordedCamera(read_feed(feed_path), real_time=True, clock_ns=clock, sleep=clock.sleep)
+    first = camera.read()
+    clock.now_ns += 120_000_000
+    second = camera.read()
+    assert first and second
+    assert second.stamp_ns == first.stamp_ns + 50_000_000
+    assert clock.slept_s == []
+
+
+def test_an_unreadable_picture_is_one_frame_error_and_the_next_goes_on(feed_path: Path) -> None:
+    (feed_path / "frames/000001.jpg").write_bytes(b"not a picture")
+    camera = RecordedCamera(read_feed(feed_path))
+    assert camera.read() is not None
+    with pytest.raises(FrameError, match=r"000001\.jpg: not a"):
+        camera.read()
+    frame = camera.read()
+    assert frame is not None
+    assert frame.index == 2
+
+
+def test_open_camera_opens_a_feed_and_names_a_missing_one(feed_path: Path) -> None:
+    camera = open_camera(CameraConfig(kind="feed", device=str(feed_path)))
+    frame = camera.read()
+    assert frame is not None
+    assert frame.index == 0
+    camera.close()
+    with pytest.raises(FeedError, match="nowhere"):
+        open_camera(CameraConfig(kind="feed", device=str(feed_path / "nowhere")))
