@@ -3,18 +3,22 @@
 A folder with `feed.toml` (name, view, width, height, source, notes), `frames.csv` (a row a frame, at least `file`
 and `stamp_ns`) and the pictures: files under `frames/`, or one video whose name `feed.toml` gives as `video`
 (rows are then its frames in order). Where they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg,
-speed_mps, distance_m`; further columns are kept as text.
+speed_mps, distance_m`; further columns are kept as text. A bare video file is read as a feed as well: its rows are its
+frames, with stamps from its frame rate and nothing else known.
 """
 
 from __future__ import annotations
 
 import csv
+import errno
+import io
+import os
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, TextIO
+from typing import Annotated, Literal
 
 import cv2
 import msgspec
@@ -22,6 +26,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from edge.camera.feed_rows import MEASURES, FeedRow, read_rows, stays_inside
 from edge.errors import FeedError, FrameError
 
 if sys.version_info >= (3, 11):
@@ -29,8 +34,13 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+__all__ = ["Feed", "FeedHeader", "FeedImages", "FeedRow", "FeedWriter", "read_feed"]
+
 JPEG_QUALITY = 92
-MEASURES = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "speed_mps", "distance_m")
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
+
+# FFmpeg prints lines of its own about a video that it cannot read; here that is one error. Read at its first use.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 class FeedHeader(msgspec.Struct, frozen=True):
@@ -38,26 +48,11 @@ class FeedHeader(msgspec.Struct, frozen=True):
 
     name: str
     view: Literal["front", "rear"]
-    width: int
-    height: int
+    width: Pixels
+    height: Pixels
     source: str = ""
     notes: str = ""
     video: str = ""
-
-
-@dataclass(frozen=True)
-class FeedRow:
-    """One row of `frames.csv`; what is not known is None. `extra` has the further columns as text."""
-
-    file: str
-    stamp_ns: int
-    lat_deg: float | None = None
-    lon_deg: float | None = None
-    alt_m: float | None = None
-    heading_deg: float | None = None
-    speed_mps: float | None = None
-    distance_m: float | None = None
-    extra: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,59 +65,49 @@ class Feed:
 
 
 def read_feed(path: Path) -> Feed:
-    """Read and check header and rows; FeedError names the file, and the line or the key."""
+    """Read and check the header and all rows of a feed folder, or list the frames of a bare video file.
+
+    Raises FeedError, which names the file and the line or the key. The stamps of a feed strictly increase.
+    """
+    if path.is_file():
+        return _read_bare_video(path)
     if not path.is_dir():
-        raise FeedError(f"{path}: no such feed folder; a feed has feed.toml, frames.csv and frames/")
+        raise FeedError(f"{path}: no such feed; it is a folder with feed.toml, frames.csv and frames/, or a video file")
     header = _read_header(path / "feed.toml")
-    rows = _read_rows(path / "frames.csv")
+    rows = read_rows(path / "frames.csv")
     if header.video and not (path / header.video).is_file():
         raise FeedError(f"{path / header.video}: the video that feed.toml names is missing")
     return Feed(path, header, rows)
 
 
+def _read_bare_video(path: Path) -> Feed:
+    video = _open_video(path)
+    count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    video.release()
+    if count < 1 or not fps > 0:
+        raise FeedError(f"{path}: this video does not say how many frames it has, and how many a second")
+    header = FeedHeader(path.stem, "front", width, height, source=path.name, video=path.name)
+    return Feed(path.parent, header, tuple(FeedRow("", round(index * 1e9 / fps)) for index in range(count)))
+
+
+def _open_video(path: Path) -> cv2.VideoCapture:
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read")
+    return video
+
+
 def _read_header(file: Path) -> FeedHeader:
     try:
-        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
+        header = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
     except OSError as error:
         raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
         raise FeedError(f"{file}: {error}") from None
-
-
-def _read_rows(file: Path) -> tuple[FeedRow, ...]:
-    try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            reader = csv.DictReader(stream)
-            missing = {"file", "stamp_ns"} - set(reader.fieldnames or ())
-            if missing:
-                raise FeedError(f"{file}: no column {' and no column '.join(sorted(missing))} in its first line")
-            rows = tuple(_parse_row(file, reader.line_num, values) for values in reader)
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise FeedError(f"{file}: {error}") from None
-    if not rows:
-        raise FeedError(f"{file}: no frames in it")
-    return rows
-
-
-def _parse_row(file: Path, line: int, values: dict[str, str | None]) -> FeedRow:
-    """One CSV row as a FeedRow; an empty or missing measure is None."""
-    name, stamp = values.get("file"), values.get("stamp_ns")
-    if not name or not stamp:
-        raise FeedError(f"{file}: line {line}: file or stamp_ns is empty; is the file cut short?")
-    column = "stamp_ns"
-    try:
-        stamp_ns = int(stamp)
-        measures: dict[str, float | None] = {}
-        for column in MEASURES:
-            text = values.get(column)
-            measures[column] = float(text) if text else None
-    except ValueError:
-        raise FeedError(f"{file}: line {line}: {column}: {values[column]!r} is not a number") from None
-    known = {"file", "stamp_ns", *MEASURES}
-    extra = {key: text or "" for key, text in values.items() if key is not None and key not in known}
-    return FeedRow(name, stamp_ns, **measures, extra=extra)
+    if header.video and not stays_inside(header.video):
+        raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
+    return header
 
 
 class FeedImages:
@@ -133,15 +118,25 @@ class FeedImages:
         self._video: cv2.VideoCapture | None = None
         self._next_video_frame = 0
         if feed.header.video:
-            self._video = cv2.VideoCapture(str(feed.path / feed.header.video))
-            if not self._video.isOpened():
-                raise FeedError(f"{feed.path / feed.header.video}: OpenCV cannot read this video")
+            self._video = _open_video(feed.path / feed.header.video)
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """Picture of row `index`, (H, W, 3) uint8 BGR. Raises FrameError that names the file, or the video's frame."""
+        """Picture of row `index`, (height, width, 3) uint8 BGR, of the size that the header gives.
+
+        Raises FrameError that names the file, or the video's frame.
+        """
+        header = self._feed.header
         if self._video is not None:
-            return self._read_video(self._video, index)
-        file = self._feed.path / self._feed.rows[index].file
+            name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
+        else:
+            file = self._feed.path / self._feed.rows[index].file
+            name, image = str(file), self._read_file(file)
+        height, width = image.shape[:2]
+        if (width, height) != (header.width, header.height):
+            raise FrameError(f"{name}: {width} x {height} pixels, and feed.toml says {header.width} x {header.height}")
+        return image
+
+    def _read_file(self, file: Path) -> NDArray[np.uint8]:
         # imdecode of bytes, since imread prints its own warnings to stderr for a missing file.
         try:
             data = np.fromfile(file, dtype=np.uint8)
@@ -168,24 +163,23 @@ class FeedImages:
 
 
 class FeedWriter:
-    """Writes a feed frame by frame: picture first, then its row, so that a crash leaves only whole rows."""
+    """Writes a feed frame by frame: picture first, then its row, so that a crash or a full disk leaves whole rows."""
 
     def __init__(self, path: Path, header: FeedHeader, extra_columns: tuple[str, ...] = ()) -> None:
         """Create the folder; FeedError if it already has a feed in it, or cannot be written."""
         self._path = path
         self._count = 0
-        self._file: TextIO
+        self._whole_bytes = 0
+        self._extra_columns = extra_columns
         if (path / "frames.csv").exists():
             raise FeedError(f"{path}: there is a feed here already; name another folder")
         try:
             (path / "frames").mkdir(parents=True, exist_ok=True)
             (path / "feed.toml").write_text(tomli_w.dumps(msgspec.structs.asdict(header)), encoding="utf-8")
-            self._file = (path / "frames.csv").open("w", newline="", encoding="utf-8")
+            self._file = (path / "frames.csv").open("wb", buffering=0)
+            self._append(["file", "stamp_ns", *MEASURES, *extra_columns])
         except OSError as error:
             raise FeedError(f"{path}: cannot write a feed here: {error.strerror}") from None
-        self._extra_columns = extra_columns
-        self._rows = csv.writer(self._file)
-        self._rows.writerow(["file", "stamp_ns", *MEASURES, *extra_columns])
 
     def write(
         self,
@@ -201,14 +195,31 @@ class FeedWriter:
         extra: Mapping[str, str] | None = None,
     ) -> None:
         """Append one frame; image (H, W, 3) uint8 BGR. OSError when the disk is full: what was written stays whole."""
-        file = f"frames/{self._count:06d}.jpg"
+        name = f"frames/{self._count:06d}.jpg"
         _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        data.tofile(self._path / file)
-        measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m)
-        known = ["" if value is None else repr(value) for value in measures]
-        self._rows.writerow([file, stamp_ns, *known, *((extra or {}).get(key, "") for key in self._extra_columns)])
-        self._file.flush()
+        try:
+            (self._path / name).write_bytes(data.tobytes())
+            measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m)
+            known = ["" if value is None else repr(float(value)) for value in measures]
+            self._append([name, str(stamp_ns), *known, *((extra or {}).get(key, "") for key in self._extra_columns)])
+        except OSError:
+            (self._path / name).unlink(missing_ok=True)
+            raise
         self._count += 1
+
+    def _append(self, values: list[str]) -> None:
+        """Append one row whole, or not at all."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(values)
+        line = text.getvalue().encode()
+        try:
+            if self._file.write(line) != len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            self._file.truncate(self._whole_bytes)
+            self._file.seek(self._whole_bytes)
+            raise
+        self._whole_bytes += len(line)
 
     def __enter__(self) -> FeedWriter:
         return self
