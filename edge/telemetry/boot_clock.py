@@ -1,0 +1,68 @@
+"""The autopilot's boot clock, seen from ours.
+
+With boot = monotonic + offset, each message gives a bound on the offset, because no message arrives before it is
+sent: a boot stamp in a message received at t says offset >= stamp - t, and an answer stamped `boot` to our request
+of time t says offset <= boot - t. Over many messages the tightest bounds close in on the truth, and how late this
+computer reads its port only loosens bounds, never bends them. (The usual half of the round trip is bent by it.)
+"""
+
+from __future__ import annotations
+
+# Short, since the clock of a simulated autopilot was seen to run 0.75 % slow: 7.5 ms for every second of memory.
+WINDOW_NS = 500_000_000
+
+
+class _Tightest:
+    """The largest of the bounds of the last one to two windows, whichever are there."""
+
+    def __init__(self) -> None:
+        self._start_ns = 0
+        self._now: int | None = None
+        self._before: int | None = None
+
+    def add(self, bound_ns: int, at_ns: int) -> None:
+        if self._now is None or at_ns - self._start_ns > WINDOW_NS:
+            self._before, self._now, self._start_ns = self._now, bound_ns, at_ns
+        else:
+            self._now = max(self._now, bound_ns)
+
+    @property
+    def best_ns(self) -> int | None:
+        if self._now is None or self._before is None:
+            return self._now
+        return max(self._now, self._before)
+
+
+class BootClock:
+    """Estimates the autopilot's time since boot; unknown until the first stamp has been seen."""
+
+    def __init__(self) -> None:
+        self._at_least = _Tightest()
+        self._at_most = _Tightest()  # holds negated bounds, so that its largest is the smallest
+
+    def add_stamp(self, boot_ns: int, received_ns: int) -> None:
+        """A boot stamp in any message that was received at `received_ns` (CLOCK_MONOTONIC)."""
+        self._at_least.add(boot_ns - received_ns, received_ns)
+
+    def add_answer(self, sent_ns: int, boot_ns: int, received_ns: int) -> None:
+        """TIMESYNC's answer, stamped `boot_ns`, to a request that we sent at `sent_ns`."""
+        self._at_most.add(sent_ns - boot_ns, received_ns)
+        self.add_stamp(boot_ns, received_ns)
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Boot clock minus CLOCK_MONOTONIC."""
+        at_least, negated = self._at_least.best_ns, self._at_most.best_ns
+        if at_least is None or negated is None or -negated < at_least:
+            return at_least  # crossed bounds: the clock drifts faster than the requests come
+        return (at_least - negated) // 2
+
+    def boot_ns(self, monotonic_ns: int) -> int | None:
+        """The autopilot's time since boot at that moment of ours."""
+        offset_ns = self.offset_ns
+        return None if offset_ns is None else monotonic_ns + offset_ns
+
+    def monotonic_ns(self, boot_ns: int) -> int | None:
+        """Our time at that moment of the autopilot's."""
+        offset_ns = self.offset_ns
+        return None if offset_ns is None else boot_ns - offset_ns

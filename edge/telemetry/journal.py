@@ -1,0 +1,87 @@
+"""The journal: what happened, one JSON object a line, only ever appended.
+
+A crash can tear the last line and no other: each line goes out in a single write, and a file that ends in half a
+line gets a new line started at the next opening. A full disk costs the lines that do not fit, and is reported.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from edge.errors import ConfigError
+
+log = logging.getLogger(__name__)
+
+
+class Journal:
+    """An open journal; the folder it lies in is created."""
+
+    def __init__(self, path: Path, *, sync: bool = False, unix_time_s: Callable[[], float] = time.time) -> None:
+        """`sync` waits for the disk after each line. ConfigError when the file cannot be opened for appending."""
+        self._path = path
+        self._sync = sync
+        self._unix_time_s = unix_time_s
+        self.lost = 0
+        """Lines that could not be written."""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._torn = _ends_torn(self._fd)
+        except OSError as error:
+            raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
+
+    def write(self, record: msgspec.Struct | dict[str, Any]) -> bool:
+        """Append one record with the wall clock as `unix_s`; False, and reported, when it does not fit on the disk."""
+        fields = {"unix_s": round(self._unix_time_s(), 3), **msgspec.to_builtins(record)}
+        line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
+        try:
+            written = os.write(self._fd, line)
+            if self._sync:
+                os.fsync(self._fd)
+        except OSError as error:
+            self._report_lost(error.strerror or str(error))
+            return False
+        if written < len(line):
+            self._torn = True
+            self._report_lost("no space left on device")
+            return False
+        if self.lost:
+            log.warning("%s: writing again; %d lines were lost", self._path, self.lost)
+        self._torn, self.lost = False, 0
+        return True
+
+    def _report_lost(self, why: str) -> None:
+        if not self.lost:
+            log.error("%s: cannot write the journal: %s", self._path, why)
+        self.lost += 1
+
+    def close(self) -> None:
+        """Close the file; more than once is harmless."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+def _ends_torn(fd: int) -> bool:
+    """Whether a regular file ends in the middle of a line."""
+    status = os.fstat(fd)
+    return stat.S_ISREG(status.st_mode) and status.st_size > 0 and os.pread(fd, 1, status.st_size - 1) != b"\n"
+
+
+def read_journal(path: Path) -> Iterator[dict[str, Any]]:
+    """The records of a journal in order, without lines that a crash or a full disk has torn."""
+    decode = msgspec.json.Decoder(dict[str, Any]).decode
+    with path.open("rb") as lines:
+        for line in lines:
+            try:
+                yield decode(line)
+            except msgspec.DecodeError:
+                continue

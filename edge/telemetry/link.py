@@ -1,0 +1,184 @@
+"""The wire: bytes in, bytes out, never blocking.
+
+serial:DEVICE:BAUD   a serial port, or anything that looks like one (USB, a pseudo-terminal)
+udp:HOST:PORT        speaks to that peer, and hears only it
+udpin:HOST:PORT      waits on that port, and answers whoever spoke last
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import termios
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import serial
+
+from edge.errors import ConfigError, LinkLost
+
+READ_SIZE = 65536
+
+
+class Link(Protocol):
+    """A byte link to a MAVLink peer. Each method but close() raises LinkLost when the port is gone."""
+
+    def receive(self) -> bytes:
+        """What has arrived since the last call, b"" if nothing; never blocks."""
+
+    def send(self, data: bytes) -> bool:
+        """Send one whole message, or drop it and return False when the port cannot take it now; never blocks."""
+
+    def fileno(self) -> int:
+        """For select: readable when receive() has something."""
+
+    def close(self) -> None:
+        """Release the port; more than once is harmless."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A parsed connection string. `target` is a device or a host, `number` its baud rate or port."""
+
+    kind: Literal["serial", "udp", "udpin"]
+    target: str
+    number: int
+
+    def open(self) -> Link:
+        """Open it; LinkLost when it cannot be opened now."""
+        if self.kind == "serial":
+            return SerialLink(self.target, self.number)
+        return UdpLink(self.target, self.number, listen=self.kind == "udpin")
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.target}:{self.number}"
+
+
+def parse_connection(connection: str) -> Connection:
+    """Check a connection string without opening anything; ConfigError names [telemetry] connection."""
+    kind, _, rest = connection.partition(":")
+    target, _, number = rest.rpartition(":")
+    if kind not in ("serial", "udp", "udpin") or not target:
+        raise ConfigError(
+            f"[telemetry] connection: {connection!r} is not serial:DEVICE:BAUD, udp:HOST:PORT or udpin:HOST:PORT"
+        )
+    limit = 12_000_000 if kind == "serial" else 65_535
+    if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):
+        what = "baud rate" if kind == "serial" else "port"
+        raise ConfigError(f"[telemetry] connection: {connection!r}: {number!r} is not a {what} from 1 to {limit}")
+    return Connection(kind, target.strip("[]"), int(number))  # type: ignore[arg-type]  # narrowed above
+
+
+class SerialLink:
+    """A serial port that nobody else may own: pyserial's exclusive mode, so that two daemons never share one."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        self._device = device
+        try:
+            self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
+        except (OSError, termios.error) as error:  # SerialException is an OSError
+            raise LinkLost(f"{device}: {_why_not_open(error)}") from None
+
+    def receive(self) -> bytes:
+        """See Link. pyserial reports an unplugged port in three ways, and all of them end here."""
+        try:
+            return bytes(self._port.read(READ_SIZE))
+        except (OSError, termios.error, TypeError) as error:  # TypeError: closed between two calls
+            raise LinkLost(f"{self._device}: the port is gone: {error}") from None
+
+    def send(self, data: bytes) -> bool:
+        """See Link. A port whose buffer is full (flow control, nobody reading) drops the message."""
+        try:
+            # Not Serial.write(), which spins on EAGAIN when its timeout is 0.
+            return os.write(self.fileno(), data) == len(data)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            raise LinkLost(f"{self._device}: the port is gone: {error.strerror}") from None
+
+    def fileno(self) -> int:
+        """See Link."""
+        try:
+            return int(self._port.fileno())
+        except OSError:
+            raise LinkLost(f"{self._device}: the port is closed") from None
+
+    def close(self) -> None:
+        """See Link."""
+        with contextlib.suppress(OSError, termios.error):  # an unplugged port cannot be told
+            self._port.close()
+
+
+def _why_not_open(error: Exception) -> str:
+    """Say what to do about a port that does not open."""
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "no such port; is the autopilot plugged in?"
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program; stop it (ModemManager? a ground station?)"
+    if number == errno.EACCES:
+        return "not permitted; add the user to the group that owns it (dialout)"
+    return f"cannot open it: {error}"
+
+
+class UdpLink:
+    """A datagram socket. A peer that is not there (yet) is no error: it may come."""
+
+    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+        self._name = f"{host}:{port}"
+        self._peer: Any = None  # an address, as the socket's family has it
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise LinkLost(f"{self._name}: cannot find this host: {error.strerror}") from None
+        self._socket.setblocking(False)
+        try:
+            if listen:
+                self._socket.bind(address)
+            else:
+                self._socket.connect(address)  # the kernel then drops what others send
+                self._peer = address
+        except OSError as error:
+            self._socket.close()
+            raise LinkLost(f"{self._name}: cannot open it: {error.strerror}") from None
+        self._listen = listen
+
+    def receive(self) -> bytes:
+        """See Link. All datagrams that wait, joined."""
+        parts: list[bytes] = []
+        while True:
+            try:
+                data, sender = self._socket.recvfrom(READ_SIZE)
+            except (BlockingIOError, ConnectionRefusedError):  # refused: the peer's answer to an earlier send
+                return b"".join(parts)
+            except OSError as error:
+                raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
+            if self._listen:
+                self._peer = sender
+            parts.append(data)
+
+    def send(self, data: bytes) -> bool:
+        """See Link. False while nobody has spoken on a listening socket, or the peer is not there."""
+        if self._peer is None:
+            return False
+        try:
+            if self._listen:
+                self._socket.sendto(data, self._peer)
+            else:
+                self._socket.send(data)
+        except (BlockingIOError, ConnectionRefusedError):
+            return False
+        except OSError as error:
+            raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
+        return True
+
+    def fileno(self) -> int:
+        """See Link."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """See Link."""
+        self._socket.close()

@@ -1,0 +1,177 @@
+"""What the vehicle says about itself: who it is, when it is, where it is and how far it has driven.
+
+Pure: messages and the time come in as arguments, nothing goes out but answers to questions.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.boot_clock import BootClock
+from edge.telemetry.codec import Message
+from edge.telemetry.odometer import Odometer
+
+LINK_TIMEOUT_NS = 5_000_000_000
+POSITION_FRESH_NS = 2_000_000_000
+GPS_FRESH_NS = 3_000_000_000
+REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
+HEADING_UNKNOWN = 65535
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class VehiclePosition:
+    """The autopilot's own estimate: degrees (WGS 84), metres above mean sea level, heading clockwise from north."""
+
+    stamp_ns: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    heading_deg: float | None
+    speed_mps: float
+
+
+class Vehicle:
+    """The one vehicle on a link, learned from its heartbeats; everything from anyone else is ignored.
+
+    Noise on a serial line passes MAVLink's checksum now and then, so two heartbeats of the same autopilot make a
+    link, and only messages of that system and of component 1 count.
+    """
+
+    def __init__(self) -> None:
+        self.system_id: int | None = None
+        self.autopilot: int | None = None
+        self.connected = False
+        self.session = 0
+        """Counts up when the link comes up and when the autopilot reboots: ask for streams again."""
+        self._heard_ns: dict[int, int] = {}
+        self._clock = BootClock()
+        self._newest_boot_ms = -1
+        self._timesync_sent_ns = 0
+        self._odometer = Odometer()
+        self._position: VehiclePosition | None = None
+        self._gps_healthy_ns: int | None = None
+        self._readers: dict[int, Callable[[Message, int], None]] = {
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._read_global_position,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._read_local_position,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._read_vfr_hud,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._read_system_time,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._read_timesync,
+        }
+
+    def handle(self, message: Message, now_ns: int) -> bool:
+        """Read one message that was received at `now_ns`; True when it is from the vehicle, and so to be heeded."""
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            return False
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return self._read_heartbeat(message, now_ns)
+        if not self.connected or message.get_srcSystem() != self.system_id:
+            return False
+        reader = self._readers.get(message.get_msgId())
+        if reader is not None:
+            reader(message, now_ns)
+        return True
+
+    def expire(self, now_ns: int) -> None:
+        """Give the link up when no heartbeat has come for five seconds."""
+        if self.connected and now_ns - self._heard_ns[self.system_id or 0] > LINK_TIMEOUT_NS:
+            log.warning("system %s has sent no heartbeat for %d s", self.system_id, LINK_TIMEOUT_NS // 10**9)
+            self.forget_link()
+
+    def forget_link(self) -> None:
+        """Two heartbeats are needed again; what was driven so far is kept."""
+        self.connected = False
+        self._heard_ns.clear()
+
+    def timesync_sent(self, now_ns: int) -> None:
+        """Our TIMESYNC request, stamped `now_ns`, has gone out."""
+        self._timesync_sent_ns = now_ns
+
+    def boot_time_s(self, monotonic_ns: int) -> float | None:
+        """Seconds since the autopilot's boot at that moment of CLOCK_MONOTONIC; None until it has told its time."""
+        boot_ns = self._clock.boot_ns(monotonic_ns)
+        return None if boot_ns is None else boot_ns / 1e9
+
+    def distance_m(self, stamp_ns: int) -> float | None:
+        """Metres driven since the first report, at the moment of a frame; None when no speed is known around it."""
+        return self._odometer.distance_m(stamp_ns)
+
+    def speed_mps(self, now_ns: int) -> float | None:
+        """Ground speed, None when the newest is over a second old."""
+        return self._odometer.speed_mps(now_ns)
+
+    def position(self, now_ns: int) -> VehiclePosition | None:
+        """The autopilot's own position, None when it has none or the newest is over two seconds old."""
+        if self._position is None or now_ns - self._position.stamp_ns > POSITION_FRESH_NS:
+            return None
+        return self._position
+
+    def gps_healthy(self, now_ns: int) -> bool:
+        """Whether a GPS reported a 3-D fix within the last three seconds."""
+        return self._gps_healthy_ns is not None and now_ns - self._gps_healthy_ns <= GPS_FRESH_NS
+
+    def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
+        sender = message.get_srcSystem()
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or (self.connected and sender != self.system_id):
+            return False
+        before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
+        if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
+            self.connected, self.system_id, self.autopilot = True, sender, message.autopilot
+            self._start_session()
+            log.info("link up: system %d, autopilot %d", sender, message.autopilot)
+        return self.connected
+
+    def _start_session(self) -> None:
+        self.session += 1
+        self._clock = BootClock()
+        self._newest_boot_ms = -1
+        self._gps_healthy_ns = None
+
+    def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
+        """Take a message's stamp into the boot clock; returns the same moment on CLOCK_MONOTONIC."""
+        if boot_ms < self._newest_boot_ms - REBOOT_BACK_MS:
+            log.warning(
+                "the autopilot has rebooted: its clock went back from %d to %d ms", self._newest_boot_ms, boot_ms
+            )
+            self._start_session()
+        self._newest_boot_ms = max(boot_ms, self._newest_boot_ms)
+        self._clock.add_stamp(boot_ms * 1_000_000, now_ns)
+        return min(self._clock.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)
+
+    def _read_global_position(self, message: Message, now_ns: int) -> None:
+        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
+        if message.lat == 0 and message.lon == 0:
+            return  # ArduPilot without an origin: neither a position nor a speed
+        speed_mps = math.hypot(message.vx, message.vy) / 100
+        self._odometer.add(stamp_ns, speed_mps, source=1)
+        heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
+        self._position = VehiclePosition(
+            stamp_ns, message.lat / 1e7, message.lon / 1e7, message.alt / 1000, heading_deg, speed_mps
+        )
+
+    def _read_local_position(self, message: Message, now_ns: int) -> None:
+        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
+        self._odometer.add(stamp_ns, math.hypot(message.vx, message.vy), source=0)
+
+    def _read_vfr_hud(self, message: Message, now_ns: int) -> None:
+        self._odometer.add(now_ns, message.groundspeed, source=2)
+
+    def _read_gps(self, message: Message, now_ns: int) -> None:
+        if mavlink.GPS_FIX_TYPE_3D_FIX <= message.fix_type <= mavlink.GPS_FIX_TYPE_RTK_FIXED:
+            self._gps_healthy_ns = now_ns
+
+    def _read_system_time(self, message: Message, now_ns: int) -> None:
+        self._read_boot_time(message.time_boot_ms, now_ns)
+
+    def _read_timesync(self, message: Message, now_ns: int) -> None:
+        if message.tc1 == 0:  # the autopilot's own request, stamped when it was sent
+            self._clock.add_stamp(message.ts1, now_ns)
+        elif message.ts1 == self._timesync_sent_ns:
+            self._clock.add_answer(message.ts1, message.tc1, now_ns)

@@ -1,0 +1,238 @@
+"""The connection against the simulated autopilot: link, streams, fixes, acknowledgements, unplugging."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.config import TelemetryConfig
+from edge.errors import ConfigError
+from edge.telemetry import PlaceFix
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.journal import Journal, read_journal
+from sim.autopilot import SimulatedAutopilot
+from sim.autopilot_command import straight_line
+from sim.pty_link import PtyLink, open_pty
+
+SPEED_MPS = 8.0
+START_NS = 1_000_000_000_000
+
+
+class Rig:
+    """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
+
+    def __init__(self, folder: Path, emit: Any = "report", **autopilot: Any) -> None:
+        self.now_ns = START_NS
+        self.port = folder / "autopilot"
+        self.journal = Journal(folder / "events.jsonl")
+        self.options = autopilot
+        self.pty: PtyLink | None = None
+        self.plug()
+        config = TelemetryConfig(connection=f"serial:{self.port}:921600", emit=emit)
+        self.connection = AutopilotConnection(config, lambda: self.now_ns, self.journal.write)
+
+    def plug(self) -> None:
+        self.pty = open_pty()
+        self.port.unlink(missing_ok=True)
+        self.port.symlink_to(self.pty.device)
+        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
+        self.autopilot = SimulatedAutopilot(self.pty, pose_at, lambda: self.now_ns, **self.options)
+
+    def unplug(self) -> None:
+        assert self.pty is not None
+        self.pty.close()
+        self.pty = None
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Step both ends 10 ms at a time; whether `until` came true."""
+        for _ in range(round(seconds * 100)):
+            self.now_ns += 10_000_000
+            if self.pty is not None:
+                self.autopilot.step()
+            self.connection.poll()
+            if until():
+                return True
+        return False
+
+    def received(self, name: str) -> list[Any]:
+        return [entry.message for entry in self.autopilot.received if entry.message.get_type() == name]
+
+    def journalled(self, event: str) -> list[dict[str, Any]]:
+        path = self.port.with_name("events.jsonl")
+        return [record for record in read_journal(path) if record["event"] == event]
+
+    def fix(self, age_s: float = 0.5, **changes: Any) -> PlaceFix:
+        exposed_ns = self.now_ns - round(age_s * 1e9)
+        lat_deg, lon_deg = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)(exposed_ns / 1e9).geodetic()
+        fields: dict[str, Any] = {
+            "stamp_ns": exposed_ns,
+            "place": 42,
+            "lat_deg": lat_deg,
+            "lon_deg": lon_deg,
+            "heading_deg": 60.0,
+            "sigma_m": 6.0,
+            "direction": "reverse",
+            "order": "same",
+            "uniqueness": 1.31,
+            "category": "street",
+        }
+        return PlaceFix(**{**fields, **changes})
+
+    def close(self) -> None:
+        self.connection.close()
+        self.journal.close()
+        if self.pty is not None:
+            self.pty.close()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Rig]:
+    rig = Rig(tmp_path, **getattr(request, "param", {}))
+    yield rig
+    rig.close()
+
+
+external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
+
+
+def test_heartbeats_go_out_and_the_link_comes_up_with_streams(rig: Rig) -> None:
+    assert rig.run(3.0, lambda: rig.connection.state == "up")
+    rig.run(5.0)
+    heartbeats = rig.received("HEARTBEAT")
+    assert len(heartbeats) == pytest.approx(7, abs=2)
+    assert {(m.get_srcSystem(), m.get_srcComponent(), m.type, m.autopilot) for m in heartbeats} == {(1, 191, 18, 8)}
+    assert {int(m.param1) for m in rig.received("COMMAND_LONG")} == {33, 32, 74, 24, 2}
+    assert [record["state"] for record in rig.journalled("link")] == ["waiting", "up"]
+
+
+def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig) -> None:
+    rig.run(12.0)
+    vehicle = rig.connection.vehicle
+    before, after = (vehicle.distance_m(rig.now_ns - round(back_s * 1e9)) for back_s in (5.0, 0.0))
+    assert before is not None and after is not None
+    assert after - before == pytest.approx(5.0 * SPEED_MPS, rel=0.01)
+    assert vehicle.speed_mps(rig.now_ns) == pytest.approx(SPEED_MPS, rel=0.01)
+    boot_s = vehicle.boot_time_s(rig.now_ns)
+    assert boot_s == pytest.approx(rig.autopilot.boot_s, abs=0.011)
+    position = vehicle.position(rig.now_ns)
+    assert position is not None
+    assert position.heading_deg == pytest.approx(60.0)
+    assert vehicle.gps_healthy(rig.now_ns)
+
+
+def test_the_autopilots_own_system_id_is_taken(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, system_id=7)
+    rig.run(4.0)
+    assert rig.connection.vehicle.system_id == 7
+    assert rig.received("HEARTBEAT")[-1].get_srcSystem() == 7
+    rig.close()
+
+
+def test_report_sends_text_and_no_position(rig: Rig) -> None:
+    rig.run(4.0)
+    assert not rig.connection.send_fix(rig.fix())
+    rig.run(2.0)
+    assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, street, 1.31"]
+    assert rig.received("NAMED_VALUE_FLOAT")[0].value == pytest.approx(1.31)
+    assert not rig.received("COMMAND_INT")
+
+
+@external
+def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None:
+    rig.run(4.0)
+    assert rig.connection.send_fix(rig.fix(age_s=1.5))
+    rig.run(1.0)
+    command = rig.received("COMMAND_INT")[0]
+    assert (command.command, command.frame, command.target_system, command.target_component) == (43003, 0, 1, 1)
+    assert command.z != command.z, "z must be NaN"
+    assert command.param2 == pytest.approx(1.5, abs=0.02)
+    assert command.param3 == pytest.approx(6.0)
+    assert [reset.error_after_m for reset in rig.autopilot.resets] == [pytest.approx(0.0, abs=0.3)]
+    assert [record["result"] for record in rig.journalled("fix_answered")] == ["ACCEPTED"]
+
+
+@external
+@pytest.mark.parametrize("fix", [{"lat_deg": None, "lon_deg": None}, {"age_s": 6.0}, {"age_s": -0.2}])
+def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, fix: dict[str, Any]) -> None:
+    rig.run(4.0)
+    assert not rig.connection.send_fix(rig.fix(**fix))
+    rig.run(1.0)
+    assert not rig.received("COMMAND_INT")
+
+
+@external
+def test_no_position_goes_out_before_the_link_is_up(rig: Rig) -> None:
+    assert not rig.connection.send_fix(rig.fix())
+
+
+@external
+def test_a_denied_position_is_the_last_until_the_autopilot_reboots(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.run(4.0)
+    rig.autopilot.refuse_fixes_with = 2  # MAV_RESULT_DENIED
+    assert rig.connection.send_fix(rig.fix())
+    rig.run(1.0)
+    assert not rig.connection.send_fix(rig.fix())
+    assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [
+        "the autopilot answered DENIED: no more positions until it reboots"
+    ]
+    rig.autopilot.reboot()
+    rig.run(7.0)
+    assert rig.connection.send_fix(rig.fix())
+
+
+def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> None:
+    rig.run(8.0)
+    rig.autopilot.reboot()
+    asked = len(rig.received("COMMAND_LONG"))
+    assert rig.run(7.0, lambda: len(rig.received("COMMAND_LONG")) > asked)
+    rig.run(2.0)
+    assert rig.connection.vehicle.boot_time_s(rig.now_ns) == pytest.approx(rig.autopilot.boot_s, abs=0.011)
+
+
+def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.run(5.0)
+    driven_m = rig.connection.vehicle.distance_m(rig.now_ns)
+    rig.unplug()
+    assert rig.run(1.0, lambda: rig.connection.state == "closed")
+    rig.run(20.0)
+    assert len([record for record in caplog.records if "trying again" in record.getMessage()]) <= 2
+    rig.plug()
+    assert rig.run(12.0, lambda: rig.connection.state == "up")
+    rig.run(3.0)
+    after_m = rig.connection.vehicle.distance_m(rig.now_ns)
+    assert driven_m is not None and after_m is not None
+    assert after_m > driven_m
+    assert [record["state"] for record in rig.journalled("link")] == ["waiting", "up", "closed", "waiting", "up"]
+
+
+def test_a_silent_autopilot_is_reported(rig: Rig) -> None:
+    rig.run(4.0)
+    pty, rig.pty = rig.pty, None  # plugged in, but no longer stepped
+    assert rig.run(7.0, lambda: rig.connection.state == "waiting")
+    assert rig.connection.vehicle.distance_m(rig.now_ns) is None
+    rig.pty = pty
+    assert rig.run(4.0, lambda: rig.connection.state == "up")
+
+
+def test_a_second_owner_is_refused_and_told_why(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.run(1.0)
+    second = AutopilotConnection(TelemetryConfig(connection=f"serial:{rig.port}:921600"), lambda: rig.now_ns)
+    second.poll()
+    assert second.state == "closed"
+    assert "in use by another program" in caplog.text
+
+
+def test_a_flood_of_texts_is_thinned(rig: Rig) -> None:
+    rig.run(4.0)
+    for number in range(100):
+        rig.connection.status_text(f"line {number}")
+    rig.run(10.0)
+    assert [message.text for message in rig.received("STATUSTEXT")] == [f"line {number}" for number in range(92, 100)]
+
+
+def test_a_malformed_connection_is_refused_at_once() -> None:
+    with pytest.raises(ConfigError, match=r"\[telemetry\] connection"):
+        AutopilotConnection(TelemetryConfig(connection="serial:/dev/ttyACM0"))
