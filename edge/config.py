@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -22,6 +22,7 @@ else:
 
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 
+ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 
@@ -41,7 +42,9 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[sampling]: which of the camera's frames are places; the paper samples at a constant 2 m."""
 
+    by: Literal["distance", "time", "frames"] = "distance"
     spacing_m: Annotated[float, Meta(gt=0, le=100)] = 2.0
+    spacing_frames: Annotated[int, Meta(ge=1)] = 1
     interval_s: Annotated[float, Meta(gt=0, le=60)] = 0.5
 
 
@@ -85,8 +88,8 @@ class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[rig]: how far along the route the matched place lies from where the vehicle is."""
 
-    ahead_same_way_m: float = 0.0
-    ahead_way_home_m: float = 0.0
+    ahead_forward_m: Annotated[float, Meta(ge=-500, le=500)] = 0.0
+    ahead_reverse_m: Annotated[float, Meta(ge=-500, le=500)] = 0.0
 
 
 class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -132,6 +135,15 @@ def parse_config(text: str, path: Path) -> Config:
     except msgspec.ValidationError as error:
         raise ConfigError(f"{path}: {_explain(str(error))}") from None
     return _resolve_paths(config, path.parent)
+
+
+def checked_option(config: ConfigStruct, option: str, **changes: object) -> ConfigStruct:
+    """A section with some keys replaced by a command's option; ConfigError names the option."""
+    try:
+        return msgspec.convert({**msgspec.structs.asdict(config), **changes}, type(config))
+    except msgspec.ValidationError as error:
+        what = str(error).partition(" - at ")[0]
+        raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
 
 
 def _explain(message: str) -> str:

@@ -1,0 +1,51 @@
+"""The command `lookback`: one module a sub-command; further ones come as entry points `lookback.commands`.
+
+Exit codes: 0 done, 1 a device or link is lost or a check failed, 2 wrong usage, 78 bad configuration, map, model or
+feed (a restart would not help).
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+
+import edge
+from edge import check, daemon, map_command, model_command, record, replay
+from edge.errors import EXIT_SETUP, LookbackError, SetupError
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All commands, those of installed plug-ins included; each leaf sets `run`, a function of the arguments."""
+    parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
+    parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for module in (daemon, record, map_command, replay, model_command, check):
+        module.add_command(commands)
+    for point in sorted(entry_points(group="lookback.commands"), key=lambda point: point.name):
+        point.load()(commands)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; errors that Lookback raises on purpose become one line on standard error."""
+    logging.basicConfig(level=logging.INFO, format="lookback: %(message)s", stream=sys.stderr)
+    args = build_parser().parse_args(argv)
+    try:
+        return int(args.run(args))
+    except LookbackError as error:
+        print(f"lookback: {error}", file=sys.stderr)
+        return EXIT_SETUP if isinstance(error, SetupError) else 1
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); the interpreter must not try to flush to it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,157 @@
+"""`lookback run`: opens the parts that the config names and moves frames through them until told to stop.
+
+newest camera frame -> is it a place? -> recognizer -> event -> journal, autopilot
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import msgspec
+
+from edge.camera import Frame, open_camera
+from edge.camera.newest import NewestFrame
+from edge.config import Config, load_config
+from edge.descriptor.network import Head, Network
+from edge.recognizer import PlaceMatch, PlaceRecognizer, State
+from edge.reference_map.store import open_map
+from edge.sampling import Sampler
+from edge.service import notify
+from edge.stage_times import StageTimes
+from edge.telemetry import PlaceFix
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.journal import Journal
+
+TURN_S = 0.02  # at most this long between looks at the MAVLink port
+log = logging.getLogger(__name__)
+
+
+class StateChanged(msgspec.Struct, frozen=True, tag_field="event", tag="state"):
+    """The recogniser's state, or the camera's, changed."""
+
+    state: str
+    why: str = ""
+
+
+class Stopped(msgspec.Struct, frozen=True, tag_field="event", tag="stopped"):
+    """The daemon's last words: what it did, and the median time of each stage in milliseconds."""
+
+    frames_used: int
+    events: int
+    stages_ms: dict[str, float]
+    camera: dict[str, int]
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback run` to the command line."""
+    parser = commands.add_parser("run", help="recognise places and tell the autopilot, until stopped")
+    parser.add_argument("config", type=Path, metavar="CONFIG")
+    parser.set_defaults(run=_run)
+
+
+class Daemon:
+    """The running parts; `turn` moves at most one frame from the camera to the autopilot."""
+
+    def __init__(self, config: Config, parts: ExitStack, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order."""
+        self._config = config
+        self._times = StageTimes()
+        network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+        self._recognizer = PlaceRecognizer(
+            network, Head.load(network), open_map(Path(config.map.path)), config, self._times.lap
+        )
+        self._sampler = Sampler(config.sampling)
+        self._record: Callable[[msgspec.Struct], object] = lambda record: None
+        if config.telemetry.journal:
+            self._record = parts.enter_context(closing(Journal(Path(config.telemetry.journal)))).write
+        self._autopilot = parts.enter_context(
+            closing(AutopilotConnection(config.telemetry, clock_ns, record=self._record))
+        )
+        self._camera = parts.enter_context(closing(NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns)))
+        self._state: State | str = ""
+        self._frames_used = 0
+        self._events = 0
+
+    def turn(self) -> bool:
+        """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
+        self._autopilot.poll()
+        frame = self._camera.take(TURN_S)
+        if frame is not None:
+            distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
+            if self._sampler.take(frame.stamp_ns, distance_m):
+                self._use(frame)
+        health = self._camera.health
+        if health.state == "lost":
+            self._tell_state("camera lost", health.reason)
+        notify("WATCHDOG=1")
+        return not self._camera.ended
+
+    def _use(self, frame: Frame) -> None:
+        self._times.start()
+        self._frames_used += 1
+        match = self._recognizer.observe(frame.image, frame.stamp_ns)
+        self._tell_state(self._recognizer.state)
+        if match is not None and match.event:
+            self._events += 1
+            self._tell_place(match, frame.stamp_ns)
+        self._times.lap("telemetry")
+
+    def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
+        fix = PlaceFix(
+            stamp_ns=stamp_ns,
+            place=match.place,
+            lat_deg=match.lat_deg,
+            lon_deg=match.lon_deg,
+            heading_deg=match.heading_deg,
+            sigma_m=self._config.telemetry.sigma_m,
+            direction=match.direction,
+            order=match.order,
+            uniqueness=round(match.uniqueness, 4),
+            category=match.category or "",
+        )
+        self._record(fix)
+        self._autopilot.send_fix(fix)
+
+    def _tell_state(self, state: str, why: str = "") -> None:
+        if state == self._state:
+            return
+        self._state = state
+        log.info("%s %s", state, why)
+        self._record(StateChanged(state, why))
+        notify(f"STATUS={state} {why}".rstrip())
+
+    def last_words(self) -> Stopped:
+        """What was done, for the journal."""
+        health = self._camera.health
+        counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
+        stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
+        self._record(stopped)
+        return stopped
+
+
+def run(config: Config, stop: threading.Event) -> Stopped:
+    """Run until `stop` is set or the camera comes to its end."""
+    with ExitStack() as parts:
+        daemon = Daemon(config, parts)
+        notify("READY=1")
+        while not stop.is_set() and daemon.turn():
+            pass
+        notify("STOPPING=1")
+        return daemon.last_words()
+
+
+def _run(args: argparse.Namespace) -> int:
+    config = load_config(args.config)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    stopped = run(config, stop)
+    log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
+    return 0

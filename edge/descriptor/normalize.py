@@ -1,0 +1,92 @@
+"""The normalised set of descriptors (NSD), equation 1: for a whole set, and online for the query.
+
+The map is normalised over its whole set. The query's mean and deviation are updated with every frame (section
+III-B). By default the whole ring of recent frames is then normalised again with the newest statistics: nearly all
+that the online form loses against the whole set is its first frames, which were normalised with hardly any data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEAD_DEVIATION = 1e-4
+"""A dimension that varies less than this share of the mean deviation is dead after ReLU, and counts for nothing."""
+
+RENORMALIZE_GROWTH = 0.05
+"""The ring is normalised again when the frames behind the statistics have grown by this share: below it the mean
+moves by under a twentieth of a deviation, and matching the whole ring again would cost L times a frame."""
+
+
+def normalize(
+    raw: NDArray[np.float32], mean: NDArray[np.float64], deviation: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Equation 1: (raw - mean) / deviation for raw (..., R, D) and statistics (R, D); dead dimensions become 0."""
+    sound = deviation > DEAD_DEVIATION * deviation.mean()
+    scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=sound).astype(np.float32)
+    normalized: NDArray[np.float32] = (raw - mean.astype(np.float32)) * scale
+    return normalized
+
+
+class RunningStatistics:
+    """Mean and deviation of every dimension so far, updated a frame at a time (Welford), in float64."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.count = 0
+        self.mean = np.zeros(shape)
+        self._squares = np.zeros(shape)
+
+    def update(self, raw: NDArray[np.float32]) -> None:
+        """Take in one raw descriptor (R, D)."""
+        self.count += 1
+        difference = raw - self.mean
+        self.mean += difference / self.count
+        self._squares += difference * (raw - self.mean)
+
+    @property
+    def deviation(self) -> NDArray[np.float64]:
+        """Standard deviation (R, D) over the frames so far; 0 everywhere after one frame."""
+        return np.sqrt(self._squares / max(self.count, 1))
+
+
+@dataclass(frozen=True)
+class NormalizedRows:
+    """What one frame changes: rows (n, R, D), oldest first; they replace the whole ring, or add one row to it."""
+
+    rows: NDArray[np.float32]
+    replaces_ring: bool
+
+
+class OnlineNormalizer:
+    """Normalises the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
+
+    def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
+        """`enabled` False hands raw descriptors on as they are (Raw-fc6 of the paper)."""
+        self._length = length
+        self._renormalize_ring = renormalize_ring and enabled
+        self._enabled = enabled
+        self._ring: list[NDArray[np.float32]] = []
+        self._statistics: RunningStatistics | None = None
+        self._count_at_renormalization = 0
+
+    def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
+        """Take in one raw descriptor (R, D) and give back the rows it changes."""
+        self._ring = [*self._ring[1 - self._length :], raw]
+        if not self._enabled:
+            return NormalizedRows(raw[np.newaxis], replaces_ring=False)
+        if self._statistics is None:
+            self._statistics = RunningStatistics(raw.shape)
+        statistics = self._statistics
+        statistics.update(raw)
+        stale = statistics.count > self._count_at_renormalization * (1 + RENORMALIZE_GROWTH)
+        if self._renormalize_ring and stale:
+            self._count_at_renormalization = statistics.count
+            rows = normalize(np.stack(self._ring), statistics.mean, statistics.deviation)
+            return NormalizedRows(rows, replaces_ring=True)
+        return NormalizedRows(normalize(raw[np.newaxis], statistics.mean, statistics.deviation), replaces_ring=False)
+
+    def clear_ring(self) -> None:
+        """Forget the recent frames (after a gap); the statistics stay."""
+        self._ring = []

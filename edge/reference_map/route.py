@@ -1,0 +1,66 @@
+"""Positions along the map's drives: in local metres, and at an offset from a place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from edge.reference_map.store import ReferenceMap
+
+
+@dataclass(frozen=True)
+class Position:
+    """WGS 84 position in degrees, and the heading (clockwise from north) of the drive that made the map there."""
+
+    lat_deg: float
+    lon_deg: float
+    heading_deg: float
+
+
+class Route:
+    """The drives of a map as lines on the ground."""
+
+    def __init__(self, reference_map: ReferenceMap) -> None:
+        places = reference_map.places
+        self._places = places
+        self.route_m: NDArray[np.float64] = np.ascontiguousarray(places["route_m"])
+        self.segment_of = np.repeat(
+            np.arange(len(reference_map.header.segments), dtype=np.int32),
+            [segment.end - segment.start for segment in reference_map.header.segments],
+        )
+        self.east_north_m = east_north(places["lat_deg"], places["lon_deg"])
+
+    def position(self, place: int, offset_m: float) -> Position | None:
+        """The position `offset_m` further along the drive than `place` (negative: before it), None where unknown.
+
+        Positions between places are interpolated; beyond the ends of a drive there is only its last place.
+        """
+        segment = np.flatnonzero(self.segment_of == self.segment_of[place])
+        record = self._places[place]
+        if math.isnan(record["lat_deg"]):
+            return None
+        if offset_m == 0 or math.isnan(record["route_m"]):
+            return Position(float(record["lat_deg"]), float(record["lon_deg"]), float(record["heading_deg"]))
+        drive = self._places[segment]
+        drive = drive[~(np.isnan(drive["lat_deg"]) | np.isnan(drive["route_m"]))]
+        target_m = record["route_m"] + offset_m
+        nearest = drive[np.abs(drive["route_m"] - target_m).argmin()]
+        return Position(
+            float(np.interp(target_m, drive["route_m"], drive["lat_deg"])),
+            float(np.interp(target_m, drive["route_m"], drive["lon_deg"])),
+            float(nearest["heading_deg"]),
+        )
+
+
+def east_north(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Metres east and north of the first known position: (N,) degrees -> (N, 2), NaN where unknown."""
+    known = np.flatnonzero(~np.isnan(lat_deg))
+    if not known.size:
+        return np.full((len(lat_deg), 2), np.nan)
+    lat0, lon0 = float(lat_deg[known[0]]), float(lon_deg[known[0]])
+    east, north, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, lat0, lon0, 0.0)
+    return np.column_stack([east, north])

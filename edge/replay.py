@@ -1,0 +1,136 @@
+"""`lookback replay`: a recorded feed through the same recogniser as `run`, as fast as it goes, always the same."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+import msgspec
+
+from edge.camera.feed import Feed, read_feed
+from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.descriptor.network import Head, Network
+from edge.map_command import add_spacing_options, sampling_from
+from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.reference_map.store import MapHeader, open_map
+from edge.sequence import Direction, Order
+from edge.traverse import traverse
+
+
+class ReplayLine(msgspec.Struct, frozen=True):
+    """One used frame as replay writes it; the fields of the match are null while there is none.
+
+    frame: row of the query's feed. place: row of the map. map_row: that place's row in the feed it came from.
+    """
+
+    frame: int
+    stamp_ns: int
+    place: int | None = None
+    map_row: int | None = None
+    accepted: bool = False
+    event: bool = False
+    uniqueness: float | None = None
+    distance: float | None = None
+    direction: Direction | None = None
+    order: Order | None = None
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    heading_deg: float | None = None
+    category: str | None = None
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback replay` to the command line."""
+    parser = commands.add_parser("replay", help="recognise a recorded feed; events as JSON lines")
+    parser.add_argument("feed", type=Path, metavar="FEED")
+    parser.add_argument("--map", type=Path, required=True)
+    parser.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
+    parser.add_argument("--config", type=Path, help="take all settings of the recogniser from this file")
+    parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
+    parser.add_argument("--uniqueness-min", type=float, metavar="U", help="accept matches from this uniqueness on")
+    parser.add_argument("--all", action="store_true", help="write every used frame, not only events")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write there instead of to standard output")
+    add_spacing_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def replay(
+    recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig, map_rows: list[int]
+) -> Iterator[ReplayLine]:
+    """Every used frame of the feed, in order; `map_rows` are the feed rows of the map's places."""
+    for item in traverse(feed, sampling):
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        yield _line(item.frame.index, item.frame.stamp_ns, match, map_rows)
+
+
+def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
+    """The default settings with regions, normalisation and sampling as the map has them."""
+    regions = header.regions
+    config = Config(
+        descriptor=DescriptorConfig(
+            regions=regions.kind,
+            region_width=regions.width,
+            normalization="online" if regions.normalization == "set" else "none",
+        ),
+        sampling=header.sampling,
+    )
+    return with_options(config, length, uniqueness_min)
+
+
+def with_options(config: Config, length: int | None, uniqueness_min: float | None) -> Config:
+    """The config with the command's options in place of its own keys. ConfigError names a bad option."""
+    sequence, acceptance = config.sequence, config.acceptance
+    if length is not None:
+        sequence = checked_option(sequence, "--sequence-length", length=length)
+    if uniqueness_min is not None:
+        acceptance = checked_option(acceptance, "--uniqueness-min", uniqueness_min=uniqueness_min)
+    return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
+
+
+def _line(frame: int, stamp_ns: int, match: PlaceMatch | None, map_rows: list[int]) -> ReplayLine:
+    if match is None:
+        return ReplayLine(frame, stamp_ns)
+    return ReplayLine(
+        frame=frame,
+        stamp_ns=stamp_ns,
+        place=match.place,
+        map_row=map_rows[match.place],
+        accepted=match.accepted,
+        event=match.event,
+        uniqueness=round(match.uniqueness, 6),
+        distance=round(match.distance, 6),
+        direction=match.direction,
+        order=match.order,
+        lat_deg=match.lat_deg,
+        lon_deg=match.lon_deg,
+        heading_deg=match.heading_deg,
+        category=match.category,
+    )
+
+
+def _run(args: argparse.Namespace) -> int:
+    feed = read_feed(args.feed)
+    reference_map = open_map(args.map)
+    if args.config:
+        config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)
+    else:
+        config = config_for_map(reference_map.header, args.sequence_length, args.uniqueness_min)
+    sampling = sampling_from(args, config.sampling)
+    network = Network.load(args.model or (Path(config.descriptor.model) if config.descriptor.model else None))
+    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    lines = replay(recognizer, feed, sampling, reference_map.places["row"].tolist())
+    if args.output:
+        with args.output.open("w", encoding="utf-8") as stream:
+            _write(lines, stream, every=args.all)
+    else:
+        _write(lines, sys.stdout, every=args.all)
+    return 0
+
+
+def _write(lines: Iterator[ReplayLine], stream: TextIO, *, every: bool) -> None:
+    for line in lines:
+        if every or line.event:
+            stream.write(msgspec.json.encode(line).decode() + "\n")

@@ -1,0 +1,32 @@
+"""From cost rows to a match: lines through the last L rows (eq. 2 and 3), and whether the best one is believed.
+
+costs (orders, N) --search--> best line that ends at each place --acceptance--> SequenceMatch
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Direction = Literal["forward", "reverse"]
+Order = Literal["same", "swapped"]
+
+
+@dataclass(frozen=True)
+class SequenceMatch:
+    """The best line through the ring, believed or not.
+
+    place: where the line ends, that is, what the newest frame shows (I_min of eq. 3).
+    direction: "forward" if places were passed in the map's order, "reverse" if backwards.
+    order: "swapped" if the query's left region matched the map's right.
+    cost: mean cost along the line, in the units of the cost rows.
+    uniqueness: lowest cost outside the window around `place` over the lowest cost; 1 is ambiguous.
+    accepted: whether this is a place fix; False means that the vehicle is off the map, or cannot be told apart.
+    """
+
+    place: int
+    direction: Direction
+    order: Order
+    cost: float
+    uniqueness: float
+    accepted: bool

@@ -1,0 +1,86 @@
+"""Whether the best line is believed: trajectory uniqueness (section IV-B) with its window in metres, and hold-off.
+
+The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What tells is how
+much worse the best line elsewhere is. Elsewhere is in metres: neighbours of a place are as good as the place itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig
+from edge.sequence import SequenceMatch
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch
+
+
+class Neighbourhood:
+    """Which places count as the same place as another, for uniqueness."""
+
+    def __init__(
+        self,
+        east_north_m: NDArray[np.float64],
+        route_m: NDArray[np.float64],
+        segment_of: NDArray[np.int32],
+        config: AcceptanceConfig,
+    ) -> None:
+        """east_north_m (N, 2), route_m (N,) (NaN where unknown), segment_of (N,)."""
+        self._east_north_m = east_north_m
+        self._route_m = route_m
+        self._segment_of = segment_of
+        self._config = config
+
+    def around(self, place: int) -> NDArray[np.bool_]:
+        """Places (N,) within `window_m` of `place`, along its drive or as the crow flies.
+
+        Where the map knows no metres, those within `window_places` of it in its segment.
+        """
+        window_m = self._config.window_m
+        # Comparisons with NaN are False: what is not known is not near.
+        near = np.square(self._east_north_m - self._east_north_m[place]).sum(axis=1) <= window_m**2
+        same_drive = self._segment_of == self._segment_of[place]
+        if np.isnan(self._route_m[place]):
+            index = np.arange(len(near))
+            along = np.abs(index - place) <= self._config.window_places
+        else:
+            along = np.abs(self._route_m - self._route_m[place]) <= window_m
+        around: NDArray[np.bool_] = near | (same_drive & along)
+        return around
+
+
+def best_match(
+    search: SequenceSearch, lines: Lines, neighbourhood: Neighbourhood, config: AcceptanceConfig
+) -> SequenceMatch | None:
+    """Equation 3 and the uniqueness test; None where no whole line ends anywhere (a map shorter than a sequence)."""
+    place = int(lines.costs.argmin())
+    best = int(lines.costs[place])
+    if best == NO_LINE:
+        return None
+    outside = lines.costs[~neighbourhood.around(place)]
+    second = int(outside.min(initial=NO_LINE))
+    # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
+    uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
+    direction, order = search.planes[int(lines.planes[place])]
+    return SequenceMatch(
+        place=place,
+        direction=direction,
+        order=order,
+        cost=best / lines.length,
+        uniqueness=uniqueness,
+        accepted=uniqueness >= config.uniqueness_min,
+    )
+
+
+class HoldOff:
+    """Lets one event through, and the next after `hold_off_s`."""
+
+    def __init__(self, hold_off_s: float) -> None:
+        self._hold_off_ns = round(hold_off_s * 1e9)
+        self._last_ns: int | None = None
+
+    def passes(self, stamp_ns: int) -> bool:
+        """True if an event at this time is due; it then counts as sent."""
+        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._hold_off_ns:
+            return False
+        self._last_ns = stamp_ns
+        return True

@@ -1,0 +1,33 @@
+"""How long each stage of a frame takes: medians over the recent frames."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable
+
+RECENT_FRAMES = 1000
+
+
+class StageTimes:
+    """A stopwatch whose laps have names."""
+
+    def __init__(self, clock_ns: Callable[[], int] = time.perf_counter_ns) -> None:
+        self._clock_ns = clock_ns
+        self._last_ns = clock_ns()
+        self._laps_ns: dict[str, deque[int]] = {}
+
+    def start(self) -> None:
+        """A frame begins."""
+        self._last_ns = self._clock_ns()
+
+    def lap(self, stage: str) -> None:
+        """A stage has ended; it took the time since the last lap."""
+        now_ns = self._clock_ns()
+        self._laps_ns.setdefault(stage, deque(maxlen=RECENT_FRAMES)).append(now_ns - self._last_ns)
+        self._last_ns = now_ns
+
+    def medians_ms(self) -> dict[str, float]:
+        """Median milliseconds of each stage, in the order in which they run."""
+        return {stage: round(statistics.median(laps) / 1e6, 3) for stage, laps in self._laps_ns.items()}

@@ -1,0 +1,86 @@
+"""Equation 1, for a set and online, against the formula written out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics, normalize
+
+
+def descriptors(count: int, seed: int = 0) -> NDArray[np.float32]:
+    """Like fc6 after ReLU: (count, 2, 50), half of it zero, dimension 7 of region 0 dead, 9 stuck at 3."""
+    raw = np.maximum(np.random.default_rng(seed).normal(size=(count, 2, 50)), 0).astype(np.float32)
+    raw[:, 0, 7], raw[:, 0, 9] = 0, 3
+    return raw
+
+
+def nsd(raw: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Equation 1 over a whole set."""
+    mean, deviation = raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.nan_to_num((raw - mean) / deviation, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def test_running_statistics_are_those_of_the_set() -> None:
+    raw = descriptors(200)
+    statistics = RunningStatistics((2, 50))
+    for row in raw:
+        statistics.update(row)
+    np.testing.assert_allclose(statistics.mean, raw.mean(axis=0, dtype=np.float64), atol=1e-12)
+    np.testing.assert_allclose(statistics.deviation, raw.std(axis=0, dtype=np.float64), atol=1e-12)
+
+
+def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
+    raw = descriptors(30)
+    normalized = normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
+    assert (normalized[:, 0, [7, 9]] == 0).all()
+    np.testing.assert_allclose(normalized, nsd(raw), atol=1e-4)
+
+
+def test_online_as_the_paper_has_it_normalises_each_frame_with_what_came_before() -> None:
+    raw = descriptors(40)
+    online = OnlineNormalizer(10, renormalize_ring=False)
+    for count, row in enumerate(raw, start=1):
+        rows = online.push(row)
+        assert not rows.replaces_ring
+        np.testing.assert_allclose(rows.rows[0], nsd(raw[:count])[-1], atol=1e-3)
+
+
+def test_the_ring_is_normalised_again_with_the_newest_statistics() -> None:
+    raw = descriptors(100)
+    online = OnlineNormalizer(10, renormalize_ring=True)
+    renewed = []
+    for count, row in enumerate(raw, start=1):
+        rows = online.push(row)
+        expected = nsd(raw[:count])[max(0, count - 10) :]
+        if rows.replaces_ring:
+            renewed.append(count)
+            np.testing.assert_allclose(rows.rows, expected, atol=1e-3)
+        else:
+            np.testing.assert_allclose(rows.rows[0], expected[-1], atol=1e-3)
+    assert renewed[:20] == list(range(1, 21))  # every frame, while each changes the statistics by over 5 %
+    assert 45 <= len(renewed) <= 55
+
+
+def test_first_frame_is_exactly_zero() -> None:
+    online = OnlineNormalizer(5, renormalize_ring=True)
+    assert not online.push(descriptors(1)[0]).rows.any()
+
+
+def test_raw_descriptors_pass_unchanged() -> None:
+    raw = descriptors(3)
+    online = OnlineNormalizer(5, renormalize_ring=True, enabled=False)
+    for row in raw:
+        np.testing.assert_array_equal(online.push(row).rows, row[np.newaxis])
+
+
+def test_statistics_outlive_a_gap_and_the_ring_does_not() -> None:
+    raw = descriptors(30)
+    online = OnlineNormalizer(10, renormalize_ring=True)
+    for row in raw[:15]:
+        online.push(row)
+    online.clear_ring()
+    rows = online.push(raw[15])
+    assert len(rows.rows) == 1
+    np.testing.assert_allclose(rows.rows[0], nsd(raw[:16])[-1], atol=1e-3)

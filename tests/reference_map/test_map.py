@@ -1,0 +1,177 @@
+"""A map on the disk: what is written is read again, and nothing damaged is ever opened."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.config import SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.errors import MapError
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.costs import quantize
+from edge.reference_map.route import Route
+from edge.reference_map.store import MATCHING_FILES, ModelKey, RegionsKey, open_map
+
+MODEL = ModelKey("test", "0" * 64, "fc6", 16)
+REGIONS = RegionsKey("left-right", 0.4, "set")
+
+
+def raw_descriptors(count: int, seed: int = 0) -> np.ndarray:
+    raw = np.maximum(np.random.default_rng(seed).normal(size=(count, 2, 16)), 0)
+    return raw.astype(np.float16).astype(np.float32)  # as the map stores it
+
+
+def build(path: Path, raw: np.ndarray, segments: int = 1, *, replace: bool = False) -> None:
+    """A map of places 2 m apart going north, thumbnails "0", "11", "222"..."""
+    with MapBuilder(path, MODEL, REGIONS, SamplingConfig(), replace=replace) as builder:
+        for number, part in enumerate(np.array_split(raw, segments)):
+            builder.begin_segment(f"drive {number}")
+            for index, descriptor in enumerate(part):
+                place = Place(
+                    row=index,
+                    lat_deg=-27.0 + index * 2 / 110_800,
+                    lon_deg=153.0,
+                    alt_m=10.0,
+                    heading_deg=0.0,
+                    route_m=index * 2.0,
+                    thumbnail=str(index).encode() * (index + 1),
+                )
+                builder.add(descriptor, place)
+        builder.finish(normalize, "test")
+
+
+@pytest.fixture
+def small_map(tmp_path: Path) -> Path:
+    build(tmp_path / "small.map", raw_descriptors(12), segments=2)
+    return tmp_path / "small.map"
+
+
+def test_round_trip(small_map: Path) -> None:
+    opened = open_map(small_map, every_file=True)
+    raw = raw_descriptors(12)
+    np.testing.assert_array_equal(opened.raw(), raw)
+    expected = quantize(normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64)))
+    np.testing.assert_array_equal(opened.descriptors, expected.reshape(12, 32))
+    assert [(segment.start, segment.end) for segment in opened.header.segments] == [(0, 6), (6, 12)]
+    assert opened.thumbnail(8) == b"222"
+    np.testing.assert_array_equal(opened.places["row"], [0, 1, 2, 3, 4, 5] * 2)
+    assert not opened.descriptors.flags.writeable
+
+
+def test_the_same_places_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        build(tmp_path / name, raw_descriptors(9))
+    for file in sorted((tmp_path / "a").iterdir()):
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
+
+
+def test_a_map_grows_without_its_images(tmp_path: Path) -> None:
+    raw = raw_descriptors(20)
+    build(tmp_path / "first", raw[:12])
+    build(tmp_path / "whole", raw, segments=1)
+    first = open_map(tmp_path / "first")
+    with MapBuilder(tmp_path / "first", MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
+        builder.add_map(first)
+        for index in range(12, 20):
+            builder.add(raw[index], Place(row=index))
+        builder.finish(normalize, "test")
+    grown = open_map(tmp_path / "first", every_file=True)
+    np.testing.assert_array_equal(grown.descriptors, open_map(tmp_path / "whole").descriptors)
+    assert grown.thumbnail(3) == b"3333"
+
+
+def test_every_bit_flip_of_the_header_and_every_file_is_noticed(small_map: Path) -> None:
+    header = (small_map / "map.json").read_bytes()
+    for position in range(len(header)):
+        damaged = bytearray(header)
+        damaged[position] ^= 1 << (position % 8)
+        (small_map / "map.json").write_bytes(damaged)
+        with pytest.raises(MapError, match=r"map\.json|small\.map"):
+            open_map(small_map)
+    (small_map / "map.json").write_bytes(header)
+    for name in json.loads(header)["files"]:
+        good = (small_map / name).read_bytes()
+        (small_map / name).write_bytes(good[:5] + bytes([good[5] ^ 4]) + good[6:])
+        with pytest.raises(MapError, match=rf"{name}: damaged"):
+            open_map(small_map, every_file=True)
+        (small_map / name).write_bytes(good)
+    open_map(small_map, every_file=True)
+
+
+def test_every_truncation_is_noticed(small_map: Path) -> None:
+    for name in ("map.json", *MATCHING_FILES, "raw.f16", "thumbnails.jpgs"):
+        size = (small_map / name).stat().st_size
+        for keep in {0, 1, size // 2, size - 1}:
+            copy = small_map.with_name(f"{name}.{keep}")
+            shutil.copytree(small_map, copy)
+            os.truncate(copy / name, keep)
+            with pytest.raises(MapError, match=name):
+                open_map(copy)
+        (small_map / name).rename(small_map / "gone")
+        with pytest.raises(MapError, match=name):
+            open_map(small_map)
+        (small_map / "gone").rename(small_map / name)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"version": 2}, "version 2"),
+        ({"format": "other"}, "format"),
+        ({"places": 10**12}, "descriptors.i8 should have"),
+        ({"places": -1}, "should have"),
+        ({"segments": [{"start": 0, "end": 5, "source": ""}]}, "segments"),
+        ({"surprise": 1}, "surprise"),
+        ({"places": "many"}, "places"),
+    ],
+)
+def test_a_header_that_claims_nonsense_is_refused_before_anything_is_read(
+    small_map: Path, change: dict[str, object], told: str
+) -> None:
+    import hashlib
+
+    import msgspec
+
+    claims = json.loads((small_map / "map.json").read_bytes()) | change | {"header_sha256": ""}
+    digest = hashlib.sha256(msgspec.json.encode(claims)).hexdigest()
+    (small_map / "map.json").write_bytes(
+        msgspec.json.format(msgspec.json.encode(claims | {"header_sha256": digest}), indent=1)
+    )
+    with pytest.raises(MapError, match=told):
+        open_map(small_map)
+
+
+def test_replacing_needs_the_word_and_a_map(small_map: Path, tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="--replace"):
+        build(small_map, raw_descriptors(5))
+    build(small_map, raw_descriptors(5), replace=True)
+    assert open_map(small_map).header.places == 5
+    (tmp_path / "letters").mkdir()
+    with pytest.raises(MapError, match="not a map"):
+        build(tmp_path / "letters", raw_descriptors(5), replace=True)
+
+
+def test_a_build_that_fails_leaves_the_old_map_and_nothing_else(small_map: Path) -> None:
+    with pytest.raises(RuntimeError), MapBuilder(small_map, MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
+        builder.begin_segment("x")
+        builder.add(raw_descriptors(1)[0], Place(row=0))
+        raise RuntimeError
+    with pytest.raises(MapError, match="at least 2 places"):
+        build(small_map, raw_descriptors(1), replace=True)
+    assert open_map(small_map, every_file=True).header.places == 12
+    assert [path.name for path in small_map.parent.iterdir()] == ["small.map"]
+
+
+def test_positions_between_and_beyond_places(small_map: Path) -> None:
+    route = Route(open_map(small_map))
+    at_rest, ahead, beyond = route.position(2, 0.0), route.position(2, 3.0), route.position(2, 500.0)
+    assert at_rest and ahead and beyond
+    assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
+    assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
+    assert np.hypot(*(route.east_north_m[5] - route.east_north_m[0])) == pytest.approx(10.0, abs=0.05)

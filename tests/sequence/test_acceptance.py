@@ -1,0 +1,74 @@
+"""Uniqueness with its window in metres, and hold-off."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.config import AcceptanceConfig
+from edge.sequence.acceptance import HoldOff, Neighbourhood, best_match
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch
+
+UNKNOWN = np.full(100, np.nan)
+CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
+
+
+def match(costs: np.ndarray, neighbourhood: Neighbourhood, config: AcceptanceConfig = CONFIG):
+    search = SequenceSearch([(0, 100)], 1, 5, (1.0,), ("forward", "reverse"))
+    lines = Lines(costs.astype(np.int32), np.zeros(100, dtype=np.intp), 5)
+    return best_match(search, lines, neighbourhood, config)
+
+
+def neighbours_by_route(spacing_m: float) -> Neighbourhood:
+    none = np.full((100, 2), np.nan)
+    return Neighbourhood(none, np.arange(100) * spacing_m, np.zeros(100, dtype=np.int32), CONFIG)
+
+
+def test_second_best_is_looked_for_outside_the_window() -> None:
+    costs = np.full(100, 1500)
+    costs[40], costs[45], costs[80] = 1000, 1010, 1300
+    found = match(costs, neighbours_by_route(2.0))  # 10 m are 5 places
+    assert (found.place, found.uniqueness, found.accepted) == (40, pytest.approx(1.3), True)
+    found = match(costs, neighbours_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
+    assert (found.uniqueness, found.accepted) == (pytest.approx(1.01), False)
+
+
+def test_without_metres_the_window_is_in_places() -> None:
+    costs = np.full(100, 1500)
+    costs[40], costs[43], costs[44] = 1000, 1001, 1250
+    unknown = Neighbourhood(np.full((100, 2), np.nan), UNKNOWN, np.zeros(100, dtype=np.int32), CONFIG)
+    assert match(costs, unknown).uniqueness == pytest.approx(1.25)
+
+
+def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
+    costs = np.full(100, 1500)
+    costs[10], costs[60] = 1000, 1001
+    segment_of = np.repeat(np.arange(2, dtype=np.int32), 50)
+    position = np.tile(np.column_stack([np.arange(50) * 2.0, np.zeros(50)]), (2, 1))
+    route = np.tile(np.arange(50) * 2.0, 2)
+    known = Neighbourhood(position, route, segment_of, CONFIG)
+    unknown = Neighbourhood(np.full((100, 2), np.nan), route, segment_of, CONFIG)
+    assert match(costs, known).uniqueness == pytest.approx(1.5)
+    assert match(costs, unknown).uniqueness == pytest.approx(1.001)
+
+
+def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
+    everything_near = msgspec.structs.replace(CONFIG, window_m=1e6)
+    around = Neighbourhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
+    found = match(np.arange(100), around, everything_near)
+    assert (found.uniqueness, found.accepted) == (1.0, False)
+    assert match(np.full(100, NO_LINE), around) is None
+
+
+def test_hold_off_counts_from_the_last_event_that_passed() -> None:
+    hold_off = HoldOff(1.0)
+    assert [hold_off.passes(round(t * 1e9)) for t in (0.0, 0.5, 0.99, 1.0, 1.5, 2.0)] == [
+        True,
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
+    assert hold_off.passes(0)  # time went back: a new traverse
