@@ -1,0 +1,210 @@
+"""The network's file: read once, hashed, and looked through before ONNX Runtime is given its bytes.
+
+ONNX Runtime folds constants while it loads, so a file of 100 bytes can make it ask for a terabyte. What `lookback
+model import` writes needs few operators and holds every number that it speaks of; anything else is refused here.
+The field numbers are those of onnx.proto (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from edge.errors import ModelError
+
+FC6_FILE = "fc6_int8.onnx"
+HEAD_FILE = "head_int8.onnx"
+SHIPPED_MODEL = Path(__file__).with_name("models") / "alexnet_places100"
+
+METADATA_KEY = "lookback"
+MAX_FILE_BYTES = 512 * 2**20  # the float graph of AlexNet to fc6 is 161 MB
+MAX_ATTRIBUTE = 4096  # kernel, stride and padding of a convolution are far smaller
+OPERATORS = frozenset(
+    ["Conv", "DequantizeLinear", "Flatten", "Gemm", "MaxPool", "QuantizeLinear", "Relu", "Softmax", "Transpose"]
+)
+
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_Value = int | memoryview
+
+
+class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What a network file says of itself, as JSON under the key `lookback` of ONNX's metadata_props.
+
+    tap: the layer whose output (after ReLU) the network gives; `categories` for a head.
+    dimensions: values a region. weights_sha256: the weights file that it was made from.
+    fc6_sha256: of a head, the network file whose fc6 it understands. sha256: the file itself, set on reading.
+    """
+
+    name: str
+    tap: Literal["fc6", "conv3", "categories"]
+    dimensions: int
+    precision: Literal["int8", "float32"]
+    input_size: int
+    channel_order: Literal["BGR"]
+    mean_rgb: tuple[float, float, float]
+    std_rgb: tuple[float, float, float]
+    labels: tuple[str, ...]
+    licence: str
+    source: str
+    weights_sha256: str
+    calibration: str
+    fc6_sha256: str = ""
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """The bytes of a network file that passed the checks, and what it says of itself."""
+
+    path: Path
+    data: bytes
+    info: ModelInfo
+
+
+def resolve_model(path: Path | None, name: str) -> Path:
+    """The file `name` of the shipped model (None) or of a model folder; any other path is the file itself."""
+    path = SHIPPED_MODEL if path is None else path
+    return path / name if path.is_dir() else path
+
+
+def read_model_file(path: Path) -> ModelFile:
+    """Read, hash and check one file; ModelError in one line."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise ModelError(f"{path}: {size} bytes; a fc6 network has at most {MAX_FILE_BYTES}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the network: {error.strerror}") from None
+    try:
+        metadata = _check_model(memoryview(data))
+    except (ValueError, IndexError):  # of the wire format: varint cut short, length past the end, not UTF-8
+        raise ModelError(f"{path}: not a whole ONNX file; copy it again or run `lookback model import`") from None
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}; use a file that `lookback model import` wrote") from None
+    return ModelFile(path, data, _decode_info(path, metadata, hashlib.sha256(data).hexdigest()))
+
+
+def _decode_info(path: Path, metadata: dict[str, bytes], sha256: str) -> ModelInfo:
+    if METADATA_KEY not in metadata:
+        raise ModelError(f"{path}: no {METADATA_KEY!r} in its metadata; make it with `lookback model import`")
+    try:
+        info = msgspec.json.decode(metadata[METADATA_KEY], type=ModelInfo)
+    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        raise ModelError(f"{path}: metadata {METADATA_KEY!r}: {error}") from None
+    return msgspec.structs.replace(info, sha256=sha256)
+
+
+def _check_model(model: memoryview) -> dict[str, bytes]:
+    """Look through a ModelProto; returns its metadata_props."""
+    metadata: dict[str, bytes] = {}
+    graphs = 0
+    for field, value in _fields(model):
+        if field == 7:
+            graphs += 1
+            _check_graph(_message(value))
+        elif field == 14:
+            entry = {key: bytes(_message(text)) for key, text in _fields(_message(value))}
+            metadata[entry.get(1, b"").decode()] = entry.get(2, b"")
+        elif field in (20, 25):
+            raise ModelError("has training steps or functions of its own")
+    if graphs != 1:
+        raise ValueError("no graph")
+    return metadata
+
+
+def _check_graph(graph: memoryview) -> None:
+    for field, value in _fields(graph):
+        if field == 1:
+            _check_node(_message(value))
+        elif field == 5:
+            _check_tensor(_message(value))
+        elif field == 15:
+            raise ModelError("has sparse weights")
+
+
+def _check_node(node: memoryview) -> None:
+    for field, value in _fields(node):
+        if field == 4:
+            operator = bytes(_message(value)).decode()
+            if operator not in OPERATORS:
+                raise ModelError(f"has the operator {operator[:40]!r}, which no network of this kind needs")
+        elif field == 5:
+            _check_attribute(_message(value))
+        elif field == 7 and len(_message(value)):
+            raise ModelError(f"has an operator of the domain {bytes(_message(value))[:40].decode()!r}")
+
+
+def _check_attribute(attribute: memoryview) -> None:
+    for field, value in _fields(attribute):
+        if field in (5, 6, 10, 11, 22, 23):
+            raise ModelError("has a tensor or a graph inside an operator")
+        if field in (3, 8):
+            numbers = [value] if isinstance(value, int) else list(_varints(value))
+            if any(MAX_ATTRIBUTE < number < 2**64 - MAX_ATTRIBUTE for number in numbers):  # negatives: 2^64 - n
+                raise ModelError(f"has an operator with a number over {MAX_ATTRIBUTE}")
+
+
+def _check_tensor(tensor: memoryview) -> None:
+    """Every number of a tensor takes at least half a byte (int4) of the message that holds it."""
+    count = 1
+    for field, value in _fields(tensor):
+        if field == 1:
+            for size in [value] if isinstance(value, int) else _varints(value):
+                count *= size
+        elif field == 13 or (field == 14 and value != 0):
+            raise ModelError("keeps weights in another file")
+    if count > 2 * len(tensor):
+        raise ModelError(f"speaks of {count} weights and holds {len(tensor)} bytes")
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, _Value]]:
+    """The fields of one protobuf message in order; ValueError or IndexError when it is cut short."""
+    position = 0
+    while position < len(message):
+        key, position = _varint(message, position)
+        wire_type = key & 7
+        if wire_type == _VARINT:
+            value, position = _varint(message, position)
+            yield key >> 3, value
+            continue
+        if wire_type == _BYTES:
+            length, position = _varint(message, position)
+        elif wire_type in (_FIXED64, _FIXED32):
+            length = 8 if wire_type == _FIXED64 else 4
+        else:
+            raise ValueError("unknown wire type")
+        if position + length > len(message):
+            raise ValueError("field runs past the end")
+        yield key >> 3, message[position : position + length]
+        position += length
+
+
+def _varint(message: memoryview, position: int) -> tuple[int, int]:
+    """A base-128 number of at most 64 bits, and the position after it."""
+    number = 0
+    for shift in range(0, 70, 7):
+        byte = message[position]
+        position += 1
+        number |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return number, position
+    raise ValueError("number too long")
+
+
+def _varints(packed: memoryview) -> Iterator[int]:
+    position = 0
+    while position < len(packed):
+        number, position = _varint(packed, position)
+        yield number
+
+
+def _message(value: _Value) -> memoryview:
+    if isinstance(value, int):
+        raise ValueError("number where a message belongs")
+    return value
