@@ -1,0 +1,99 @@
+"""The simulator as a camera: `[camera] kind = "sim"`, whose device is the path of a scenario file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.camera import Frame
+from edge.config import CameraConfig
+from edge.errors import ConfigError
+from sim.drive import Drive
+from sim.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from sim.world.renderer import Renderer
+
+
+def open_camera(config: CameraConfig) -> SimCamera:
+    """The entry point of `lookback.cameras`; ConfigError when the scenario is wrong or Panda3D is not installed."""
+    return SimCamera(load_scenario(Path(config.device)), config)
+
+
+def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
+    """The scenario's camera in its world; takes about two seconds a kilometre."""
+    # Imported here: who only asks where the vehicle is needs no renderer.
+    try:
+        from sim.world.renderer import Renderer
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"the simulator needs {error.name}: pip install 'lookback[sim]'") from None
+    from sim.world.light import LIGHTS
+    from sim.world.street import build_world
+    from sim.world.traffic import build_traffic
+
+    return Renderer(
+        build_world(drive.route),
+        build_traffic(drive),
+        LIGHTS[scenario.light],
+        view=scenario.view,
+        size=(scenario.width, scenario.height),
+        fov_deg=scenario.fov_deg,
+        seed=scenario.drive_seed,
+    )
+
+
+class SimCamera:
+    """Renders what the scenario's camera sees now; the vehicle stands at the start until the scenario's epoch.
+
+    Use it from one thread: the one that opens it.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        config: CameraConfig,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self.differences = tuple(
+            f"{key}: asked for {asked}, the scenario gives {given}"
+            for key, asked, given in (
+                ("width", config.width, scenario.width),
+                ("height", config.height, scenario.height),
+            )
+            if asked != given
+        )
+        self._drive = scenario.drive()
+        self._renderer: Renderer | None = open_renderer(scenario, self._drive)
+        self._clock_ns = clock_ns
+        self._sleep = sleep
+        self._period_ns = round(1e9 / config.fps)
+        self._opened_ns = clock_ns()
+        self._epoch_ns = self._opened_ns if scenario.epoch_ns is None else scenario.epoch_ns
+        self._next = 0
+
+    def read(self) -> Frame | None:
+        """The next picture, paced by fps; None after the drive's end. Blocks for one frame period at most.
+
+        A reader that is late gets the newest picture, and the index shows how many it missed.
+        """
+        if self._renderer is None:
+            return None
+        now_ns = self._clock_ns()
+        index = max(self._next, (now_ns - self._opened_ns) // self._period_ns)
+        stamp_ns = self._opened_ns + index * self._period_ns
+        time_s = (stamp_ns - self._epoch_ns) / 1e9
+        if time_s > self._drive.duration_s:
+            return None
+        if stamp_ns > now_ns:
+            self._sleep((stamp_ns - now_ns) / 1e9)
+        self._next = index + 1
+        return Frame(self._renderer.render(self._drive.pose(time_s), time_s), stamp_ns, index)
+
+    def close(self) -> None:
+        """Release the renderer; a later read() returns None."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

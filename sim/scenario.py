@@ -1,0 +1,84 @@
+"""A scenario file: which world, which drive through it, and the camera that looks. One small TOML file.
+
+    seed = 1                 # the world: route and all that stands along it
+    length_m = 1200.0        # of the route, 200 to 20000
+    direction = "forward"    # or "reverse": the way home
+    lane_m = 1.75            # left of the road's middle as the driver sees it, -3 to 3
+    speed_mps = 10.0         # about which the speed varies, 1 to 40
+    stops = 0                # halts on the way, 0 to 50
+    drive_seed = 1           # speed profile, other cars, lit windows, sensor noise
+    light = "day"            # day, dusk, night, rain or snow
+    view = "front"           # or "rear"
+    width = 320              # picture, pixels
+    height = 240
+    fov_deg = 80.0           # horizontal, 30 to 120
+    epoch_ns = 0             # CLOCK_MONOTONIC at the start; left out: when the camera opens
+
+Processes that share a scenario with `epoch_ns` agree on where the vehicle is at any moment.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from edge.errors import ConfigError
+from sim.drive import Drive, plan_drive
+from sim.world.route import generate_route
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+View = Literal["front", "rear"]
+LightName = Literal["day", "dusk", "night", "rain", "snow"]
+
+
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+    """A scenario; every key has a default."""
+
+    seed: Seed = 1
+    length_m: Annotated[float, Meta(ge=200, le=20000)] = 1200.0
+    direction: Literal["forward", "reverse"] = "forward"
+    lane_m: Annotated[float, Meta(ge=-3, le=3)] = 1.75
+    speed_mps: Annotated[float, Meta(ge=1, le=40)] = 10.0
+    stops: Annotated[int, Meta(ge=0, le=50)] = 0
+    drive_seed: Seed = 1
+    light: LightName = "day"
+    view: View = "front"
+    width: Annotated[int, Meta(ge=32, le=2048)] = 320
+    height: Annotated[int, Meta(ge=24, le=2048)] = 240
+    fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
+    epoch_ns: Annotated[int, Meta(ge=0)] | None = None
+
+    def drive(self) -> Drive:
+        """The motion that this scenario describes."""
+        return plan_drive(
+            generate_route(self.seed, self.length_m),
+            self.direction,
+            seed=self.drive_seed,
+            lane_m=self.lane_m,
+            speed_mps=self.speed_mps,
+            stops=self.stops,
+        )
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read and check a scenario file; ConfigError names the file and the key, in one line."""
+    try:
+        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Scenario)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read the scenario: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not UTF-8 text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    except msgspec.ValidationError as error:
+        what, _, key = str(error).partition(" - at `$.")
+        raise ConfigError(f"{path}: {key.rstrip('`') + ': ' if key else ''}{what[:1].lower()}{what[1:]}") from None

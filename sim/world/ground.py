@@ -1,0 +1,74 @@
+"""The road, its pavements and the ground beside it, following the centre line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.world.plants import ground_picture, road_picture
+from sim.world.route import KINDS, LEAD_M, Route
+from sim.world.solids import Surface, Thing
+
+ROAD_HALF_M = 4.0
+PAVEMENT_M = 6.0
+GROUND_M = 36.0
+STEP_M = 4.0
+
+
+def lay_ground(route: Route, rng: np.random.Generator) -> Iterator[Thing]:
+    """One Thing a kind of surface; strips of STEP_M along the route."""
+    starts = np.arange(-LEAD_M, route.length_m + LEAD_M - STEP_M, STEP_M)
+    roads = [road_picture(rng, dashed=dashed) for dashed in (True, False)]
+    snowy = road_picture(rng, dashed=True, snow=True)
+    for dashed, picture in zip((True, False), roads, strict=True):
+        rows = [s for s in starts if (route.district(s) in ("wood", "open", "shops")) == dashed]
+        surfaces = [_strip(route, s, (ROAD_HALF_M, -ROAD_HALF_M), 0.0, (1.0, 8.0)) for s in rows]
+        yield Thing(picture, tuple(surfaces), snow=snowy)
+    for kind in KINDS:
+        rows = [s for s in starts if route.district(s) == kind]
+        edge_m = ROAD_HALF_M if kind in ("wood", "open") else PAVEMENT_M
+        picture, white = ground_picture(rng, kind), ground_picture(rng, kind, snow=True)
+        spans = ((GROUND_M, edge_m), (-edge_m, -GROUND_M))
+        beside = [_strip(route, s, span, -0.08, (8.0, 4.0)) for s in rows for span in spans]
+        yield Thing(picture, tuple(beside), snow=white)
+        if edge_m == PAVEMENT_M:
+            paved, spans = ground_picture(rng, "town"), ((PAVEMENT_M, ROAD_HALF_M), (-ROAD_HALF_M, -PAVEMENT_M))
+            walks = [_strip(route, s, span, 0.1, (1.0, 4.0)) for s in rows for span in spans]
+            yield Thing(paved, tuple(walks), snow=white)
+    yield _far_plain(route, ground_picture(rng, "open"), ground_picture(rng, "open", snow=True))
+
+
+def _strip(
+    route: Route, start_m: float, span_m: tuple[float, float], high_m: float, repeat: tuple[float, float]
+) -> Surface:
+    """STEP_M of a strip between two distances left of the middle, as seen from above with the road running up.
+
+    repeat: pictures across the strip, and metres of road for one picture.
+    """
+    corners = [
+        (*route.at(s, left)[:2], high_m)
+        for s, left in (
+            (start_m, span_m[0]),
+            (start_m, span_m[1]),
+            (start_m + STEP_M, span_m[1]),
+            (start_m + STEP_M, span_m[0]),
+        )
+    ]
+    v0 = (start_m + LEAD_M) / repeat[1] % 1.0
+    v1 = v0 + STEP_M / repeat[1]
+    uv: NDArray[np.float64] = np.array([(0, v0), (repeat[0], v0), (repeat[0], v1), (0, v1)])
+    return Surface(np.array(corners), uv)
+
+
+def _far_plain(route: Route, picture: NDArray[np.uint8], snow: NDArray[np.uint8]) -> Thing:
+    """Level land out to the horizon, a little lower, in tiles of 60 m."""
+    low, high = route.points_m.min(axis=0) - 300, route.points_m.max(axis=0) + 300
+    tiles = []
+    for east in np.arange(low[0], high[0], 60.0):
+        for north in np.arange(low[1], high[1], 60.0):
+            corners = [(east, north), (east + 60, north), (east + 60, north + 60), (east, north + 60)]
+            uv = np.array([(0, 0), (8, 0), (8, 8), (0, 8)], float)
+            tiles.append(Surface(np.array([(*corner, -0.25) for corner in corners]), uv))
+    return Thing(picture, tuple(tiles), snow=snow)
