@@ -26,7 +26,8 @@ class CameraHealth:
     reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
     since_ns: CLOCK_MONOTONIC of the last change of `state`.
     delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
-    bad: frames that could not be read. reopened: how often the camera came back.
+    bad: frames that could not be read, or whose stamp was not after the last one's (drivers' clocks do that).
+    reopened: how often the camera came back.
     """
 
     state: Literal["running", "lost", "ended"]
@@ -67,6 +68,7 @@ class NewestFrame:
         self._failure: Exception | None = None
         self._newest: Frame | None = None
         self._health = CameraHealth("lost", "opening", clock_ns())
+        self._last_stamp_ns = -1
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
@@ -169,6 +171,10 @@ class NewestFrame:
                 self._set_state("ended", "")
                 return True
             self._next_index = first_index + frame.index + 1
+            if frame.stamp_ns <= self._last_stamp_ns:
+                self._count_bad(f"frame {frame.index}: its stamp is not after that of the frame before")
+                continue
+            self._last_stamp_ns = frame.stamp_ns
             self._put(replace(frame, index=first_index + frame.index) if first_index else frame)
         return True
 

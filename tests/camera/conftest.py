@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.camera.feed import FeedHeader, FeedWriter
+from edge.camera.oak import OakSource, import_depthai
+from edge.config import CameraConfig
+from edge.errors import ConfigError
 
 COUNT = 12
 WIDTH, HEIGHT = 64, 48
@@ -43,3 +47,24 @@ def video_path(tmp_path: Path) -> Path:
         video.write(picture(index))
     video.release()
     return path
+
+
+@pytest.fixture
+def oak_on_host() -> Callable[..., OakSource]:
+    """Builds DepthAI pipelines that replay a video on the host: all of OakCamera but the device."""
+    try:
+        dai = import_depthai()  # not importorskip, which would import it before its telemetry is off
+    except ConfigError as error:
+        pytest.skip(str(error))
+
+    def build(config: CameraConfig, fps: float = 200.0) -> OakSource:
+        pipeline = dai.Pipeline(False)
+        replay = pipeline.create(dai.node.ReplayVideo)
+        replay.setReplayVideoFile(Path(config.device))
+        replay.setOutFrameType(dai.ImgFrame.Type.BGR888i)
+        replay.setSize(config.width, config.height)
+        replay.setFps(fps)
+        replay.setLoop(False)
+        return OakSource(pipeline, replay.out, f"replay of {config.device}")
+
+    return build

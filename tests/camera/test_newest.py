@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from edge.camera.recorded import RecordedCamera
 from edge.errors import CameraLost, ConfigError, FrameError
 
 PATIENCE_S = 10.0
+NEXT_STAMP_NS = count(1_000)
 
 
 class ScriptedCamera:
@@ -24,8 +26,14 @@ class ScriptedCamera:
 
     differences: tuple[str, ...] = ("fps: asked for 30, device gives 25",)
 
-    def __init__(self, *script: int | Exception, then_wait: threading.Event | None = None) -> None:
+    def __init__(
+        self,
+        *script: int | Exception,
+        stamps_ns: tuple[int, ...] = (),
+        then_wait: threading.Event | None = None,
+    ) -> None:
         self._script = iter(script)
+        self._stamps_ns = list(stamps_ns) or [next(NEXT_STAMP_NS) for _ in script]
         self._then_wait = then_wait
         self.threads: set[str] = set()
         self.drained = threading.Event()
@@ -41,7 +49,7 @@ class ScriptedCamera:
             if self._then_wait is not None:
                 self._then_wait.wait(PATIENCE_S)
             return None
-        return Frame(np.zeros((2, 2, 3), np.uint8), step * 10, step)
+        return Frame(np.zeros((2, 2, 3), np.uint8), self._stamps_ns.pop(0), step)
 
     def close(self) -> None:
         self.threads.add(threading.current_thread().name)
@@ -112,6 +120,17 @@ def test_a_bad_frame_is_counted_and_the_camera_goes_on() -> None:
     newest = NewestFrame(opener(camera))
     assert camera.closed.wait(PATIENCE_S)
     assert (newest.health.delivered, newest.health.bad) == (2, 1)
+    newest.close()
+
+
+def test_a_frame_whose_stamp_goes_back_is_a_bad_frame() -> None:
+    camera = ScriptedCamera(0, 1, 2, 3, stamps_ns=(10, 20, 20, 15))
+    newest = NewestFrame(opener(camera))
+    assert camera.closed.wait(PATIENCE_S)
+    assert (newest.health.delivered, newest.health.bad) == (2, 2)
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.stamp_ns == 20
     newest.close()
 
 

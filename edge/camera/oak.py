@@ -1,0 +1,157 @@
+"""A Luxonis OAK camera through DepthAI 3 (`pip install lookback[oak]`).
+
+The OAK scales and converts on the device, so that frames arrive in the asked size as BGR.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import timedelta
+from types import ModuleType
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from edge.camera import Frame
+from edge.camera.settings import Setting, differences
+from edge.config import CameraConfig
+from edge.errors import CameraLost, ConfigError
+
+if TYPE_CHECKING:
+    import depthai as dai
+
+FIRST_FRAME_TIMEOUT_S = 10.0  # an OAK boots its firmware over USB when it is opened
+
+
+@dataclass(frozen=True)
+class OakSource:
+    """A pipeline that is ready to be started, and its output of BGR888i frames.
+
+    device: None for a pipeline that runs on the host alone and replays a file. Its end is the end of a feed, where a
+    device that ends is lost.
+    """
+
+    pipeline: dai.Pipeline
+    output: dai.Node.Output
+    name: str
+    device: dai.Device | None = None
+
+
+class OakCamera:
+    """Starts a pipeline and hands on its newest frame, stamped with the device's time as DepthAI syncs it to ours."""
+
+    def __init__(self, config: CameraConfig, build: Callable[[CameraConfig], OakSource] | None = None) -> None:
+        """Open the OAK whose device id is `config.device`, the first one found if that is "", and wait for a frame.
+
+        build: makes the pipeline; by default one on a device. Raises ConfigError when DepthAI is not installed, and
+        CameraLost when there is no such device or it gives no frame.
+        """
+        self._dai = import_depthai()
+        self._source = (build or device_source)(config)
+        self._stall_timeout_s = config.stall_timeout_s
+        try:
+            # One place, not blocking: the device never waits for us, and we never get an old frame.
+            self._queue = self._source.output.createOutputQueue(maxSize=1, blocking=False)
+            self._source.pipeline.start()
+            self._first = self._next(FIRST_FRAME_TIMEOUT_S)
+        except CameraLost:
+            self.close()
+            raise
+        except RuntimeError as error:
+            self.close()
+            raise CameraLost(f"{self._source.name}: cannot start: {_one_line(error)}") from None
+        self.differences = frame_differences(config, self._first) if self._first else ()
+
+    def read(self) -> Frame | None:
+        """Block until the next frame, at most `stall_timeout_s`; None only at the end of a replayed file."""
+        message, self._first = self._first or self._next(self._stall_timeout_s), None
+        if message is None:
+            return None
+        image = np.ascontiguousarray(message.getCvFrame(), dtype=np.uint8)
+        stamp_ns = message.getTimestamp() // timedelta(microseconds=1) * 1000
+        return Frame(image, stamp_ns, message.getSequenceNum())
+
+    def _next(self, timeout_s: float) -> dai.ImgFrame | None:
+        # The time is watched as well, since a device that is lost does not always end its queue.
+        try:
+            message = cast("dai.ImgFrame | None", self._queue.get(timedelta(seconds=timeout_s)))
+        except self._dai.MessageQueue.QueueException:
+            if self._source.device is None:
+                return None
+            raise CameraLost(f"{self._source.name}: the device stopped; is it unplugged?") from None
+        except RuntimeError as error:  # XLinkError is one
+            raise CameraLost(f"{self._source.name}: {_one_line(error)}") from None
+        if message is None:
+            raise CameraLost(f"{self._source.name}: no frame for {timeout_s:g} s")
+        return message
+
+    def close(self) -> None:
+        """Stop the pipeline and let go of the device; more than once is harmless."""
+        self._source.pipeline.stop()
+        self._source.pipeline.wait()
+        if self._source.device is not None:
+            self._source.device.close()
+
+
+def import_depthai() -> ModuleType:
+    """DepthAI, which is loaded only here: 100 MB that a vehicle without an OAK does not need.
+
+    Raises ConfigError that names the extra to install.
+    """
+    # It reports its use to its maker, and keeps files for that, unless it is told not to before it is imported; and it
+    # takes over signals that are the program's (SIGXFSZ then kills, where Python makes it an OSError).
+    os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
+    os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
+    try:
+        return importlib.import_module("depthai")
+    except ImportError:
+        raise ConfigError("[camera] kind: oak needs DepthAI: pip install 'lookback[oak]'") from None
+
+
+def device_source(config: CameraConfig) -> OakSource:
+    """A pipeline on an OAK: its colour camera (socket A), scaled and converted on the device."""
+    import depthai as dai
+
+    info = _find_device(config.device)
+    name = f"OAK {info.deviceId}"
+    try:
+        device = dai.Device(info)
+        # DepthAI would reconnect by itself and go on for ever; here the newest-frame thread does that, and reports it.
+        device.setMaxReconnectionAttempts(0)
+        pipeline = dai.Pipeline(device)
+        pipeline.setStopOnDeviceLoss(True)
+        camera = pipeline.create(dai.node.Camera).build(dai.CameraBoardSocket.CAM_A)
+        size = (config.width, config.height)
+        output = camera.requestOutput(size, dai.ImgFrame.Type.BGR888i, fps=config.fps)
+    except RuntimeError as error:
+        raise CameraLost(f"{name}: cannot open it: {_one_line(error)}") from None
+    return OakSource(pipeline, output, name, device)
+
+
+def _find_device(device_id: str) -> dai.DeviceInfo:
+    """Look once, half a second: `dai.Device()` would search for ten."""
+    import depthai as dai
+
+    if device_id.startswith("/dev/"):
+        raise ConfigError(f'[camera] device: {device_id} is no OAK device id; write "" for the first OAK found')
+    found = dai.Device.getAllAvailableDevices()
+    for info in found:
+        if device_id in {"", info.deviceId, info.name}:
+            return info
+    others = f"; found: {', '.join(info.deviceId for info in found)}" if found else ""
+    raise CameraLost(f"OAK {device_id or 'camera'}: not found; is it plugged in, and are the udev rules set?{others}")
+
+
+def frame_differences(config: CameraConfig, frame: dai.ImgFrame) -> tuple[str, ...]:
+    """What the first frame says of its size and rate, where that is not what the config asks for."""
+    given: dict[str, Setting] = {"width": frame.getWidth(), "height": frame.getHeight()}
+    if frame.getFps() > 0:  # not known of replayed frames
+        given["fps"] = frame.getFps()
+    return differences({"width": config.width, "height": config.height, "fps": config.fps}, given)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

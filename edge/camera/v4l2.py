@@ -1,0 +1,142 @@
+"""A V4L2 camera (USB, CSI) through OpenCV.
+
+Name the device by its stable path (`ls /dev/v4l/by-id`): /dev/video numbers change from boot to boot.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import math
+import os
+import struct
+import time
+from typing import Final, Protocol
+
+import cv2
+import numpy as np
+
+from edge.camera import Frame
+from edge.camera.settings import Setting, differences
+from edge.config import CameraConfig
+from edge.errors import CameraLost, ConfigError, FrameError
+
+# linux/videodev2.h: struct v4l2_capability is driver[16], card[32], bus_info[32], version, capabilities,
+# device_caps, reserved[3]; VIDIOC_QUERYCAP is _IOR('V', 0, struct v4l2_capability).
+_CAPABILITY: Final = struct.Struct("16s32s32sIII12x")
+_VIDIOC_QUERYCAP: Final = 2 << 30 | _CAPABILITY.size << 16 | ord("V") << 8
+_CAN_CAPTURE: Final = 0x1 | 0x1000  # V4L2_CAP_VIDEO_CAPTURE, single or multi-planar
+
+_OLDEST_BUFFER_NS: Final = 10 * 1_000_000_000  # older than this, a stamp is of another clock
+
+
+class Settings(Protocol):
+    """The part of cv2.VideoCapture that tells its settings."""
+
+    def get(self, propId: int, /) -> float:  # noqa: N803 - OpenCV's name
+        """Value of a CAP_PROP."""
+
+
+class V4l2Camera:
+    """Opens a device, asks for the configured format, and reads back what it got into `differences`."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        """Raises ConfigError when the device is no camera or may not be opened, CameraLost when it is not there."""
+        self._device = config.device
+        check_is_camera(config.device)
+        # OpenCV waits 10 s for a dead camera unless told otherwise. It reads this once, at the first wait.
+        os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] = str(math.ceil(config.stall_timeout_s))
+        cv2.utils.logging.setLogLevel(
+            cv2.utils.logging.LOG_LEVEL_SILENT
+        )  # each of its warnings comes out as one of our errors
+        self._capture = cv2.VideoCapture(config.device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise CameraLost(f"{config.device}: OpenCV cannot open it; is another program using this camera?")
+        apply_settings(config, self._capture)
+        self.differences = settings_differences(config, self._capture)
+        self._index = 0
+
+    def read(self) -> Frame | None:
+        """Block until the next frame, at most `stall_timeout_s` (in whole seconds); never None."""
+        if not self._capture.grab():
+            raise CameraLost(f"{self._device}: no frame; it was unplugged, stopped, or is used by another program")
+        stamp_ns = monotonic_stamp_ns(self._capture.get(cv2.CAP_PROP_POS_MSEC), time.monotonic_ns(), time.time_ns())
+        index, self._index = self._index, self._index + 1
+        try:
+            ok, image = self._capture.retrieve()
+        except cv2.error:
+            ok, image = False, None
+        if not ok or image is None or image.size == 0:
+            raise FrameError(f"{self._device}: frame {index} cannot be decoded; is the cable or the hub good?")
+        return Frame(np.ascontiguousarray(image, dtype=np.uint8), stamp_ns, index)
+
+    def close(self) -> None:
+        """Release the device; more than once is harmless."""
+        self._capture.release()
+
+
+def check_is_camera(device: str) -> None:
+    """Ask the driver whether a node can capture video.
+
+    OpenCV only says that it cannot open a node; this says why. ConfigError: it is not a camera (UVC cameras have a
+    second node that gives metadata only), or may not be opened. CameraLost: it is not there (any more).
+    """
+    try:
+        descriptor = os.open(device, os.O_RDWR | os.O_NONBLOCK)
+    except OSError as error:
+        raise _open_error(device, error) from None
+    try:
+        answer = fcntl.ioctl(descriptor, _VIDIOC_QUERYCAP, bytes(_CAPABILITY.size))
+    except OSError as error:
+        if error.errno in {errno.ENODEV, errno.EIO}:
+            raise CameraLost(f"{device}: the camera does not answer: {error.strerror}") from None
+        raise ConfigError(f"[camera] device: {device} is not a V4L2 camera; see `ls /dev/v4l/by-id`") from None
+    finally:
+        os.close(descriptor)
+    _, card, _, _, _, device_caps = _CAPABILITY.unpack(answer)
+    if not device_caps & _CAN_CAPTURE:
+        name = card.rstrip(b"\0").decode(errors="replace")
+        raise ConfigError(f"[camera] device: {device} ({name}) gives no pictures; use the camera's other node")
+
+
+def _open_error(device: str, error: OSError) -> ConfigError | CameraLost:
+    if error.errno in {errno.EACCES, errno.EPERM}:
+        return ConfigError(f"[camera] device: {device}: no permission; add the user to the group `video`")
+    if error.errno in {errno.EISDIR, errno.ENOTDIR, errno.EROFS}:
+        return ConfigError(f"[camera] device: {device} is not a V4L2 camera; see `ls /dev/v4l/by-id`")
+    return CameraLost(f"{device}: {error.strerror}; is the camera plugged in? See `ls /dev/v4l/by-id`")
+
+
+def apply_settings(config: CameraConfig, capture: cv2.VideoCapture) -> None:
+    """Ask for the configured format; the order matters, as each choice limits the next in the driver."""
+    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*config.fourcc))
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, config.width)
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, config.height)
+    capture.set(cv2.CAP_PROP_FPS, config.fps)
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+
+
+def settings_differences(config: CameraConfig, settings: Settings) -> tuple[str, ...]:
+    """Read the settings back; one line for each that is not what the config asks for."""
+    fourcc = int(settings.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
+    given: dict[str, Setting] = {
+        "fourcc": fourcc.to_bytes(4, "little").decode("latin-1"),
+        "width": int(settings.get(cv2.CAP_PROP_FRAME_WIDTH)),
+        "height": int(settings.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        "fps": settings.get(cv2.CAP_PROP_FPS),
+    }
+    return differences({key: getattr(config, key) for key in given}, given)
+
+
+def monotonic_stamp_ns(position_ms: float, monotonic_ns: int, realtime_ns: int) -> int:
+    """The driver's buffer time on CLOCK_MONOTONIC, in ns.
+
+    position_ms: CAP_PROP_POS_MSEC, which for V4L2 is the buffer's timestamp. Nearly all drivers take it from
+    CLOCK_MONOTONIC; uvcvideo can be told to use CLOCK_REALTIME; a few give none, and then it is "now".
+    """
+    stamp_ns = round(position_ms * 1e6)
+    if abs(stamp_ns - monotonic_ns) < _OLDEST_BUFFER_NS:
+        return stamp_ns
+    if abs(stamp_ns - realtime_ns) < _OLDEST_BUFFER_NS:
+        return stamp_ns - realtime_ns + monotonic_ns
+    return monotonic_ns

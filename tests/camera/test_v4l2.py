@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import pytest
+
+from edge.camera import open_camera
+from edge.camera.v4l2 import apply_settings, monotonic_stamp_ns, settings_differences
+from edge.config import CameraConfig
+from edge.errors import CameraLost, ConfigError
+
+S = 1_000_000_000
+
+
+def test_a_device_that_is_not_there_is_lost_until_it_is_plugged_in() -> None:
+    with pytest.raises(CameraLost, match=r"/dev/video-none: No such file or directory; is the camera plugged in\?"):
+        open_camera(CameraConfig(device="/dev/video-none"))
+
+
+def test_a_node_that_is_no_camera_is_a_wrong_config(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    for device in ("/dev/null", str(file), str(tmp_path), os.ttyname(os.openpty()[1])):
+        with pytest.raises(ConfigError, match=rf"\[camera\] device: {device} is not a V4L2 camera; see `ls"):
+            open_camera(CameraConfig(device=device))
+
+
+def test_settings_are_read_back_and_each_that_differs_is_said(video_path: Path) -> None:
+    capture = cv2.VideoCapture(str(video_path))
+    same = CameraConfig(width=64, height=48, fps=20.1, fourcc="MJPG")  # within what drivers round
+    assert settings_differences(same, capture) == ()
+    other = CameraConfig(width=640, height=480, fps=29.97, fourcc="YUYV")
+    # A video file takes no settings: a device that ignores what it is asked.
+    apply_settings(other, capture)
+    assert settings_differences(other, capture) == (
+        "fourcc: asked for YUYV, device gives MJPG",
+        "width: asked for 640, device gives 64",
+        "height: asked for 480, device gives 48",
+        "fps: asked for 29.97, device gives 20",
+    )
+    capture.release()
+
+
+@pytest.mark.parametrize(
+    ("position_ms", "stamp_ns"),
+    [
+        (5_000_123.456, 5000_123_456_000),  # CLOCK_MONOTONIC, as nearly all drivers
+        (1_800_000_000_000.0 - 30, 5000_200_000_000 - 30_000_000),  # CLOCK_REALTIME, 30 ms ago
+        (0.0, 5000_200_000_000),  # none: now
+        (4_000_000.0, 5000_200_000_000),  # of another clock: now
+    ],
+)
+def test_a_buffers_time_comes_out_on_the_monotonic_clock(position_ms: float, stamp_ns: int) -> None:
+    assert monotonic_stamp_ns(position_ms, 5000_200_000_000, 1_800_000_000 * S) == pytest.approx(stamp_ns, abs=1000)
