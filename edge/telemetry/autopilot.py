@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import select
 import time
 from collections import deque
 from collections.abc import Callable
@@ -90,7 +89,7 @@ class AutopilotConnection:
         self._last_failure = ""
         self._due_ns = dict.fromkeys(("open", "heartbeat", "timesync", "text", "streams"), 0)
         self._session = 0
-        self._texts: deque[Message] = deque(maxlen=TEXTS_KEPT)
+        self._texts: deque[list[Message]] = deque(maxlen=TEXTS_KEPT)
         self._text_id = 0
         self._fix_sent_ns: int | None = None
 
@@ -104,13 +103,6 @@ class AutopilotConnection:
             self._send_due(now_ns)
         except LinkLost as error:
             self._lose(str(error), now_ns)
-
-    def wait(self, timeout_s: float) -> None:
-        """Sleep until something arrives, at most `timeout_s`: polled at once, arrival times are true."""
-        try:
-            select.select([self._link] if self._link else [], [], [], timeout_s)
-        except (LinkLost, OSError, ValueError):
-            return  # the port went away in its sleep; poll() finds out and says so
 
     def send_fix(self, fix: PlaceFix) -> bool:
         """Tell the robot of a place, in the way that [telemetry] emit says; True when a position went out."""
@@ -132,7 +124,7 @@ class AutopilotConnection:
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Queue a line for the pilot; at most two a second go out, and of a flood only the newest are kept."""
         self._text_id = self._text_id % 65535 + 1
-        self._texts.extend(fixes.status_text(text, severity, self._text_id))
+        self._texts.append(fixes.status_text(text, severity, self._text_id))
 
     def close(self) -> None:
         """Close the link; more than once is harmless, and poll() would open it again."""
@@ -216,7 +208,8 @@ class AutopilotConnection:
         if self.vehicle.speed_mps(now_ns) is None or self._due_ns["streams"] == 0:
             self._ask_for_streams(now_ns)
         if self._texts and self._is_due("text", now_ns, TEXT_NS):
-            self._write(self._texts.popleft())
+            for chunk in self._texts.popleft():
+                self._write(chunk)
         if self._fix_sent_ns is not None and now_ns - self._fix_sent_ns > ANSWER_NS:
             self._fix_sent_ns = None
             self._record(FixAnswered("NO_ANSWER"))

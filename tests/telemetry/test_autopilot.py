@@ -12,6 +12,7 @@ from edge.config import TelemetryConfig
 from edge.errors import ConfigError
 from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.journal import Journal, read_journal
 from sim.autopilot import SimulatedAutopilot
 from sim.autopilot_command import straight_line
@@ -236,3 +237,30 @@ def test_a_flood_of_texts_is_thinned(rig: Rig) -> None:
 def test_a_malformed_connection_is_refused_at_once() -> None:
     with pytest.raises(ConfigError, match=r"\[telemetry\] connection"):
         AutopilotConnection(TelemetryConfig(connection="serial:/dev/ttyACM0"))
+
+
+@pytest.mark.parametrize("recording", ["ardurover-4.6.3-nogps", "px4-1.18-agp"])
+def test_recorded_autopilots_played_into_the_port(
+    tmp_path: Path, read_tlog: Callable[[str], Iterator[tuple[int, bytes]]], recording: str
+) -> None:
+    """The first 20 s: link up, streams asked for, time known, TIMESYNC answered, and no position in `report`."""
+    rig = Rig(tmp_path)
+    assert rig.pty is not None
+    sent, codec, start_ns, next_fix_ns = [], MavlinkCodec(1, 1), 0, 0
+    for rig.now_ns, frame in read_tlog(recording):
+        start_ns = start_ns or rig.now_ns
+        if rig.now_ns - start_ns > 20_000_000_000:
+            break
+        rig.pty.send(frame)
+        rig.connection.poll()
+        sent += codec.decode(rig.pty.receive())
+        if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
+            next_fix_ns = rig.now_ns + 1_000_000_000
+            assert not rig.connection.send_fix(rig.fix())
+    assert rig.connection.state == "up"
+    assert rig.connection.vehicle.boot_time_s(rig.now_ns) is not None
+    names = {message.get_type() for message in sent}
+    assert names == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", "NAMED_VALUE_FLOAT"}
+    assert {message.command for message in sent if message.get_type() == "COMMAND_LONG"} == {511}
+    assert any(message.tc1 for message in sent if message.get_type() == "TIMESYNC")
+    rig.close()

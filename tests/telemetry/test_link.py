@@ -1,0 +1,159 @@
+"""Links over real pseudo-terminals and sockets."""
+
+from __future__ import annotations
+
+import select
+from pathlib import Path
+
+import pytest
+
+from edge.errors import ConfigError, LinkLost
+from edge.telemetry import open_link
+from edge.telemetry.link import Link, parse_connection
+from sim.pty_link import open_pty
+
+
+def receive(link: Link, size: int) -> bytes:
+    """Wait for that many bytes."""
+    data = b""
+    while len(data) < size:
+        assert select.select([link], [], [], 5.0)[0], f"only {data!r} came"
+        data += link.receive()
+    return data
+
+
+@pytest.mark.parametrize(
+    "connection",
+    [
+        "",
+        "serial",
+        "serial:/dev/ttyACM0",
+        "serial:/dev/ttyACM0:fast",
+        "serial:/dev/ttyACM0:0",
+        "serial::57600",
+        "tcp:localhost:5760",
+        "udp:14550",
+        "udp:localhost:70000",
+        "udpin:0.0.0.0:-1",
+    ],
+)
+def test_a_malformed_connection_is_one_line_that_names_the_key(connection: str) -> None:
+    with pytest.raises(
+        ConfigError, match=r"^\[telemetry\] connection: '.*' is not .*$|^\[telemetry\].*is not a "
+    ) as error:
+        open_link(connection)
+    assert "\n" not in str(error.value)
+
+
+def test_connections_that_are_well_formed() -> None:
+    serial = parse_connection("serial:/dev/serial/by-id/usb-ArduPilot_00:1-if00:921600")
+    assert (serial.target, serial.number) == ("/dev/serial/by-id/usb-ArduPilot_00:1-if00", 921600)
+    assert parse_connection("udp:[::1]:14550").target == "::1"
+
+
+def test_serial_carries_bytes_both_ways_and_never_blocks() -> None:
+    pty = open_pty()
+    link = open_link(f"serial:{pty.device}:921600")
+    assert link.receive() == b""
+    everything = bytes(range(256))  # with XON, XOFF, CR, LF and ^C: the line must be raw
+    assert pty.send(everything)
+    assert receive(link, 256) == everything
+    assert link.send(everything)
+    assert receive(pty, 256) == everything
+    link.close()
+    link.close()
+    pty.close()
+
+
+def test_a_serial_port_that_nobody_reads_drops_instead_of_blocking() -> None:
+    pty = open_pty()
+    link = open_link(f"serial:{pty.device}:57600")
+    assert not all(link.send(bytes(1000)) for _ in range(100))
+    link.close()
+    pty.close()
+
+
+def test_an_unplugged_serial_port_is_lost_on_read_and_on_write() -> None:
+    for use in ("receive", "send"):
+        pty = open_pty()
+        link = open_link(f"serial:{pty.device}:57600")
+        pty.close()
+        with pytest.raises(LinkLost, match=f"{pty.device}: the port is gone"):
+            link.receive() if use == "receive" else link.send(b"x")
+        link.close()
+
+
+def test_a_closed_serial_link_is_lost_not_a_crash() -> None:
+    pty = open_pty()
+    link = open_link(f"serial:{pty.device}:57600")
+    link.close()
+    for use in (link.receive, link.fileno, lambda: link.send(b"x")):
+        with pytest.raises(LinkLost):
+            use()
+    pty.close()
+
+
+def test_a_missing_port_and_a_file_that_is_no_port_say_so(tmp_path: Path) -> None:
+    with pytest.raises(LinkLost, match="no such port"):
+        open_link(f"serial:{tmp_path}/none:57600")
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(LinkLost, match=f"{file}: cannot open it"):
+        open_link(f"serial:{file}:57600")
+
+
+def test_a_port_has_one_owner() -> None:
+    pty = open_pty()
+    first = open_link(f"serial:{pty.device}:57600")
+    with pytest.raises(LinkLost, match="in use by another program"):
+        open_link(f"serial:{pty.device}:57600")
+    first.close()
+    open_link(f"serial:{pty.device}:57600").close()
+    pty.close()
+
+
+def free_port() -> int:
+    from socket import AF_INET, SOCK_DGRAM, socket
+
+    with socket(AF_INET, SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_udp_both_ways_and_a_listener_answers_whoever_spoke_last() -> None:
+    port = free_port()
+    listener = open_link(f"udpin:127.0.0.1:{port}")
+    assert not listener.send(b"to nobody")
+    callers = [open_link(f"udp:127.0.0.1:{port}") for _ in range(2)]
+    for caller in callers:
+        assert caller.send(b"hello")
+        assert receive(listener, 5) == b"hello"
+        assert listener.send(b"you")
+        assert receive(caller, 3) == b"you"
+    assert callers[0].receive() == b""
+    for link in (listener, *callers):
+        link.close()
+
+
+def test_udp_survives_a_peer_that_is_not_there_yet() -> None:
+    port = free_port()
+    caller = open_link(f"udp:127.0.0.1:{port}")
+    for _ in range(5):
+        caller.send(b"anyone?")
+        assert caller.receive() == b""
+    listener = open_link(f"udpin:127.0.0.1:{port}")
+    caller.send(b"now?")  # may fetch the refusal of an earlier one instead
+    caller.send(b"now?")
+    assert receive(listener, 4).startswith(b"now?")
+    listener.close()
+    caller.close()
+
+
+def test_a_taken_udp_port_and_an_unknown_host_are_lost_links() -> None:
+    port = free_port()
+    first = open_link(f"udpin:127.0.0.1:{port}")
+    with pytest.raises(LinkLost, match=f"127.0.0.1:{port}: cannot open it: Address already in use"):
+        open_link(f"udpin:127.0.0.1:{port}")
+    first.close()
+    with pytest.raises(LinkLost, match=r"no-such-host\.invalid:14550: cannot find this host"):
+        open_link("udp:no-such-host.invalid:14550")

@@ -1,0 +1,218 @@
+"""The vehicle against recorded telemetry of ArduPilot and PX4, against noise, and against a drive made by hand."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.vehicle import Vehicle
+
+ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
+RECORDINGS = {"ardurover-4.6.3-nogps": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4-1.18-agp": mavlink.MAV_AUTOPILOT_PX4}
+S = 1_000_000_000
+
+
+def replay(frames: Iterator[tuple[int, bytes]], vehicle: Vehicle) -> Iterator[tuple[int, Any]]:
+    """Each message with its arrival, before the vehicle has seen it."""
+    codec = MavlinkCodec(1, 191)
+    for now_ns, frame in frames:
+        for message in codec.decode(frame):
+            yield now_ns, message
+            vehicle.handle(message, now_ns)
+        vehicle.expire(now_ns)
+
+
+@pytest.mark.parametrize("recording", RECORDINGS)
+def test_the_boot_clock_is_right_to_20_ms(read_tlog: ReadTlog, recording: str) -> None:
+    """TIMESYNC requests carry the boot clock: each is predicted before it is read."""
+    vehicle = Vehicle()
+    errors_s = [
+        boot_s - message.ts1 / 1e9
+        for now_ns, message in replay(read_tlog(recording), vehicle)
+        if message.get_type() == "TIMESYNC" and (boot_s := vehicle.boot_time_s(now_ns)) is not None
+    ]
+    assert len(errors_s) >= 7
+    assert max(map(abs, errors_s)) < 0.020
+    assert (vehicle.connected, vehicle.system_id, vehicle.autopilot) == (True, 1, RECORDINGS[recording])
+
+
+def test_the_boot_clock_agrees_with_the_wall_clock_of_px4(read_tlog: ReadTlog) -> None:
+    """SYSTEM_TIME pairs both clocks of the autopilot, whose wall clock was the recorder's."""
+    vehicle = Vehicle()
+    errors_s = []
+    for now_ns, message in replay(read_tlog("px4-1.18-agp"), vehicle):
+        boot_s = vehicle.boot_time_s(now_ns)
+        if message.get_type() == "SYSTEM_TIME" and boot_s is not None:
+            errors_s.append(boot_s - message.time_boot_ms / 1e3 - (now_ns / 1e9 - message.time_unix_usec / 1e6))
+    assert len(errors_s) > 100
+    assert max(map(abs, errors_s)) < 0.020
+
+
+def test_the_distance_of_a_recorded_drive_is_that_of_its_wheels(read_tlog: ReadTlog) -> None:
+    vehicle = Vehicle()
+    wheels_m: list[tuple[int, float]] = []
+    for now_ns, message in replay(read_tlog("ardurover-4.6.3-nogps"), vehicle):
+        if message.get_type() == "WHEEL_DISTANCE":
+            wheels_m.append((now_ns, sum(map(abs, message.distance[:2])) / 2))
+    (_, first_m), (end_ns, last_m) = wheels_m[0], wheels_m[-1]
+    assert last_m - first_m > 100
+    assert vehicle.distance_m(end_ns) == pytest.approx(last_m - first_m, rel=0.05)
+
+
+def test_gps_is_healthy_until_it_is_switched_off(read_tlog: ReadTlog) -> None:
+    vehicle = Vehicle()
+    start_ns, healthy = 0, {}
+    for now_ns, _ in replay(read_tlog("px4-1.18-agp"), vehicle):
+        start_ns = start_ns or now_ns
+        healthy[(now_ns - start_ns) // S] = vehicle.gps_healthy(now_ns)
+    assert all(healthy[second] for second in range(3, 36))  # switched off at 36.4 s
+    assert not any(healthy[second] for second in range(40, 119))
+
+
+def test_noise_never_brings_the_link_up(read_tlog: ReadTlog) -> None:
+    noise, codec, vehicle = random.Random(7), MavlinkCodec(1, 191), Vehicle()
+    for second in range(400):
+        for message in codec.decode(noise.randbytes(2048)):
+            vehicle.handle(message, second * S)
+    assert not vehicle.connected
+    assert vehicle.boot_time_s(0) is None
+    # And after all of it, a real autopilot is understood.
+    for now_ns, frame in read_tlog("ardurover-4.6.3-nogps"):
+        for message in codec.decode(frame):
+            vehicle.handle(message, now_ns)
+    assert vehicle.connected
+
+
+class Speaker:
+    """Messages of one component."""
+
+    def __init__(self, system_id: int = 1, component_id: int = 1) -> None:
+        self._out, self._in = MavlinkCodec(system_id, component_id), MavlinkCodec(1, 191)
+
+    def say(self, message: Any) -> Any:
+        return self._in.decode(self._out.encode(message))[0]
+
+    def heartbeat(self, autopilot: int = mavlink.MAV_AUTOPILOT_PX4) -> Any:
+        return self.say(mavlink.MAVLink_heartbeat_message(10, autopilot, 0, 0, 4, 3))
+
+    def position(self, boot_ms: int, speed_mps: float = 0.0) -> Any:
+        return self.say(
+            mavlink.MAVLink_global_position_int_message(boot_ms, 1, 1, 0, 0, round(speed_mps * 100), 0, 0, 65535)
+        )
+
+
+def connect(speaker: Speaker, now_ns: int = 0) -> Vehicle:
+    vehicle = Vehicle()
+    for beat in (0, 1):
+        vehicle.handle(speaker.heartbeat(), now_ns + beat * S)
+    assert vehicle.connected
+    return vehicle
+
+
+def test_one_heartbeat_is_not_a_link_and_two_too_far_apart_are_none_either() -> None:
+    vehicle, speaker = Vehicle(), Speaker()
+    for now_s in (0, 6, 12):
+        assert not vehicle.handle(speaker.heartbeat(), now_s * S)
+    assert not vehicle.connected
+
+
+@pytest.mark.parametrize(
+    ("speaker", "autopilot"),
+    [(Speaker(255, 190), mavlink.MAV_AUTOPILOT_INVALID), (Speaker(1, 191), 8), (Speaker(1, 1), 8), (Speaker(1, 25), 3)],
+)
+def test_ground_stations_and_companions_are_not_the_vehicle(speaker: Speaker, autopilot: int) -> None:
+    vehicle = Vehicle()
+    for now_s in range(4):
+        vehicle.handle(speaker.heartbeat(autopilot), now_s * S)
+    assert not vehicle.connected
+
+
+def test_two_vehicles_taking_turns_are_told_apart() -> None:
+    vehicle, mine, other = Vehicle(), Speaker(3), Speaker(9)
+    for now_s in range(3):
+        vehicle.handle(mine.heartbeat(), now_s * S)
+        vehicle.handle(other.heartbeat(), now_s * S)
+    assert vehicle.system_id == 3
+    assert not vehicle.handle(other.position(1000), 3 * S)
+    assert vehicle.position(3 * S) is None
+    assert vehicle.handle(mine.position(1000), 3 * S)
+    assert vehicle.position(3 * S) is not None
+    assert vehicle.position(6 * S) is None, "stale"
+
+
+def test_the_link_is_lost_after_five_silent_seconds_and_comes_back() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    vehicle.expire(6 * S)
+    assert vehicle.connected
+    vehicle.expire(6 * S + 1)
+    assert not vehicle.connected
+    vehicle.handle(speaker.heartbeat(), 20 * S)
+    vehicle.handle(speaker.heartbeat(), 21 * S)
+    assert vehicle.connected
+    assert vehicle.session == 2
+
+
+def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for boot_ms in (500_000, 500_100, 500_050, 500_200):
+        vehicle.handle(speaker.position(boot_ms), 2 * S)
+    assert vehicle.session == 1
+    vehicle.handle(speaker.position(3_000), 4 * S)
+    assert vehicle.session == 2
+    assert vehicle.boot_time_s(5 * S) == pytest.approx(4.0)
+
+
+def test_distance_between_and_beyond_the_reports() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for boot_ms, speed_mps in ((1000, 10.0), (2000, 10.0), (3000, 20.0)):
+        vehicle.handle(speaker.position(boot_ms, speed_mps), boot_ms * 1_000_000)
+    assert vehicle.distance_m(S // 2) is None, "before the first report"
+    assert vehicle.distance_m(3 * S // 2) == pytest.approx(5.0)
+    assert vehicle.distance_m(5 * S // 2) == pytest.approx(17.5)
+    assert vehicle.distance_m(7 * S // 2) == pytest.approx(35.0), "extrapolated"
+    assert vehicle.distance_m(5 * S) is None, "too far beyond the last report"
+
+
+def test_distance_never_goes_back_when_the_vehicle_brakes() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    vehicle.handle(speaker.position(2000, 10.0), 2 * S)
+    ahead_m = vehicle.distance_m(3 * S)
+    vehicle.handle(speaker.position(2900, 0.0), round(2.9 * S))
+    after_m = vehicle.distance_m(round(3.1 * S))
+    assert ahead_m == pytest.approx(10.0)
+    assert after_m == ahead_m
+
+
+def test_a_standing_vehicle_covers_no_distance_though_its_filter_jitters() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for tenth in range(20, 620):
+        vehicle.handle(speaker.position(tenth * 100, 0.04), tenth * S // 10)
+    assert vehicle.distance_m(62 * S) == 0.0
+
+
+def test_an_answer_to_timesync_bounds_the_boot_clock_however_late_it_is_read() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    # Boot is 100 s before our zero. Requests take 2 ms to get there; each answer is read 40 ms late.
+    for turn in range(20):
+        sent_ns = 2 * S + turn * S // 2
+        vehicle.timesync_sent(sent_ns)
+        answered_ns = sent_ns + 2_000_000
+        answer = speaker.say(mavlink.MAVLink_timesync_message(answered_ns + 100 * S, sent_ns))
+        vehicle.handle(answer, answered_ns + 40_000_000)
+        stranger = speaker.say(mavlink.MAVLink_timesync_message(7, sent_ns - 1))
+        vehicle.handle(stranger, answered_ns)
+        # A stream that the turns of the loop catch 5 ms late at best.
+        received_ns = answered_ns + 50_000_000
+        vehicle.handle(speaker.position((received_ns + 100 * S) // 1_000_000 - 5), received_ns)
+    assert vehicle.boot_time_s(12 * S) == pytest.approx(112.0, abs=0.005)
