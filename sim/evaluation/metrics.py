@@ -1,0 +1,169 @@
+"""How good a method's answers are: precision-recall at exact thresholds, F1, recall of the best K at several radii.
+
+Two definitions of recall are in use in the field, and papers seldom say which. With the first the same answers read
+higher, since it reaches 1 by construction; both are computed here, under names that tell them apart:
+
+    recall_of_correct   correct and accepted / (correct and accepted + correct and rejected): of what the method could
+                        have got right by accepting everything, how much is accepted. Reaches 1 at the lowest threshold.
+    recall_of_places    correct and accepted / queries that have a true place in the map. A query whose best match is
+                        wrong is missed at every threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Answers:
+    """One method's answer to every query of a traverse, in the order of driving.
+
+    confidence: (Q,) float64, higher is surer; NaN where the method gave no answer, which no threshold accepts.
+    correct: (Q,) bool, the best match is within the tolerance of the truth.
+    has_truth: (Q,) bool, some place of the map is; where none is, accepting anything is a false positive.
+    """
+
+    confidence: Floats
+    correct: Flags
+    has_truth: Flags
+
+    def __post_init__(self) -> None:
+        shapes = {self.confidence.shape, self.correct.shape, self.has_truth.shape}
+        if len(shapes) != 1 or self.confidence.ndim != 1:
+            raise ValueError(f"answers need one shape (Q,), got {sorted(shapes)}")
+        if (self.correct & ~self.has_truth).any():
+            raise ValueError("a query off the map cannot have a correct match")
+
+    def take(self, queries: NDArray[np.intp]) -> Answers:
+        """The answers to these queries, which may repeat (a bootstrap's resample)."""
+        return Answers(self.confidence[queries], self.correct[queries], self.has_truth[queries])
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """The whole curve: one point for every distinct confidence, from the highest to the lowest.
+
+    thresholds: (T,) a match is accepted if its confidence is at least this. precision: (T,) correct of accepted;
+    accepted queries that are off the map count as wrong. recall_of_correct, recall_of_places: (T,) see the module;
+    NaN where nothing is correct, or nothing is on the map.
+    """
+
+    thresholds: Floats
+    precision: Floats
+    recall_of_correct: Floats
+    recall_of_places: Floats
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The curve in numbers.
+
+    queries, on_map: how many there are, and how many have a true place. accuracy: correct best matches over on_map,
+    whatever the confidence (recall@1). average_precision: sum over thresholds of precision times the gain in
+    recall_of_places. max_f1_*: highest harmonic mean of precision and that recall; its threshold goes with it.
+    recall_at_100, recall_at_99: highest recall_of_places at any threshold with at least that precision in percent.
+    """
+
+    queries: int
+    on_map: int
+    accuracy: float
+    average_precision: float
+    max_f1_of_correct: float
+    max_f1_of_places: float
+    best_threshold: float
+    recall_at_100: float
+    recall_at_99: float
+
+
+def precision_recall(answers: Answers) -> PrecisionRecall:
+    """The exact curve; empty if no query was answered."""
+    answered = ~np.isnan(answers.confidence)
+    confidence, correct = answers.confidence[answered], answers.correct[answered]
+    order = np.argsort(-confidence, kind="stable")
+    confidence, hits = confidence[order], correct[order].cumsum()
+    # Equal confidences are accepted together: a point lies after the last of each run of equals.
+    last = np.flatnonzero(np.diff(confidence, append=np.nan) != 0)
+    true_positives = hits[last].astype(np.float64)
+    return PrecisionRecall(
+        thresholds=confidence[last],
+        precision=true_positives / (last + 1.0),
+        recall_of_correct=_share(true_positives, int(correct.sum())),
+        recall_of_places=_share(true_positives, int(answers.has_truth.sum())),
+    )
+
+
+def scores(answers: Answers) -> Scores:
+    """All single numbers of one method on one pair of traverses."""
+    curve = precision_recall(answers)
+    f1_of_places = f1(curve.precision, curve.recall_of_places)
+    on_map = int(answers.has_truth.sum())
+    answered = ~np.isnan(answers.confidence)
+    return Scores(
+        queries=len(answers.confidence),
+        on_map=on_map,
+        accuracy=float((answers.correct & answered).sum()) / on_map if on_map else float("nan"),
+        average_precision=average_precision(curve),
+        max_f1_of_correct=max_f1_of_correct(answers),
+        max_f1_of_places=max_f1_of_places(answers),
+        best_threshold=float(curve.thresholds[f1_of_places.argmax()]) if f1_of_places.size else float("nan"),
+        recall_at_100=recall_at_precision(curve, 1.0),
+        recall_at_99=recall_at_precision(curve, 0.99),
+    )
+
+
+def f1(precision: Floats, recall: Floats) -> Floats:
+    """Harmonic mean, 0 where both are 0 or recall is undefined: (T,), (T,) -> (T,)."""
+    total = precision + recall
+    return np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
+
+
+def max_f1_of_correct(answers: Answers) -> float:
+    """Highest F1 with recall_of_correct; 0 if nothing is correct."""
+    curve = precision_recall(answers)
+    return float(f1(curve.precision, curve.recall_of_correct).max(initial=0.0))
+
+
+def max_f1_of_places(answers: Answers) -> float:
+    """Highest F1 with recall_of_places; 0 if nothing is correct."""
+    curve = precision_recall(answers)
+    return float(f1(curve.precision, curve.recall_of_places).max(initial=0.0))
+
+
+def average_precision(curve: PrecisionRecall) -> float:
+    """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
+    gains = np.diff(curve.recall_of_places, prepend=0.0)
+    return float(gains @ curve.precision) if gains.size else 0.0
+
+
+def recall_at_precision(curve: PrecisionRecall, precision: float) -> float:
+    """Highest recall_of_places at any threshold of at least this precision; 0 if there is none."""
+    return float(curve.recall_of_places[curve.precision >= precision].max(initial=0.0))
+
+
+def recall_of_best(errors: Floats, nearest: Floats, counts: Sequence[int], radii: Sequence[float]) -> Floats:
+    """Recall@K at several radii, (len(counts), len(radii)).
+
+    errors (Q, K): distance between each query's true position and its candidates, best first, in metres or frames,
+    inf where there is none. nearest (Q,): distance of the map's place nearest to the truth; a query counts at a radius
+    only if the map has a place within it. A query is a hit at K if any of its first K candidates is within the radius.
+    NaN where no query counts.
+    """
+    out = np.full((len(counts), len(radii)), np.nan)
+    for column, radius in enumerate(radii):
+        counted = nearest <= radius
+        if not counted.any():
+            continue
+        for row, count in enumerate(counts):
+            out[row, column] = (errors[counted, :count] <= radius).any(axis=1).mean()
+    return out
+
+
+def _share(part: Floats, whole: int) -> Floats:
+    return part / whole if whole else np.full_like(part, np.nan)

@@ -1,0 +1,126 @@
+"""Every score against a slow version that counts query by query, threshold by threshold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.evaluation.metrics import (
+    Answers,
+    max_f1_of_correct,
+    precision_recall,
+    recall_at_precision,
+    recall_of_best,
+    scores,
+)
+
+
+@st.composite
+def some_answers(draw: st.DrawFn) -> Answers:
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    count = draw(st.integers(0, 40))
+    # Few distinct confidences, so that there are ties; and some queries without an answer.
+    confidence = rng.integers(0, draw(st.integers(1, 30)), count).astype(np.float64)
+    confidence[rng.random(count) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
+    has_truth = rng.random(count) < draw(st.sampled_from([0.0, 0.6, 1.0]))
+    return Answers(confidence, (rng.random(count) < 0.7) & has_truth, has_truth)
+
+
+def count_at(answers: Answers, threshold: float) -> tuple[int, int, int]:
+    """True positives, false positives and correct but rejected queries, one query at a time."""
+    true_positives = false_positives = rejected = 0
+    for confidence, correct in zip(answers.confidence.tolist(), answers.correct.tolist(), strict=True):
+        if math.isnan(confidence):
+            continue
+        if confidence >= threshold:
+            true_positives += correct
+            false_positives += not correct
+        else:
+            rejected += correct
+    return true_positives, false_positives, rejected
+
+
+def ratio(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+@settings(max_examples=200, deadline=None)
+@given(some_answers())
+def test_scores_are_those_counted_by_hand(answers: Answers) -> None:
+    thresholds = sorted({c for c in answers.confidence.tolist() if not math.isnan(c)}, reverse=True)
+    on_map = int(answers.has_truth.sum())
+    precision, of_correct, of_places = [], [], []
+    for threshold in thresholds:
+        true_positives, false_positives, rejected = count_at(answers, threshold)
+        precision.append(true_positives / (true_positives + false_positives))
+        of_correct.append(ratio(true_positives, true_positives + rejected))
+        of_places.append(ratio(true_positives, on_map))
+    curve = precision_recall(answers)
+    np.testing.assert_array_equal(curve.thresholds, thresholds)
+    np.testing.assert_allclose(curve.precision, precision)
+    np.testing.assert_allclose(curve.recall_of_correct, of_correct)
+    np.testing.assert_allclose(curve.recall_of_places, of_places)
+
+    def best_f1(recalls: list[float]) -> float:
+        points = zip(precision, recalls, strict=True)
+        return max((2 * p * r / (p + r) for p, r in points if p + r > 0), default=0.0)
+
+    found = scores(answers)
+    assert found.max_f1_of_correct == pytest.approx(best_f1(of_correct))
+    assert found.max_f1_of_places == pytest.approx(best_f1(of_places))
+    for least, recall in ((1.0, found.recall_at_100), (0.99, found.recall_at_99)):
+        reached = [r for p, r in zip(precision, of_places, strict=True) if p >= least and not math.isnan(r)]
+        assert on_map == 0 or recall == pytest.approx(max(reached, default=0.0))
+    if on_map:
+        area = sum((r - before) * p for p, r, before in zip(precision, of_places, [0.0, *of_places], strict=False))
+        assert found.average_precision == pytest.approx(area)
+        answered = ~np.isnan(answers.confidence)
+        assert found.accuracy == pytest.approx((answers.correct & answered).sum() / on_map)
+
+
+def test_the_recall_that_reaches_one_by_construction_reads_higher() -> None:
+    # Half of the best matches are wrong, all less sure than the right ones: 1.0 under one name, 0.67 under the other.
+    answers = Answers(np.array([4.0, 3.0, 2.0, 1.0]), np.array([True, True, False, False]), np.ones(4, dtype=bool))
+    assert scores(answers).max_f1_of_correct == 1.0
+    assert scores(answers).max_f1_of_places == pytest.approx(2 * 0.5 / 1.5)
+    assert scores(answers).recall_at_100 == 0.5
+
+
+def test_off_map_queries_count_against_a_method_that_accepts_them() -> None:
+    flags = np.array([True, True])
+    bold = Answers(np.array([1.0, 1.0, 2.0]), np.array([True, True, False]), np.array([True, True, False]))
+    silent = Answers(np.array([1.0, 1.0, np.nan]), np.array([True, True, False]), np.array([True, True, False]))
+    assert recall_at_precision(precision_recall(bold), 1.0) == 0.0
+    assert recall_at_precision(precision_recall(silent), 1.0) == 1.0
+    assert max_f1_of_correct(bold) < max_f1_of_correct(silent) == max_f1_of_correct(Answers(np.ones(2), flags, flags))
+
+
+def test_a_correct_match_off_the_map_is_refused() -> None:
+    with pytest.raises(ValueError, match="off the map"):
+        Answers(np.ones(1), np.array([True]), np.array([False]))
+    with pytest.raises(ValueError, match="one shape"):
+        Answers(np.ones(2), np.array([True]), np.array([True]))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), queries=st.integers(0, 12))
+def test_recall_of_the_best_k_is_that_counted_by_hand(seed: int, queries: int) -> None:
+    rng = np.random.default_rng(seed)
+    errors = rng.integers(0, 30, (queries, 10)).astype(np.float64)
+    errors[rng.random(errors.shape) < 0.2] = np.inf
+    nearest = rng.integers(0, 30, queries).astype(np.float64)
+    counts, radii = (1, 5, 10), (3.0, 10.0)
+    table = recall_of_best(errors, nearest, counts, radii)
+    for row, count in enumerate(counts):
+        for column, radius in enumerate(radii):
+            hits = total = 0
+            for query in range(queries):
+                if nearest[query] > radius:
+                    continue
+                total += 1
+                hits += any(error <= radius for error in errors[query, :count])
+            assert table[row, column] == pytest.approx(ratio(hits, total), nan_ok=True)
