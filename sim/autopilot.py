@@ -30,6 +30,7 @@ HEARTBEAT_S = 1.0
 STEP_S = 0.01
 EXTERNAL_POSITION_ESTIMATE = 43003
 COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
+SILENT = -1
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 
 
@@ -69,7 +70,7 @@ class SimulatedAutopilot:
         self.received: list[Received] = []
         self.resets: list[Reset] = []
         self.refuse_fixes_with: int | None = None
-        """A MAV_RESULT to answer every position estimate with, for a firmware that knows them not."""
+        """A MAV_RESULT to answer every position estimate with, or SILENT as PX4 1.15 is, instead of heeding it."""
         self._link = link
         self._pose_at = pose_at
         self._clock_ns = clock_ns
@@ -137,6 +138,8 @@ class SimulatedAutopilot:
             self._acknowledge(message, self._execute(message))
 
     def _acknowledge(self, command: Message, result: int) -> None:
+        if result == SILENT:
+            return
         self._send(
             mavlink.MAVLink_command_ack_message(
                 command.command, result, 0, 0, command.get_srcSystem(), command.get_srcComponent()

@@ -58,6 +58,7 @@ class FixSent(msgspec.Struct, frozen=True, tag_field="event", tag="fix_sent"):
 class FixAnswered(msgspec.Struct, frozen=True, tag_field="event", tag="fix_answered"):
     """The autopilot's answer to a position estimate, MAV_RESULT's name without its prefix, or "NO_ANSWER"."""
 
+    place: int
     result: str
 
 
@@ -91,7 +92,7 @@ class AutopilotConnection:
         self._session = 0
         self._texts: deque[list[Message]] = deque(maxlen=TEXTS_KEPT)
         self._text_id = 0
-        self._fix_sent_ns: int | None = None
+        self._unanswered: tuple[int, int] | None = None  # when the last fix was sent, and its place
 
     def poll(self) -> None:
         """One turn: read what has arrived, and send what is due. Never raises LinkLost."""
@@ -108,16 +109,16 @@ class AutopilotConnection:
         """Tell the robot of a place, in the way that [telemetry] emit says; True when a position went out."""
         now_ns = self._clock_ns()
         boot_s = self.vehicle.boot_time_s(now_ns)
-        self.status_text(fixes.describe(fix), mavlink.MAV_SEVERITY_INFO)
         if self.state != "up":
             return False
+        self.status_text(fixes.describe(fix), mavlink.MAV_SEVERITY_INFO)
         self._send(fixes.uniqueness_value(fix, round((boot_s or 0.0) * 1000)))
         age_s = (now_ns - fix.stamp_ns) / 1e9
         if not self.positions_enabled or boot_s is None or fix.lat_deg is None or not 0 <= age_s <= AGE_LIMIT_S:
             return False
         sent = self._send(fixes.external_position(fix, self.vehicle.system_id or FIRST_SYSTEM_ID, boot_s, age_s))
         if sent:
-            self._fix_sent_ns = now_ns
+            self._unanswered = now_ns, fix.place
             self._record(FixSent(fix.place, boot_s, age_s, fix.sigma_m))
         return sent
 
@@ -181,12 +182,12 @@ class AutopilotConnection:
             self._read_answer(message)
 
     def _read_answer(self, message: Message) -> None:
-        if self._fix_sent_ns is None or message.target_component not in (0, self._config.component_id):
+        if self._unanswered is None or message.target_component not in (0, self._config.component_id):
             return  # somebody else's
-        self._fix_sent_ns = None
         result = mavlink.enums["MAV_RESULT"].get(message.result)
         name = result.name.removeprefix("MAV_RESULT_") if result else str(message.result)
-        self._record(FixAnswered(name))
+        self._record(FixAnswered(self._unanswered[1], name))
+        self._unanswered = None
         if name in ("DENIED", "UNSUPPORTED") and self.positions_enabled:
             self.positions_enabled = False
             log.error("the autopilot answered %s: no more positions until it reboots", name)
@@ -210,9 +211,9 @@ class AutopilotConnection:
         if self._texts and self._is_due("text", now_ns, TEXT_NS):
             for chunk in self._texts.popleft():
                 self._write(chunk)
-        if self._fix_sent_ns is not None and now_ns - self._fix_sent_ns > ANSWER_NS:
-            self._fix_sent_ns = None
-            self._record(FixAnswered("NO_ANSWER"))
+        if self._unanswered is not None and now_ns - self._unanswered[0] > ANSWER_NS:
+            self._record(FixAnswered(self._unanswered[1], "NO_ANSWER"))
+            self._unanswered = None
 
     def _ask_for_streams(self, now_ns: int) -> None:
         if self._is_due("streams", now_ns, STREAMS_AGAIN_NS):

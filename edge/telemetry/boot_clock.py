@@ -9,7 +9,7 @@ computer reads its port only loosens bounds, never bends them. (The usual half o
 from __future__ import annotations
 
 # Short, since the clock of a simulated autopilot was seen to run 0.75 % slow: 7.5 ms for every second of memory.
-WINDOW_NS = 500_000_000
+WINDOW_NS = 250_000_000
 
 
 class _Tightest:

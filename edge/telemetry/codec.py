@@ -12,6 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 # pymavlink's messages have no static types; `Message` says where one is meant.
 Message: TypeAlias = Any
 
+TRIM_BYTES = 16_384
+
 
 class MavlinkCodec:
     """One end of one link: its identity, its sequence counter and its half-read frame."""
@@ -44,4 +46,7 @@ class MavlinkCodec:
         if not data:
             return []
         messages = self._mavlink.parse_buffer(data) or []
+        if self._mavlink.buf_index > TRIM_BYTES:  # pymavlink only empties its buffer when a read ends with a frame
+            del self._mavlink.buf[: self._mavlink.buf_index]
+            self._mavlink.buf_index = 0
         return [message for message in messages if message.get_msgId() >= 0 and message.get_srcSystem() != 0]

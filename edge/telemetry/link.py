@@ -85,7 +85,7 @@ class SerialLink:
         """See Link. pyserial reports an unplugged port in three ways, and all of them end here."""
         try:
             return bytes(self._port.read(READ_SIZE))
-        except (OSError, termios.error, TypeError) as error:  # TypeError: closed between two calls
+        except (OSError, termios.error) as error:
             raise LinkLost(f"{self._device}: the port is gone: {error}") from None
 
     def send(self, data: bytes) -> bool:
@@ -108,6 +108,8 @@ class SerialLink:
     def close(self) -> None:
         """See Link."""
         with contextlib.suppress(OSError, termios.error):  # an unplugged port cannot be told
+            self._port.reset_output_buffer()  # or closing waits for a peer whose flow control says stop
+        with contextlib.suppress(OSError, termios.error):
             self._port.close()
 
 
@@ -124,7 +126,10 @@ def _why_not_open(error: Exception) -> str:
 
 
 class UdpLink:
-    """A datagram socket. A peer that is not there (yet) is no error: it may come."""
+    """A datagram socket. A peer that is not there (yet) is no error: it may come.
+
+    A host name is looked up while opening, which takes seconds when the network is down; an address does not.
+    """
 
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self._name = f"{host}:{port}"

@@ -14,7 +14,7 @@ from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.journal import Journal, read_journal
-from sim.autopilot import SimulatedAutopilot
+from sim.autopilot import SILENT, SimulatedAutopilot
 from sim.autopilot_command import straight_line
 from sim.pty_link import PtyLink, open_pty
 
@@ -152,7 +152,7 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
     assert command.param2 == pytest.approx(1.5, abs=0.02)
     assert command.param3 == pytest.approx(6.0)
     assert [reset.error_after_m for reset in rig.autopilot.resets] == [pytest.approx(0.0, abs=0.3)]
-    assert [record["result"] for record in rig.journalled("fix_answered")] == ["ACCEPTED"]
+    assert [(record["place"], record["result"]) for record in rig.journalled("fix_answered")] == [(42, "ACCEPTED")]
 
 
 @external
@@ -165,8 +165,30 @@ def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, 
 
 
 @external
-def test_no_position_goes_out_before_the_link_is_up(rig: Rig) -> None:
+def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> None:
     assert not rig.connection.send_fix(rig.fix())
+    rig.run(6.0)
+    assert not rig.received("COMMAND_INT")
+    assert not rig.received("STATUSTEXT")
+
+
+@external
+def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -> None:
+    rig.run(4.0)
+    rig.unplug()
+    assert not rig.connection.send_fix(rig.fix())
+    assert rig.connection.state == "closed"
+    assert not rig.journalled("fix_sent")
+
+
+@external
+def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -> None:
+    rig.run(4.0)
+    rig.autopilot.refuse_fixes_with = SILENT
+    assert rig.connection.send_fix(rig.fix())
+    rig.run(3.0)
+    assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
+    assert rig.connection.positions_enabled
 
 
 @external

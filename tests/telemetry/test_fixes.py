@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from typing import Any
 
 import pytest
@@ -88,3 +89,15 @@ def test_frames_cut_anywhere_arrive_whole() -> None:
     frames = b"".join(sender.encode(fixes.external_position(FIX, 1, 1.0, 0.1)) for _ in range(20))
     cut = [message for start in range(0, len(frames), 7) for message in receiver.decode(frames[start : start + 7])]
     assert len(cut) == 20
+
+
+def test_reads_that_never_end_with_a_frame_do_not_pile_up() -> None:
+    sender, receiver = MavlinkCodec(1, 1), MavlinkCodec(1, 191)
+    frames = b"".join(sender.encode(fixes.heartbeat(4)) for _ in range(8_000))
+    receiver.decode(frames[:5])
+    tracemalloc.start()
+    for start in range(5, len(frames) - 210, 210):
+        receiver.decode(frames[start : start + 210])
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < len(frames) / 2
