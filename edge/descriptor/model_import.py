@@ -1,30 +1,22 @@
-"""AlexNet weights in torchvision's layout to a float ONNX graph that is cut at a tap, and the head after fc6.
+"""AlexNet weights to float ONNX graphs: the network, cut at a tap, and the head after fc6.
 
-`onnx` and, for published .pth.tar files, `torch` are imported only when they are needed: a vehicle has neither.
+`onnx` is imported only here and in `quantize`, when a graph is built: a vehicle has no use for it.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import pickle
-import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import METADATA_KEY, ModelInfo
+from edge.descriptor.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, Conv, Weights
 from edge.errors import ModelError
 
 if TYPE_CHECKING:
     import onnx
-
-Weights = Mapping[str, NDArray[np.float32]]
-Tap = Literal["fc6", "conv3"]
 
 INPUT_SIZE = 224
 MEAN_RGB = (0.485, 0.456, 0.406)  # of ImageNet, over 0..1, as both published and shipped weights were trained with
@@ -35,111 +27,26 @@ PAD_LEVEL = 114
 The networks were trained with zeros there, after normalisation, which is up to 10 levels from this grey. A grey
 that all channels share lets the pixels enter the int8 network as they are, without rounding them again.
 """
-MAX_WEIGHTS_BYTES = 2**30  # AlexNet with 365 classes and all of its layers in float32 has 234 MB
 OPSET, IR_VERSION = 17, 8  # read by ONNX Runtime since 1.12
 IMPORT_HINT = "pip install 'lookback[model]'"
+DIMENSIONS = {"fc6": FC6_SHAPE[0], "conv3": 384 * 13 * 13}
 
 
-@dataclass(frozen=True)
-class Conv:
-    """A convolution of torchvision's `features`, and whether a max pool (3, stride 2) follows its ReLU."""
-
-    layer: str
-    shape: tuple[int, int, int, int]
-    stride: int
-    pad: int
-    pool: bool
-
-
-CONVS = (
-    Conv("features.0", (64, 3, 11, 11), stride=4, pad=2, pool=True),
-    Conv("features.3", (192, 64, 5, 5), stride=1, pad=2, pool=True),
-    Conv("features.6", (384, 192, 3, 3), stride=1, pad=1, pool=False),
-    Conv("features.8", (256, 384, 3, 3), stride=1, pad=1, pool=False),
-    Conv("features.10", (256, 256, 3, 3), stride=1, pad=1, pool=True),
-)
-FC6, FC7, FC8 = "classifier.1", "classifier.4", "classifier.6"
-FC6_SHAPE = (4096, 9216)
-DIMENSIONS: dict[Tap, int] = {"fc6": 4096, "conv3": 384 * 13 * 13}
-
-
-def read_weights(path: Path) -> tuple[Weights, str]:
-    """Weights as float32 by torchvision's names, and the file's sha256. ModelError names the file and the layer."""
-    try:
-        if path.stat().st_size > MAX_WEIGHTS_BYTES:
-            raise ModelError(f"{path}: over {MAX_WEIGHTS_BYTES} bytes; AlexNet's weights take far less")
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the weights: {error.strerror}") from None
-    raw = _read_npz(path, data) if path.suffix == ".npz" else _read_torch(path, data)
-    # Published checkpoints were saved from DataParallel, which puts "module." into the names.
-    weights = {name.replace("module.", ""): np.asarray(value, dtype=np.float32) for name, value in raw.items()}
-    _check_weights(path, weights)
-    return weights, hashlib.sha256(data).hexdigest()
-
-
-def _read_npz(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            claimed = sum(member.file_size for member in archive.infolist())
-        if claimed > MAX_WEIGHTS_BYTES:
-            raise ModelError(f"{path}: unpacks to {claimed} bytes; AlexNet's weights take far less")
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return dict(arrays)
-    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError) as error:
-        raise ModelError(f"{path}: not a whole .npz file: {error}") from None
-
-
-def _read_torch(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
-    try:
-        import torch
-    except ImportError:
-        raise ModelError(f"{path}: needs PyTorch to be read; pip install 'lookback[torch]'") from None
-    try:
-        checkpoint = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        state = checkpoint.get("state_dict", checkpoint)
-        return {name: value.numpy() for name, value in state.items()}
-    except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
-        raise ModelError(f"{path}: not a PyTorch checkpoint of weights: {str(error).splitlines()[0]}") from None
-
-
-def _check_weights(path: Path, weights: Weights) -> None:
-    """All layers up to fc6 in AlexNet's shapes; fc7 and fc8 in any width, if both are there."""
-    shapes: dict[str, tuple[int, ...]] = {conv.layer: conv.shape for conv in CONVS}
-    shapes[FC6] = FC6_SHAPE
-    if has_head(weights):
-        hidden, classes = weights[f"{FC7}.weight"].shape[0], weights[f"{FC8}.weight"].shape[0]
-        shapes |= {FC7: (hidden, FC6_SHAPE[0]), FC8: (classes, hidden)}
-    for layer, shape in shapes.items():
-        for name, wanted in ((f"{layer}.weight", shape), (f"{layer}.bias", shape[:1])):
-            if name not in weights:
-                raise ModelError(f"{path}: no {name}; these are not AlexNet's weights by torchvision's names")
-            if weights[name].shape != wanted:
-                raise ModelError(f"{path}: {name} has the shape {weights[name].shape}, AlexNet's is {wanted}")
-            if not np.isfinite(weights[name]).all():
-                raise ModelError(f"{path}: {name} has values that are not finite")
-
-
-def has_head(weights: Weights) -> bool:
-    """Whether fc7 and fc8, which make categories of fc6, are among the weights."""
-    return f"{FC7}.weight" in weights and f"{FC8}.weight" in weights
-
-
-def build_float(weights: Weights, tap: Tap, info: ModelInfo) -> onnx.ModelProto:
-    """Pixels (B, 224, 224, 3) uint8 BGR to the tap after ReLU, (B, dimensions) float32."""
+def build_float(weights: Weights, info: ModelInfo) -> onnx.ModelProto:
+    """Pixels (B, 224, 224, 3) uint8 BGR to the tap that `info` names, after ReLU, (B, dimensions) float32."""
     graph = GraphBuilder()
     # pixel - PAD_LEVEL; with step 1 and the int8 zero point PAD_LEVEL - 128 this costs no rounding.
     graph.add("DequantizeLinear", ["image", graph.constant("step", 1.0), graph.constant("grey", np.uint8(PAD_LEVEL))])
     tensor = graph.add("Transpose", [graph.last], output="input", perm=[0, 3, 1, 2])
     for conv in CONVS:
         tensor = graph.add_conv(conv, tensor, *_conv_parameters(weights, conv.layer))
-        if tap == "conv3" and conv.layer == "features.6":
-            graph.add("Flatten", [tensor], output=tap, axis=1)
+        if info.tap == "conv3" and conv.layer == "features.6":
+            graph.add("Flatten", [tensor], output=info.tap, axis=1)
             break
     else:
         graph.add("Flatten", [tensor], axis=1)
         graph.add_dense(FC6, weights)
-        graph.add("Relu", [graph.last], output=tap)
+        graph.add("Relu", [graph.last], output=info.tap)
     return graph.finish("image", [INPUT_SIZE, INPUT_SIZE, 3], np.uint8, info)
 
 
@@ -205,8 +112,9 @@ class GraphBuilder:
 
     def add_dense(self, layer: str, weights: Weights) -> str:
         """Fully connected layer on `last`, named as the layer."""
-        names = [f"{layer}.weight", f"{layer}.bias"]
-        return self.add("Gemm", [self.last, *(self.constant(n, weights[n]) for n in names)], output=layer, transB=1)
+        # ONNX Runtime keeps a weight matrix twice when it has to transpose it while loading (38 MB of fc6).
+        weight = self.constant(f"{layer}.weight", weights[f"{layer}.weight"].T)
+        return self.add("Gemm", [self.last, weight, self.constant(f"{layer}.bias", weights[f"{layer}.bias"])], layer)
 
     def finish(self, name: str, shape: list[int], dtype: type[np.generic], info: ModelInfo) -> onnx.ModelProto:
         """The model with one input and, as its one output, the tensor that was added last."""
@@ -224,7 +132,6 @@ class GraphBuilder:
 
 def set_info(model: onnx.ModelProto, info: ModelInfo) -> None:
     """Write what the file says of itself into its metadata."""
-    import msgspec
     import onnx
 
     onnx.helper.set_model_props(model, {METADATA_KEY: msgspec.json.encode(info).decode()})

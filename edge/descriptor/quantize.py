@@ -14,8 +14,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_import import CONVS, FC6, FC8, PAD_LEVEL
+from edge.descriptor.model_file import ModelInfo
+from edge.descriptor.model_import import PAD_LEVEL, set_info
 from edge.descriptor.network import open_session
+from edge.descriptor.weights import CONVS, FC6, FC8
 from edge.errors import ModelError
 
 if TYPE_CHECKING:
@@ -73,7 +75,7 @@ def measure_ranges(float_model: onnx.ModelProto, images: Iterable[NDArray[np.uin
     return dict(zip(layers, greatest.tolist(), strict=True))
 
 
-def quantize(float_model: onnx.ModelProto, greatest: dict[str, float]) -> onnx.ModelProto:
+def quantize(float_model: onnx.ModelProto, greatest: dict[str, float], info: ModelInfo) -> onnx.ModelProto:
     """int8 model of a network (greatest output by layer) or of a head (greatest fc6 under classifier.1).
 
     Every output of the last fully connected layer stays float32: its accumulators are int32 anyway.
@@ -102,12 +104,16 @@ def quantize(float_model: onnx.ModelProto, greatest: dict[str, float]) -> onnx.M
         extra_options={"OpTypesToExcludeOutputQuantization": ["Gemm"]},
     )
     quantized: onnx.ModelProto = quantizer.quantize_model()
+    set_info(quantized, info)
     return quantized
 
 
 def _tensor_ranges(model: onnx.ModelProto, greatest: dict[str, float]) -> Ranges:
     """Ranges of every tensor between nodes: after ReLU from 0, and the same through pooling and flattening."""
-    ranges: Ranges = {"input": (-PAD_LEVEL, 255 - PAD_LEVEL), "fc6": (0.0, RANGE_SHARE * greatest[FC6])}
+    is_head = model.graph.input[0].name == "fc6"
+    ranges: Ranges = (
+        {"fc6": (0.0, RANGE_SHARE * greatest[FC6])} if is_head else {"input": (-PAD_LEVEL, 255 - PAD_LEVEL)}
+    )
     for node in model.graph.node:
         source, result = node.input[0], node.output[0]
         if node.op_type == "Relu" and result in greatest:

@@ -1,0 +1,132 @@
+"""AlexNet's weights in torchvision's layout: read, checked, and named; and the names of its categories.
+
+The layout is that of torchvision.models.alexnet (https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py)
+and of the published Places365 network; fc7 and fc8 may have any width. `torch` is imported only for .pth files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import ModelError
+
+Weights = Mapping[str, NDArray[np.float32]]
+
+MAX_WEIGHTS_BYTES = 2**30  # AlexNet with 365 classes and all of its layers in float32 has 234 MB
+
+
+@dataclass(frozen=True)
+class Conv:
+    """A convolution of torchvision's `features`, and whether a max pool (3, stride 2) follows its ReLU."""
+
+    layer: str
+    shape: tuple[int, int, int, int]
+    stride: int
+    pad: int
+    pool: bool
+
+
+CONVS = (
+    Conv("features.0", (64, 3, 11, 11), stride=4, pad=2, pool=True),
+    Conv("features.3", (192, 64, 5, 5), stride=1, pad=2, pool=True),
+    Conv("features.6", (384, 192, 3, 3), stride=1, pad=1, pool=False),
+    Conv("features.8", (256, 384, 3, 3), stride=1, pad=1, pool=False),
+    Conv("features.10", (256, 256, 3, 3), stride=1, pad=1, pool=True),
+)
+FC6, FC7, FC8 = "classifier.1", "classifier.4", "classifier.6"
+FC6_SHAPE = (4096, 9216)
+
+
+def read_weights(path: Path) -> tuple[Weights, str]:
+    """Weights as float32 by torchvision's names, and the file's sha256. ModelError names the file and the layer."""
+    try:
+        if path.stat().st_size > MAX_WEIGHTS_BYTES:
+            raise ModelError(f"{path}: over {MAX_WEIGHTS_BYTES} bytes; AlexNet's weights take far less")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the weights: {error.strerror}") from None
+    raw = _read_npz(path, data) if path.suffix == ".npz" else _read_torch(path, data)
+    # Published checkpoints were saved from DataParallel, which puts "module." into the names.
+    weights = {name.replace("module.", ""): np.asarray(value, dtype=np.float32) for name, value in raw.items()}
+    _check_weights(path, weights)
+    return weights, hashlib.sha256(data).hexdigest()
+
+
+def _read_npz(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            claimed = sum(member.file_size for member in archive.infolist())
+        if claimed > MAX_WEIGHTS_BYTES:
+            raise ModelError(f"{path}: unpacks to {claimed} bytes; AlexNet's weights take far less")
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError) as error:
+        raise ModelError(f"{path}: not a whole .npz file: {error}") from None
+
+
+def _read_torch(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
+    try:
+        import torch
+    except ImportError:
+        raise ModelError(f"{path}: needs PyTorch to be read; pip install 'lookback[torch]'") from None
+    try:
+        checkpoint = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        state = checkpoint.get("state_dict", checkpoint)
+        return {name: value.numpy() for name, value in state.items()}
+    except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
+        raise ModelError(f"{path}: not a PyTorch checkpoint of weights: {str(error).splitlines()[0]}") from None
+
+
+def _check_weights(path: Path, weights: Weights) -> None:
+    """All layers up to fc6 in AlexNet's shapes; fc7 and fc8 in any width, if both are there."""
+    shapes: dict[str, tuple[int, ...]] = {conv.layer: conv.shape for conv in CONVS}
+    shapes[FC6] = FC6_SHAPE
+    if has_head(weights):
+        hidden, classes = weights[f"{FC7}.weight"].shape[0], weights[f"{FC8}.weight"].shape[0]
+        shapes |= {FC7: (hidden, FC6_SHAPE[0]), FC8: (classes, hidden)}
+    for layer, shape in shapes.items():
+        for name, wanted in ((f"{layer}.weight", shape), (f"{layer}.bias", shape[:1])):
+            if name not in weights:
+                raise ModelError(f"{path}: no {name}; these are not AlexNet's weights by torchvision's names")
+            if weights[name].shape != wanted:
+                raise ModelError(f"{path}: {name} has the shape {weights[name].shape}, AlexNet's is {wanted}")
+            if not np.isfinite(weights[name]).all():
+                raise ModelError(f"{path}: {name} has values that are not finite")
+
+
+def has_head(weights: Weights) -> bool:
+    """Whether fc7 and fc8, which make categories of fc6, are among the weights."""
+    return f"{FC7}.weight" in weights and f"{FC8}.weight" in weights
+
+
+def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
+    """Names of the categories, one a line; without a file they are numbered. Empty where there is no head.
+
+    Lines of Places365 ("/a/airport_terminal 2") lose their path and their number.
+    """
+    if not has_head(weights):
+        return ()
+    count = weights[f"{FC8}.weight"].shape[0]
+    if path is None:
+        return tuple(f"category {number}" for number in range(count))
+    try:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the labels: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelError(f"{path}: not UTF-8 text") from None
+    labels = tuple(re.sub(r"^/\w/|\s+\d+$", "", line) for line in lines if line)
+    if len(labels) != count:
+        raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
+    return labels
