@@ -1,8 +1,9 @@
 """Cameras: recorded feed, V4L2, OAK, or an installed plug-in (the simulator); all hand on a `Frame`.
 
-`recorded` plays a feed, `v4l2` and `oak` are devices, `newest` is the one thread that keeps only the newest
-frame of any of them, and `feed` is the file format. A further camera is a module with a class that has the two
-methods of `Camera`, and a line in `open_camera`; or, outside this package, an entry point `lookback.cameras`.
+`feed` is the file format (`feed_rows` its table) and `recorded` plays it. `v4l2` and `oak` are devices, which say in
+`settings` what they did not accept. `newest` is the one thread, which keeps only the newest frame of any of them and
+opens a lost camera again. A further camera is a module with a class that has the two methods of `Camera`, and a line in
+`open_camera`; or, outside this package, an entry point `lookback.cameras`.
 """
 
 from __future__ import annotations
@@ -33,13 +34,17 @@ class Frame:
 
 
 class Camera(Protocol):
-    """What every camera can do. Opening takes effect in the constructor, which raises SetupError or CameraLost."""
+    """What every camera can do; used by one thread, the one that opens it.
+
+    Opening takes effect in the constructor, which raises SetupError or CameraLost. The stamps and indices of its frames
+    strictly increase.
+    """
 
     differences: tuple[str, ...]
     """What the device did not accept, read back after opening: "fps: asked for 30, device gives 25"."""
 
     def read(self) -> Frame | None:
-        """Block until the next frame, at most `stall_timeout_s`; None at the end of a feed.
+        """Block until the next frame, at most `stall_timeout_s` for a device; None at the end of a feed.
 
         Raises FrameError for one unreadable frame (call again) and CameraLost when the camera is gone.
         """

@@ -11,6 +11,7 @@ import math
 import os
 import struct
 import time
+from collections.abc import Callable
 from typing import Final, Protocol
 
 import cv2
@@ -40,18 +41,15 @@ class Settings(Protocol):
 class V4l2Camera:
     """Opens a device, asks for the configured format, and reads back what it got into `differences`."""
 
-    def __init__(self, config: CameraConfig) -> None:
-        """Raises ConfigError when the device is no camera or may not be opened, CameraLost when it is not there."""
+    def __init__(
+        self, config: CameraConfig, open_capture: Callable[[CameraConfig], cv2.VideoCapture] | None = None
+    ) -> None:
+        """Open `config.device`, or what `open_capture` makes of it.
+
+        Raises ConfigError when the device is no camera or may not be opened, CameraLost when it is not there.
+        """
         self._device = config.device
-        check_is_camera(config.device)
-        # OpenCV waits 10 s for a dead camera unless told otherwise. It reads this once, at the first wait.
-        os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] = str(math.ceil(config.stall_timeout_s))
-        cv2.utils.logging.setLogLevel(
-            cv2.utils.logging.LOG_LEVEL_SILENT
-        )  # each of its warnings comes out as one of our errors
-        self._capture = cv2.VideoCapture(config.device, cv2.CAP_V4L2)
-        if not self._capture.isOpened():
-            raise CameraLost(f"{config.device}: OpenCV cannot open it; is another program using this camera?")
+        self._capture = (open_capture or open_device)(config)
         apply_settings(config, self._capture)
         self.differences = settings_differences(config, self._capture)
         self._index = 0
@@ -73,6 +71,18 @@ class V4l2Camera:
     def close(self) -> None:
         """Release the device; more than once is harmless."""
         self._capture.release()
+
+
+def open_device(config: CameraConfig) -> cv2.VideoCapture:
+    """Open a V4L2 device in OpenCV, to be read within `stall_timeout_s`; ConfigError or CameraLost."""
+    check_is_camera(config.device)
+    # OpenCV waits 10 s for a dead camera unless told otherwise. It reads this once, at the first wait.
+    os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] = str(math.ceil(config.stall_timeout_s))
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # its warnings come out as our errors
+    capture = cv2.VideoCapture(config.device, cv2.CAP_V4L2)
+    if not capture.isOpened():
+        raise CameraLost(f"{config.device}: OpenCV cannot open it; is another program using this camera?")
+    return capture
 
 
 def check_is_camera(device: str) -> None:

@@ -57,14 +57,14 @@ def oak_on_host() -> Callable[..., OakSource]:
     except ConfigError as error:
         pytest.skip(str(error))
 
-    def build(config: CameraConfig, fps: float = 200.0) -> OakSource:
+    def build(config: CameraConfig, fps: float = 50.0, loop: bool = False) -> OakSource:
         pipeline = dai.Pipeline(False)
         replay = pipeline.create(dai.node.ReplayVideo)
         replay.setReplayVideoFile(Path(config.device))
         replay.setOutFrameType(dai.ImgFrame.Type.BGR888i)
         replay.setSize(config.width, config.height)
         replay.setFps(fps)
-        replay.setLoop(False)
+        replay.setLoop(loop)
         return OakSource(pipeline, replay.out, f"replay of {config.device}")
 
     return build

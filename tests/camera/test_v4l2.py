@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import cv2
 import pytest
 
 from edge.camera import open_camera
-from edge.camera.v4l2 import apply_settings, monotonic_stamp_ns, settings_differences
+from edge.camera.v4l2 import V4l2Camera, apply_settings, monotonic_stamp_ns, settings_differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
 
@@ -41,6 +42,25 @@ def test_settings_are_read_back_and_each_that_differs_is_said(video_path: Path) 
         "fps: asked for 29.97, device gives 20",
     )
     capture.release()
+
+
+def test_frames_are_stamped_and_counted_until_no_more_come_and_the_camera_is_lost(video_path: Path) -> None:
+    # The same OpenCV class on a file in the device's place; what an unplugged device gives is what a file's end gives.
+    config = CameraConfig(device=str(video_path), width=64, height=48, fps=20.0)
+    camera = V4l2Camera(config, lambda config: cv2.VideoCapture(config.device))
+    assert camera.differences == ()
+    last_ns = time.monotonic_ns()
+    for index in range(12):
+        frame = camera.read()
+        assert frame is not None
+        assert frame.index == index == round((float(frame.image.mean()) - 20) / 16)
+        assert frame.image.shape == (48, 64, 3)
+        assert last_ns < frame.stamp_ns <= time.monotonic_ns()
+        last_ns = frame.stamp_ns
+    with pytest.raises(CameraLost, match=r"drive\.avi: no frame; it was unplugged, stopped, or is used by another"):
+        camera.read()
+    camera.close()
+    camera.close()
 
 
 @pytest.mark.parametrize(
