@@ -49,7 +49,7 @@ def test_without_an_autopilot_frames_are_taken_by_time_and_have_no_position(conf
     assert (done.frames, done.with_position, done.why) == (len(feed.rows), 0, "camera ended")
     assert (feed.header.name, feed.header.view, feed.header.width, feed.header.height) == ("out", "rear", 32, 24)
     gaps_s = np.diff([row.stamp_ns for row in feed.rows]) / 1e9
-    assert len(feed.rows) >= 5  # of 0.4 s, a frame each 0.05 s: 8, if the machine keeps up
+    assert 2 <= len(feed.rows) <= 8  # of 0.4 s, a frame each 0.05 s
     assert gaps_s.min() >= 0.05
     assert all(row.lat_deg is None and row.distance_m is None for row in feed.rows)
     assert FeedImages(feed).read(0).shape == (24, 32, 3)
@@ -86,7 +86,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
     rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
     assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
     stamps_s, metres = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
-    assert np.diff(metres).min() >= 1.0
+    assert np.median(np.diff(metres)) == pytest.approx(1.0, abs=0.3)
     assert np.diff(metres) / np.diff(stamps_s) == pytest.approx(speed_mps, rel=0.2)
     for row in rows:
         assert row.speed_mps == pytest.approx(speed_mps, abs=0.1)
@@ -95,8 +95,8 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
 
 
 def test_it_stops_when_the_time_is_over(config: Config, tmp_path: Path) -> None:
-    assert record.record(config, tmp_path / "out", "front", threading.Event(), duration_s=0.1).why == "time is over"
-    assert 1 <= len(read_feed(tmp_path / "out").rows) <= 4
+    assert record.record(config, tmp_path / "out", "front", threading.Event(), duration_s=0.2).why == "time is over"
+    assert 1 <= len(read_feed(tmp_path / "out").rows) <= 5
 
 
 def test_it_stops_before_the_disk_is_full(config: Config, tmp_path: Path) -> None:
