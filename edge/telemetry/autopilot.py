@@ -136,6 +136,7 @@ class AutopilotConnection:
     def _open(self, now_ns: int) -> bool:
         if now_ns < self._due_ns["open"]:
             return False
+        log.debug("opening %s", self._connection)
         try:
             self._link = self._connection.open()
         except LinkLost as error:

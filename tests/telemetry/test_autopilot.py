@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import TelemetryConfig
 from edge.errors import ConfigError
@@ -178,6 +179,7 @@ def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -
     rig.unplug()
     assert not rig.connection.send_fix(rig.fix())
     assert rig.connection.state == "closed"
+    assert not rig.connection.vehicle.connected
     assert not rig.journalled("fix_sent")
 
 
@@ -189,6 +191,19 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
     rig.run(3.0)
     assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
     assert rig.connection.positions_enabled
+
+
+@external
+def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
+    rig.run(4.0)
+    rig.autopilot.refuse_fixes_with = SILENT
+    assert rig.connection.send_fix(rig.fix())
+    denied = mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 197)
+    assert rig.pty is not None
+    rig.pty.send(MavlinkCodec(1, 1).encode(denied))
+    rig.run(0.5)
+    assert rig.connection.positions_enabled
+    assert not rig.journalled("fix_answered")
 
 
 @external
@@ -216,11 +231,14 @@ def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> No
 
 
 def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("DEBUG")
     rig.run(5.0)
     driven_m = rig.connection.vehicle.distance_m(rig.now_ns)
     rig.unplug()
     assert rig.run(1.0, lambda: rig.connection.state == "closed")
-    rig.run(20.0)
+    caplog.clear()
+    rig.run(40.0)
+    assert 4 <= len([record for record in caplog.records if "opening" in record.getMessage()]) <= 9, "with back-off"
     assert len([record for record in caplog.records if "trying again" in record.getMessage()]) <= 2
     rig.plug()
     assert rig.run(12.0, lambda: rig.connection.state == "up")

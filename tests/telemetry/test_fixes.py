@@ -101,3 +101,9 @@ def test_reads_that_never_end_with_a_frame_do_not_pile_up() -> None:
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak_bytes < len(frames) / 2
+
+
+def test_messages_that_the_dialect_does_not_know_are_left_out() -> None:
+    unknown = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x0F, 42, 0, 0])
+    beat = MavlinkCodec(1, 1).encode(fixes.heartbeat(4))
+    assert [message.get_type() for message in MavlinkCodec(1, 191).decode(unknown + beat)] == ["HEARTBEAT"]

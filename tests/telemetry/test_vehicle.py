@@ -200,19 +200,20 @@ def test_a_standing_vehicle_covers_no_distance_though_its_filter_jitters() -> No
     assert vehicle.distance_m(62 * S) == 0.0
 
 
-def test_an_answer_to_timesync_bounds_the_boot_clock_however_late_it_is_read() -> None:
+def test_our_timesync_answers_are_taken_and_those_of_others_are_not() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
-    # Boot is 100 s before our zero. Requests take 2 ms to get there; each answer is read 40 ms late.
-    for turn in range(20):
-        sent_ns = 2 * S + turn * S // 2
+    for sent_ns in range(2 * S, 8 * S, S // 2):
         vehicle.timesync_sent(sent_ns)
-        answered_ns = sent_ns + 2_000_000
-        answer = speaker.say(mavlink.MAVLink_timesync_message(answered_ns + 100 * S, sent_ns))
-        vehicle.handle(answer, answered_ns + 40_000_000)
-        stranger = speaker.say(mavlink.MAVLink_timesync_message(7, sent_ns - 1))
-        vehicle.handle(stranger, answered_ns)
-        # A stream that the turns of the loop catch 5 ms late at best.
-        received_ns = answered_ns + 50_000_000
-        vehicle.handle(speaker.position((received_ns + 100 * S) // 1_000_000 - 5), received_ns)
-    assert vehicle.boot_time_s(12 * S) == pytest.approx(112.0, abs=0.005)
+        answer = speaker.say(mavlink.MAVLink_timesync_message(sent_ns + 2_000_000 + 100 * S, sent_ns))
+        vehicle.handle(answer, sent_ns + 4_000_000)
+        stranger = speaker.say(mavlink.MAVLink_timesync_message(sent_ns + 130 * S, sent_ns - 1))
+        vehicle.handle(stranger, sent_ns + 5_000_000)
+    assert vehicle.boot_time_s(8 * S) == pytest.approx(108.0, abs=0.001)
+
+
+def test_the_autopilots_own_timesync_requests_tell_its_time() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    vehicle.handle(speaker.say(mavlink.MAVLink_timesync_message(0, 77 * S)), 2 * S)
+    assert vehicle.boot_time_s(3 * S) == pytest.approx(78.0)
