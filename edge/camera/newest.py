@@ -6,6 +6,7 @@ and a camera that is unplugged must come back without a restart.
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -115,6 +116,8 @@ class NewestFrame:
         self._thread.join(self._close_timeout_s)
 
     def _run(self) -> None:
+        # A signal that reached this thread would end a wait for a frame, which OpenCV reports as a lost camera.
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         back_offs_s = self._back_offs_s()
         try:
             while not self._stop.is_set():

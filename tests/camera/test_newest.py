@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Callable
 from itertools import count
@@ -211,9 +212,11 @@ def test_a_defect_in_a_camera_is_raised_where_it_can_be_reported() -> None:
 def test_one_thread_opens_reads_and_closes_the_camera() -> None:
     camera = ScriptedCamera(0, 1)
     opened_in = []
+    blocked: set[int] = set()
 
     def open_here() -> Camera:
         opened_in.append(threading.current_thread().name)
+        blocked.update(signal.pthread_sigmask(signal.SIG_BLOCK, []))
         return camera
 
     newest = NewestFrame(open_here)
@@ -221,3 +224,5 @@ def test_one_thread_opens_reads_and_closes_the_camera() -> None:
     newest.close()
     assert camera.closed.is_set()
     assert {*opened_in, *camera.threads} == {"camera"}
+    assert {signal.SIGTERM, signal.SIGINT, signal.SIGHUP} <= blocked  # they are for the main thread
+    assert signal.SIGTERM not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
