@@ -1,0 +1,140 @@
+"""Published recordings as feeds, and what is true between two of them.
+
+Each kind of recording is one small module with `open_traverse(path, options)`, whose docstring says where the layout
+is specified; `open_dataset` finds it by name.
+
+    a recording in its own layout -> Traverse -> importing.write_feed -> a feed, as the simulator writes it
+    two feeds -> truth.truth_between -> which rows show the same place
+
+A further layout is a module and a line in `KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedRow
+from edge.errors import FeedError
+
+View = Literal["front", "rear"]
+TruthKind = Literal["position", "index", "route"]
+
+
+class Pictures(Protocol):
+    """The pictures of a traverse, read when they are asked for; quickest in row order."""
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names the picture."""
+
+    def close(self) -> None:
+        """Release files; more than once is harmless."""
+
+
+@dataclass(frozen=True)
+class Traverse:
+    """One drive of a data set: rows as a feed has them, one for every picture, and the pictures.
+
+    rows: `file` says which picture a row is of; what is not known of a row is None. Where a data set gives metres
+    and not degrees, `extra` has `local_x_m` and `local_y_m`; where it gives the metres along a route that both
+    directions share, `route_m`; where its pictures are numbered alike in all traverses, `source_frame`.
+    """
+
+    name: str
+    view: View
+    source: str
+    rows: tuple[FeedRow, ...]
+    pictures: Pictures
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a layout leaves open; each kind takes some of them, see `KINDS`. None is the kind's own default."""
+
+    camera: str | None = None
+    """Which camera (RobotCar: stereo/left; KITTI: image_2) or topic (ROS)."""
+    positions: str | None = None
+    """Which positions: a file (a log, a CSV file, poses), a topic, or gps | ins (RobotCar)."""
+    names: Path | None = None
+    """A text file that lists the pictures to use, one name a line."""
+    fps: float | None = None
+    """Pictures a second, where the layout has no times."""
+    start_s: float | None = None
+    """Seconds from the log's first position to the video's first frame."""
+    crop_bottom: int | None = None
+    """Rows of pixels to cut off below, where the vehicle itself is seen."""
+    view: View | None = None
+    """Where the camera looks; the default is front, or what the camera's name says."""
+
+    def given(self) -> set[str]:
+        """Names of the options that are not None."""
+        return {option.name for option in fields(self) if getattr(self, option.name) is not None}
+
+
+@dataclass(frozen=True)
+class DatasetKind:
+    """One layout: its reader, what it takes, and the truth that is usual for it."""
+
+    module: str
+    what: str
+    truth: TruthKind
+    tolerance: float
+    """Metres; frames if truth is "index"."""
+    options: frozenset[str] = field(default=frozenset({"view"}))
+
+
+def _kind(module: str, what: str, truth: TruthKind, tolerance: float, *options: str) -> DatasetKind:
+    return DatasetKind(f"sim.datasets.{module}", what, truth, tolerance, frozenset({"view", *options}))
+
+
+KINDS: Mapping[str, DatasetKind] = MappingProxyType(
+    {
+        "robotcar": _kind(
+            "robotcar",
+            "Oxford RobotCar: folder of one traverse",
+            "position",
+            40.0,
+            "camera",
+            "positions",
+            "crop_bottom",
+        ),
+        "campus": _kind("campus", "frames and anchors.csv (University Campus)", "route", 20.0, "positions", "fps"),
+        "nordland": _kind("equal_index", "Nordland: a season's frames or video", "index", 10.0, "names", "fps"),
+        "gardens-point": _kind("equal_index", "Gardens Point: day_left, ...", "index", 2.0, "names", "fps"),
+        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "position", 25.0, "fps"),
+        "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "position", 10.0, "camera", "positions"),
+        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "position", 25.0, "fps"),
+        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "position", 25.0),
+        "video-log": _kind("video_log", "video, and a .tlog, .bin or .ulg", "position", 25.0, "positions", "start_s"),
+        "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "position", 25.0, "camera", "positions"),
+    }
+)
+
+
+def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> Traverse:
+    """Open one traverse of a data set.
+
+    FeedError names the file, the line or the option if anything is missing, malformed, or cannot be put together.
+    """
+    options = options or ReadOptions()
+    if kind not in KINDS:
+        raise FeedError(f"{kind}: no such kind of data set; it is one of {', '.join(sorted(KINDS))}")
+    unused = sorted(options.given() - KINDS[kind].options)
+    if unused:
+        raise FeedError(f"--{unused[0].replace('_', '-')}: means nothing for {kind}")
+    if not path.exists():
+        raise FeedError(f"{path}: no such file or folder")
+    try:
+        # Imported here, as each reader needs another library, and most people have one kind of recording.
+        traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path, options)
+    except ModuleNotFoundError as error:
+        raise FeedError(f"{kind}: needs the package {error.name}: pip install 'lookback[eval]'") from None
+    return traverse

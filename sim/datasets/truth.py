@@ -1,0 +1,139 @@
+"""Which rows of two traverses show the same place.
+
+Whatever the ground truth of a data set is, each row is put at a point, and two rows are of the same place if their
+points are no further apart than the tolerance:
+
+    position  metres east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own metres (KITTI)
+    route     metres along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
+              the simulator; the direction of travel does not matter
+    index     number of the frame, for traverses that were aligned frame by frame (Nordland, Gardens Point)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from edge.camera.feed import Feed, FeedRow
+from edge.errors import FeedError
+from edge.reference_map.route import east_north
+from sim.datasets import TruthKind
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where every row is, and how near is right.
+
+    query_at: (Q, k) float64, reference_at: (N, k) float64, in `unit` ("m" or "frames"); NaN where it is not known.
+    """
+
+    query_at: Floats
+    reference_at: Floats
+    tolerance: float
+    unit: str
+
+    def error(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Floats:
+        """How far apart the rows are, in `unit`, for arrays of rows that broadcast; NaN where it is not known."""
+        apart = self.query_at[np.asarray(query_rows)] - self.reference_at[np.asarray(reference_rows)]
+        return np.asarray(np.linalg.norm(apart, axis=-1))
+
+    def is_true(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the rows are of the same place; False where it is not known."""
+        return self.error(query_rows, reference_rows) <= self.tolerance
+
+    def true_rows(self, query_row: int) -> Rows:
+        """All reference rows that are right for a query row, ascending; empty if it is off the map."""
+        return np.flatnonzero(self.is_true(query_row, np.arange(len(self.reference_at))))
+
+    def nearest(self) -> tuple[Rows, Floats]:
+        """For each query row the nearest reference row and its error, (Q,) each; -1 and NaN where it is not known."""
+        nearest, error = np.full(len(self.query_at), -1, np.intp), np.full(len(self.query_at), np.nan)
+        known, placed = _known(self.reference_at), _known(self.query_at)
+        if known.size and placed.size:
+            error[placed], which = cKDTree(self.reference_at[known]).query(self.query_at[placed])
+            nearest[placed] = known[which]
+        return nearest, error
+
+    def on_map(self) -> NDArray[np.bool_]:
+        """(Q,): whether any reference row is right."""
+        return self.nearest()[1] <= self.tolerance
+
+    def take(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Truth:
+        """The truth between some of the rows, numbered anew."""
+        return replace(
+            self,
+            query_at=self.query_at[np.asarray(query_rows)],
+            reference_at=self.reference_at[np.asarray(reference_rows)],
+        )
+
+
+def _known(points: Floats) -> Rows:
+    return np.flatnonzero(np.isfinite(points).all(axis=1))
+
+
+def truth_between(kind: TruthKind, reference: Feed, query: Feed, tolerance: float) -> Truth:
+    """The truth between two feeds; tolerance in metres, or in frames if kind is "index".
+
+    FeedError names the feed that does not have what this kind of truth needs.
+    """
+    if not tolerance >= 0:
+        raise FeedError(f"tolerance: {tolerance:g} is not 0 or more")
+    points = {"position": _by_position, "route": _by_route, "index": _by_index}[kind]
+    reference_at, query_at = points(reference, query)
+    return Truth(query_at, reference_at, tolerance, "frames" if kind == "index" else "m")
+
+
+def _by_position(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
+    degrees = [_points(feed.rows, lambda row: (row.lat_deg, row.lon_deg)) for feed in (reference, query)]
+    if not any(_known(points).size for points in degrees):
+        return _by_columns(reference, query, ("local_x_m", "local_y_m"), "no positions")
+    _must_be_known(degrees, (reference, query), "no positions")
+    # One origin for both, so that the points can be compared.
+    metres = east_north(*np.concatenate(degrees).T)
+    return metres[: len(degrees[0])], metres[len(degrees[0]) :]
+
+
+def _by_route(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
+    return _by_columns(reference, query, ("route_m",), "no column route_m")
+
+
+def _by_columns(reference: Feed, query: Feed, columns: tuple[str, ...], lack: str) -> tuple[Floats, Floats]:
+    def point(row: FeedRow) -> tuple[float | None, ...]:
+        return tuple(_number(row.extra.get(column)) for column in columns)
+
+    points = [_points(feed.rows, point) for feed in (reference, query)]
+    _must_be_known(points, (reference, query), lack)
+    return points[0], points[1]
+
+
+def _must_be_known(points: Sequence[Floats], feeds: Sequence[Feed], lack: str) -> None:
+    for of_feed, feed in zip(points, feeds, strict=True):
+        if not _known(of_feed).size:
+            raise FeedError(f"{feed.path / 'frames.csv'}: {lack} in any row; use another kind of ground truth")
+
+
+def _by_index(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
+    if all("source_frame" in feed.rows[0].extra for feed in (reference, query)):
+        return _by_columns(reference, query, ("source_frame",), "no source_frame")
+    return (
+        np.arange(len(reference.rows), dtype=np.float64)[:, None],
+        np.arange(len(query.rows), dtype=np.float64)[:, None],
+    )
+
+
+def _points(rows: Sequence[FeedRow], point: Callable[[FeedRow], tuple[float | None, ...]]) -> Floats:
+    return np.array([[np.nan if value is None else value for value in point(row)] for row in rows], dtype=np.float64)
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return None
