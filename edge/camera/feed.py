@@ -34,7 +34,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["Feed", "FeedHeader", "FeedImages", "FeedRow", "FeedWriter", "read_feed"]
+__all__ = ["Feed", "FeedHeader", "FeedImages", "FeedRow", "FeedWriter", "read_feed", "read_picture"]
 
 JPEG_QUALITY = 92
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
@@ -110,6 +110,19 @@ def _read_header(file: Path) -> FeedHeader:
     return header
 
 
+def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
+    """A picture file as OpenCV reads it, (H, W, 3) uint8 BGR unless the flags say otherwise. FrameError names it."""
+    # imdecode of bytes, since imread prints its own warnings to stderr for a missing file.
+    try:
+        data = np.fromfile(file, dtype=np.uint8)
+    except OSError as error:
+        raise FrameError(f"{file}: cannot read it: {error.strerror}") from None
+    image = cv2.imdecode(data, flags) if data.size else None
+    if image is None:
+        raise FrameError(f"{file}: not a whole JPEG or PNG picture")
+    return np.asarray(image, dtype=np.uint8)
+
+
 class FeedImages:
     """The pictures of a feed, read in row order (video) or in any order (files)."""
 
@@ -130,22 +143,11 @@ class FeedImages:
             name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
         else:
             file = self._feed.path / self._feed.rows[index].file
-            name, image = str(file), self._read_file(file)
+            name, image = str(file), read_picture(file)
         height, width = image.shape[:2]
         if (width, height) != (header.width, header.height):
             raise FrameError(f"{name}: {width} x {height} pixels, and feed.toml says {header.width} x {header.height}")
         return image
-
-    def _read_file(self, file: Path) -> NDArray[np.uint8]:
-        # imdecode of bytes, since imread prints its own warnings to stderr for a missing file.
-        try:
-            data = np.fromfile(file, dtype=np.uint8)
-        except OSError as error:
-            raise FrameError(f"{file}: cannot read it: {error.strerror}") from None
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-        if image is None:
-            raise FrameError(f"{file}: not a whole JPEG or PNG picture")
-        return np.asarray(image, dtype=np.uint8)
 
     def _read_video(self, video: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
         if index != self._next_video_frame:
