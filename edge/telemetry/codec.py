@@ -49,4 +49,4 @@ class MavlinkCodec:
         if self._mavlink.buf_index > TRIM_BYTES:  # pymavlink only empties its buffer when a read ends with a frame
             del self._mavlink.buf[: self._mavlink.buf_index]
             self._mavlink.buf_index = 0
-        return [message for message in messages if message.get_msgId() >= 0 and message.get_srcSystem() != 0]
+        return [message for message in messages if message.get_msgId() >= 0]
