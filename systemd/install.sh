@@ -1,0 +1,187 @@
+#!/bin/sh
+# Install Lookback as a service, again or for the first time; see --help. For systems with systemd and Python 3.10 to
+# 3.13: Raspberry Pi OS, Debian, Ubuntu, Jetson Linux.
+set -eu
+umask 022 # the service's user reads what root installs
+
+here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
+prefix=/opt/lookback
+root=
+wheel=
+pypi=
+extras=
+python=/usr/bin/python3
+action=install
+purge=no
+
+usage() {
+    cat <<TEXT
+Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras oak] [--python PYTHON] [--root DIR]
+       install.sh --uninstall [--purge] [--root DIR]
+
+Installs or updates Lookback in $prefix with its service, user, udev rules and directories. Run it as root.
+A config that is there already is kept. A failed update leaves the old version in place.
+
+  --wheel FILE      install this wheel; otherwise the checkout that this script lies in
+  --pypi VERSION    install this version from PyPI
+  --extras NAMES    with these extras of the package, for example oak
+  --python PYTHON   the Python to use (default /usr/bin/python3)
+  --root DIR        put everything below DIR and touch nothing else: for packages and tests
+  --uninstall       remove it; the config, maps and journal stay
+  --purge           with --uninstall: remove the config, maps and journal as well
+TEXT
+}
+
+die() {
+    echo "install.sh: $*" >&2
+    exit 1
+}
+
+value_of() {
+    [ "$1" -ge 2 ] || die "$2 needs a value; see --help"
+}
+
+while [ $# -gt 0 ]; do
+    case $1 in
+        --wheel) value_of $# "$1"; wheel=$2; shift ;;
+        --pypi) value_of $# "$1"; pypi=$2; shift ;;
+        --extras) value_of $# "$1"; extras=$2; shift ;;
+        --python) value_of $# "$1"; python=$2; shift ;;
+        --root) value_of $# "$1"; root=${2%/}; shift ;;
+        --uninstall) action=uninstall ;;
+        --purge) purge=yes ;;
+        -h | --help) usage; exit 0 ;;
+        *) die "unknown option $1; see --help" ;;
+    esac
+    shift
+done
+[ "$purge" = no ] || [ "$action" = uninstall ] || die "--purge goes with --uninstall"
+[ -z "$wheel" ] || [ -z "$pypi" ] || die "--wheel and --pypi exclude each other"
+[ -z "$wheel" ] || [ -f "$wheel" ] || die "$wheel: no such file"
+[ -n "$root" ] || [ "$(id -u)" = 0 ] || die "run it as root: sudo $0"
+
+# With --root, files are put in place and nothing on this system is told of it.
+live() {
+    [ -z "$root" ] || return 0
+    "$@"
+}
+
+# For a system that is not running systemd now, such as an image being built: not an error.
+live_systemctl() {
+    if [ -d /run/systemd/system ]; then live systemctl "$@"; fi
+}
+
+put() { # put SOURCE TARGET: the same file again is no change
+    install -D -m 0644 "$here/$1" "$root$2"
+}
+
+what_to_install() { # prints a pip requirement; copies the checkout, as building in it would leave files there
+    if [ -n "$wheel" ]; then
+        spec=$(CDPATH='' cd -- "$(dirname -- "$wheel")" && pwd)/$(basename -- "$wheel")
+    elif [ -n "$pypi" ]; then
+        spec=lookback
+    else
+        [ -f "$here/../pyproject.toml" ] || die "no checkout around this script: use --wheel or --pypi"
+        mkdir "$work/source"
+        for name in pyproject.toml README.md LICENSE edge sim; do
+            [ ! -e "$here/../$name" ] || cp -R "$here/../$name" "$work/source/"
+        done
+        spec=$work/source
+    fi
+    [ -z "$extras" ] || spec="${spec}[$extras]"
+    [ -z "$pypi" ] || spec="$spec==$pypi"
+    echo "$spec"
+}
+
+make_venv() { # at $stage, with every path in it as if it were at $prefix
+    "$python" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' \
+        || die "$python is not Python 3.10 to 3.13; name one with --python"
+    home=$("$python" -c 'import sys; print(sys.base_prefix)')
+    case $home in
+        /home/* | /root/*) [ -n "$root" ] || die "$python lies in $home, which the service cannot see (ProtectHome)" ;;
+    esac
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
+    "$python" -m venv "$stage"
+    spec=$(what_to_install)
+    "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location "$spec"
+    grep -rlIF -- "$stage" "$stage/bin" "$stage/pyvenv.cfg" | while IFS= read -r file; do
+        sed -i "s|$stage|$prefix|g" "$file"
+    done
+    # The service cannot write here, so the compiled modules have to be here already.
+    "$stage/bin/python" -m compileall -q -s "$stage" -p "$prefix" "$stage/lib" || true
+}
+
+swap_venv() {
+    rm -rf "$root$prefix.old"
+    [ ! -e "$root$prefix" ] || mv "$root$prefix" "$root$prefix.old"
+    mv "$stage" "$root$prefix"
+    rm -rf "$root$prefix.old"
+}
+
+put_files() {
+    put lookback.service /etc/systemd/system/lookback.service
+    put lookback.sysusers /etc/sysusers.d/lookback.conf
+    put lookback.tmpfiles /etc/tmpfiles.d/lookback.conf
+    put 70-lookback.rules /etc/udev/rules.d/70-lookback.rules
+    version=$(systemctl --version 2>/dev/null | sed -n '1s/^systemd \([0-9]*\).*/\1/p')
+    if [ "${version:-0}" -ge 254 ]; then
+        put lookback-backoff.conf /etc/systemd/system/lookback.service.d/backoff.conf
+    fi
+    if [ ! -e "$root/etc/lookback/lookback.toml" ]; then
+        default=$(find "$root$prefix/lib" -path '*/site-packages/edge/default.toml')
+        [ -f "$default" ] || die "the package has no default.toml"
+        install -D -m 0640 "$default" "$root/etc/lookback/lookback.toml"
+    fi
+}
+
+reload_udev() {
+    if [ -S /run/udev/control ]; then
+        live udevadm control --reload
+        live udevadm trigger --subsystem-match=usb --subsystem-match=tty
+    fi
+}
+
+install_all() {
+    mkdir -p "$root$(dirname "$prefix")"
+    work=$(mktemp -d "$root$prefix.XXXXXX")
+    trap 'rm -rf "$work"' EXIT
+    trap 'exit 130' INT TERM
+    stage=$work/venv
+    make_venv
+    swap_venv
+    put_files
+    live systemd-sysusers lookback.conf
+    live systemd-tmpfiles --create lookback.conf
+    live reload_udev
+    live_systemctl daemon-reload
+    live_systemctl enable --quiet lookback.service
+    live_systemctl try-restart lookback.service
+    cat <<TEXT
+Lookback is installed in $root$prefix and starts at boot. Next:
+  1. edit  $root/etc/lookback/lookback.toml
+  2. check $prefix/bin/lookback check /etc/lookback/lookback.toml
+  3. make a map of the route, at the path that the config names (lookback record, lookback map build)
+  4. start systemctl start lookback, and watch it with journalctl -fu lookback
+TEXT
+}
+
+uninstall_all() {
+    if [ -e "$root/etc/systemd/system/lookback.service" ]; then
+        live_systemctl disable --now --quiet lookback.service
+    fi
+    rm -f "$root/etc/systemd/system/lookback.service" "$root/etc/sysusers.d/lookback.conf" \
+        "$root/etc/tmpfiles.d/lookback.conf" "$root/etc/udev/rules.d/70-lookback.rules" \
+        "$root/etc/systemd/system/lookback.service.d/backoff.conf"
+    rmdir "$root/etc/systemd/system/lookback.service.d" 2>/dev/null || true # kept with the admin's own drop-ins in it
+    rm -rf "$root$prefix" "$root$prefix.old"
+    live_systemctl daemon-reload
+    live reload_udev
+    if [ "$purge" = yes ]; then
+        rm -rf "$root/etc/lookback" "$root/var/lib/lookback"
+        echo "Lookback is removed, with its config, maps and journal."
+    else
+        echo "Lookback is removed; $root/etc/lookback and $root/var/lib/lookback are kept (--purge removes them)."
+    fi
+}
+
+"${action}_all"

@@ -1,0 +1,188 @@
+"""install.sh and build-deb.sh, run for real below a folder of their own.
+
+The package goes in without its dependencies (PIP_NO_DEPS), which pip would download: half a gigabyte of other
+people's files say nothing about the scripts. Building the package still takes setuptools from a package index.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import edge
+from edge.config import DEFAULT_TOML
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+INSTALL = SYSTEMD / "install.sh"
+BUILD_DEB = SYSTEMD / "build-deb.sh"
+CONFIG = Path("etc/lookback/lookback.toml")
+UNIT = Path("etc/systemd/system/lookback.service")
+
+
+def run(script: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PIP_NO_DEPS": "1"}
+    command = [str(script), *map(str, arguments)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout without the weights, which would be zipped and unzipped in every test."""
+    checkout = tmp_path_factory.mktemp("checkout")
+    shutil.copy(SYSTEMD.parent / "pyproject.toml", checkout)
+    (checkout / "README.md").touch()
+    for package in ("edge", "sim", "systemd"):
+        ignore = shutil.ignore_patterns("models", "__pycache__")
+        shutil.copytree(SYSTEMD.parent / package, checkout / package, ignore=ignore)
+    return checkout
+
+
+@pytest.fixture(scope="module")
+def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    source, folder = tmp_path_factory.mktemp("source") / "copy", tmp_path_factory.mktemp("wheel")
+    shutil.copytree(checkout, source)  # building leaves files in it
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(folder), str(source)]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "No matching distribution found for setuptools" in built.stderr:
+        pytest.skip("needs a package index, for setuptools")
+    assert built.returncode == 0, built.stderr
+    return next(folder.glob("lookback-*.whl"))
+
+
+@pytest.fixture(scope="module")
+def root(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system with Lookback installed once; no test leaves it changed."""
+    root = tmp_path_factory.mktemp("root")
+    install(root, "--wheel", str(wheel))
+    return root
+
+
+def install(root: Path, *source: str, script: Path = INSTALL) -> None:
+    result = run(script, "--root", root, *source, "--python", sys.executable)
+    assert result.returncode == 0, result.stderr
+
+
+def files_under(root: Path) -> dict[str, tuple[int, bytes]]:
+    """Path, mode and content of every file that is not inside the virtual environment's libraries."""
+    paths = [path for path in root.rglob("*") if path.is_file() and "lib" not in path.relative_to(root).parts]
+    return {str(path.relative_to(root)): (path.stat().st_mode, path.read_bytes()) for path in paths}
+
+
+def test_puts_every_file_in_its_place(root: Path) -> None:
+    found = set(files_under(root))
+    assert {
+        str(CONFIG),
+        str(UNIT),
+        "etc/sysusers.d/lookback.conf",
+        "etc/tmpfiles.d/lookback.conf",
+        "etc/udev/rules.d/70-lookback.rules",
+        "opt/lookback/bin/lookback",
+    } <= found
+    assert (root / CONFIG).read_bytes() == DEFAULT_TOML.read_bytes()
+    assert (root / CONFIG).stat().st_mode & 0o777 == 0o640
+
+
+def test_the_environment_is_at_home_in_opt(root: Path) -> None:
+    """It was built elsewhere, and no path in it may say so."""
+    venv = root / "opt/lookback"
+    assert (venv / "bin/lookback").read_text().splitlines()[0] == "#!/opt/lookback/bin/python"
+    for file in [venv / "pyvenv.cfg", *(path for path in (venv / "bin").iterdir() if not path.is_symlink())]:
+        assert str(root) not in file.read_text(), file
+    command = [str(venv / "bin/python"), "-c", "from importlib.metadata import version; print(version('lookback'))"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == edge.__version__
+    assert list((venv / "lib").rglob("edge/__pycache__/daemon.*.pyc"))
+
+
+def test_the_unit_starts_what_was_installed(root: Path) -> None:
+    line = next(line for line in (root / UNIT).read_text().splitlines() if line.startswith("ExecStart="))
+    program, _, config = line.removeprefix("ExecStart=").split()
+    assert (root / program.lstrip("/")).is_file()
+    assert (root / config.lstrip("/")).is_file()
+
+
+def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> None:
+    """The config is the admin's by now; and nothing is left in the checkout."""
+    (root / CONFIG).write_text("[camera]\nkind = 'oak'\n")
+    before, before_there = files_under(root), set(checkout.rglob("*"))
+    install(root, script=checkout / "systemd" / INSTALL.name)
+    assert files_under(root) == before
+    assert set(checkout.rglob("*")) == before_there
+    shutil.copy(DEFAULT_TOML, root / CONFIG)
+
+
+def test_a_failed_update_leaves_the_old_version(root: Path, tmp_path: Path) -> None:
+    before = files_under(root)
+    broken = tmp_path / f"lookback-{edge.__version__}-py3-none-any.whl"
+    broken.write_bytes(b"not a wheel")
+    result = run(INSTALL, "--root", root, "--wheel", broken, "--python", sys.executable)
+    assert result.returncode != 0
+    assert files_under(root) == before
+    assert [path.name for path in (root / "opt").iterdir()] == ["lookback"]
+
+
+def test_uninstall_keeps_what_is_the_users_and_purge_does_not(root: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(root, tmp_path / "root", symlinks=True)
+    state = root / "var/lib/lookback/events.jsonl"
+    state.parent.mkdir(parents=True)
+    state.write_text("{}\n")
+    for _ in range(2):
+        assert run(INSTALL, "--uninstall", "--root", root).returncode == 0
+        assert {path for path in root.rglob("*") if path.is_file()} == {root / CONFIG, state}
+    assert run(INSTALL, "--uninstall", "--purge", "--root", root).returncode == 0
+    assert [path for path in root.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--frobnicate"], "unknown option --frobnicate; see --help"),
+        (["--purge"], "--purge goes with --uninstall"),
+        (["--wheel"], "--wheel needs a value; see --help"),
+        (["--wheel", "missing.whl"], "missing.whl: no such file"),
+        (["--root", "x", "--python", "/bin/false"], "/bin/false is not Python 3.10 to 3.13; name one with --python"),
+    ],
+)
+def test_bad_arguments(arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run(INSTALL, *arguments)
+    assert (result.returncode, result.stderr) == (1, f"install.sh: {message}\n")
+
+
+def test_deb_carries_it_all(wheel: Path, tmp_path: Path) -> None:
+    if shutil.which("dpkg-deb") is None:
+        pytest.skip("needs dpkg-deb")
+    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", sys.executable)
+    assert result.returncode == 0, result.stderr
+    (package,) = tmp_path.glob("*.deb")
+    unpacked = tmp_path / "unpacked"
+    subprocess.run(["dpkg-deb", "--raw-extract", package, unpacked], check=True)
+    control = (unpacked / "DEBIAN/control").read_text()
+    minor = sys.version_info.minor
+    assert f"Version: {edge.__version__}\n" in control
+    assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
+    assert (unpacked / "DEBIAN/conffiles").read_text() == f"/{CONFIG}\n"
+    assert (unpacked / CONFIG).read_bytes() == DEFAULT_TOML.read_bytes()
+    for file in (
+        "opt/lookback/bin/lookback",
+        "usr/lib/systemd/system/lookback.service",
+        "usr/lib/sysusers.d/lookback.conf",
+        "usr/lib/tmpfiles.d/lookback.conf",
+        "usr/lib/udev/rules.d/70-lookback.rules",
+    ):
+        assert (unpacked / file).is_file(), file
+    assert (unpacked / "opt/lookback/bin/lookback").read_text().startswith("#!/opt/lookback/bin/python\n")
+
+
+@pytest.mark.parametrize("script", [INSTALL, BUILD_DEB], ids=lambda path: path.name)
+def test_shellcheck(script: Path) -> None:
+    tool = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    if tool is None:
+        pytest.skip("needs shellcheck")
+    result = subprocess.run([tool, script], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout
