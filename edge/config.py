@@ -31,6 +31,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[camera]: which camera, and what is asked of it."""
 
     kind: str = "v4l2"
+    view: Literal["front", "rear"] = "front"
     device: str = "/dev/video0"
     width: Annotated[int, Meta(ge=16, le=8192)] = 640
     height: Annotated[int, Meta(ge=16, le=8192)] = 480
@@ -56,7 +57,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     normalization: Literal["online", "none"] = "online"
     renormalize_ring: bool = True
-    standing_change: Annotated[float, Meta(ge=0, le=1)] = 0.002
+    standing_change: Annotated[float, Meta(ge=0, le=1)] = 0.005
 
 
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,11 +69,11 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[sequence]: the search of eq. 2 and 3."""
 
-    length: Annotated[int, Meta(ge=2, le=500)] = 20
+    length: Annotated[int, Meta(ge=2, le=500)] = 40
     slope_limit_rad: Annotated[float, Meta(ge=0, le=0.6)] = 0.2
     slopes: Annotated[int, Meta(ge=1, le=101)] = 21
     directions: Literal["both", "forward", "reverse"] = "both"
-    region_order: Literal["sequence", "frame"] = "sequence"
+    region_order: Literal["rig", "sequence", "frame"] = "rig"
     max_gap_s: Positive = 30.0
 
 
@@ -100,6 +101,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     sigma_m: Positive = 10.0
     journal: str = "/var/lib/lookback/events.jsonl"
+    journal_frames: bool = False
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):

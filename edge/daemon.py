@@ -20,6 +20,7 @@ from edge.camera import Frame, open_camera
 from edge.camera.newest import NewestFrame
 from edge.config import Config, load_config
 from edge.descriptor.network import Head, Network
+from edge.observation import observation
 from edge.recognizer import PlaceMatch, PlaceRecognizer, State
 from edge.reference_map.store import open_map
 from edge.sampling import Sampler
@@ -64,13 +65,15 @@ class Daemon:
         self._config = config
         self._times = StageTimes()
         network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        self._recognizer = PlaceRecognizer(
-            network, Head.load(network), open_map(Path(config.map.path)), config, self._times.lap
-        )
+        reference_map = open_map(Path(config.map.path))
+        self._map_rows: list[int] = reference_map.places["row"].tolist()
+        self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
         self._sampler = Sampler(config.sampling)
         self._record: Callable[[msgspec.Struct], object] = lambda record: None
+        self._journal: Journal | None = None
         if config.telemetry.journal:
-            self._record = parts.enter_context(closing(Journal(Path(config.telemetry.journal)))).write
+            self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
+            self._record = self._journal.write
         self._autopilot = parts.enter_context(
             closing(AutopilotConnection(config.telemetry, clock_ns, record=self._record))
         )
@@ -98,6 +101,9 @@ class Daemon:
         self._frames_used += 1
         match = self._recognizer.observe(frame.image, frame.stamp_ns)
         self._tell_state(self._recognizer.state)
+        if self._journal and self._config.telemetry.journal_frames:
+            seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
+            self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
         if match is not None and match.event:
             self._events += 1
             self._tell_place(match, frame.stamp_ns)

@@ -99,7 +99,7 @@ def _add_feed(
     *,
     must_have_distance: bool,
 ) -> None:
-    builder.begin_segment(feed.header.name)
+    builder.begin_segment(feed.header.name, feed.header.view)
     chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame") as progress:
         for item in chosen:
@@ -187,7 +187,7 @@ def _info(args: argparse.Namespace) -> int:
     print(f"sampling  {sampling[header.sampling.by]}")
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
     for segment in header.segments:
-        print(f"segment   {segment.start} to {segment.end - 1}: {segment.source}")
+        print(f"segment   {segment.start} to {segment.end - 1}: {segment.source}, {segment.view} view")
     print(f"size      {total_mb:.1f} MB, {header.files['descriptors.i8'].bytes / 1e6:.1f} MB of it for matching")
     return 0
 

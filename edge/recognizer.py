@@ -19,10 +19,10 @@ from edge.descriptor.regions import cut_regions
 from edge.errors import MapError
 from edge.reference_map.costs import COST_ONE, CostMatcher
 from edge.reference_map.route import Route
-from edge.reference_map.store import ModelKey, ReferenceMap
-from edge.sequence import Direction, Order, SequenceMatch
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Order, Plane, SequenceMatch
 from edge.sequence.acceptance import HoldOff, Neighbourhood, best_match
-from edge.sequence.search import ORDERS, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import SequenceSearch, slopes_around_diagonal
 
 State = Literal["warming up", "on the map", "off the map", "standing"]
 
@@ -72,14 +72,14 @@ class PlaceRecognizer:
         header = reference_map.header
         self._matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
         sequence = config.sequence
-        directions: tuple[Direction, ...] = ("forward", "reverse")
         self._per_frame_order = sequence.region_order == "frame"
+        planes, possible = _planes(header, config)
         self._search = SequenceSearch(
             [(segment.start, segment.end) for segment in header.segments],
-            orders=1 if self._per_frame_order else self._matcher.orders,
-            length=sequence.length,
-            slopes=slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes),
-            directions=directions if sequence.directions == "both" else (sequence.directions,),
+            planes,
+            sequence.length,
+            slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes),
+            possible,
         )
         self._neighbourhood = Neighbourhood(
             self._route.east_north_m, self._route.route_m, self._route.segment_of, config.acceptance
@@ -111,7 +111,7 @@ class PlaceRecognizer:
         costs = self._push(raw)
         self._stopwatch("matching")
         lines = self._search.lines()
-        match = lines and best_match(self._search, lines, self._neighbourhood, self._config.acceptance)
+        match = best_match(self._search, lines, self._neighbourhood, self._config.acceptance) if lines else None
         self._stopwatch("search")
         if match is None:
             self.state = "warming up"
@@ -145,7 +145,8 @@ class PlaceRecognizer:
             self._search.refill(searched)
         else:
             self._search.push(searched[-1])
-        return costs[-1]
+        newest: NDArray[np.int32] = costs[-1]
+        return newest
 
     def _report(
         self, match: SequenceMatch, costs: NDArray[np.int32], raw: NDArray[np.float32], stamp_ns: int
@@ -169,6 +170,24 @@ class PlaceRecognizer:
             event=event,
             category=self._head.categories(raw)[0] if event else None,
         )
+
+
+def _planes(header: MapHeader, config: Config) -> tuple[list[Plane], NDArray[np.bool_]]:
+    """The directions and region orders to search in, and where in the map (planes, N) each of them is possible."""
+    sequence = config.sequence
+    # One region has no order; and where the better order of each frame counts, the search sees but one.
+    orders = ORDERS if header.regions.count == 2 and sequence.region_order != "frame" else ORDERS[:1]
+    directions: tuple[Direction, ...] = ("forward", "reverse")
+    planes = [
+        (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
+    ]
+    possible = np.ones((len(planes), header.places), dtype=bool)
+    if sequence.region_order == "rig" and len(orders) == 2:
+        for segment in header.segments:
+            allowed = VIEWS_ALIKE if segment.view == config.camera.view else VIEWS_OPPOSED
+            possible[:, segment.start : segment.end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
+    used = np.flatnonzero(possible.any(axis=1))
+    return [planes[index] for index in used], possible[used]
 
 
 def model_key(network: Network) -> ModelKey:

@@ -14,32 +14,10 @@ from edge.camera.feed import Feed, read_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Head, Network
 from edge.map_command import add_spacing_options, sampling_from
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.observation import Observation, observation
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import MapHeader, open_map
-from edge.sequence import Direction, Order
 from edge.traverse import traverse
-
-
-class ReplayLine(msgspec.Struct, frozen=True):
-    """One used frame as replay writes it; the fields of the match are null while there is none.
-
-    frame: row of the query's feed. place: row of the map. map_row: that place's row in the feed it came from.
-    """
-
-    frame: int
-    stamp_ns: int
-    place: int | None = None
-    map_row: int | None = None
-    accepted: bool = False
-    event: bool = False
-    uniqueness: float | None = None
-    distance: float | None = None
-    direction: Direction | None = None
-    order: Order | None = None
-    lat_deg: float | None = None
-    lon_deg: float | None = None
-    heading_deg: float | None = None
-    category: str | None = None
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -59,11 +37,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def replay(
     recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig, map_rows: list[int]
-) -> Iterator[ReplayLine]:
+) -> Iterator[Observation]:
     """Every used frame of the feed, in order; `map_rows` are the feed rows of the map's places."""
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        yield _line(item.frame.index, item.frame.stamp_ns, match, map_rows)
+        yield observation(item.frame.index, item.frame.stamp_ns, match, map_rows)
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
@@ -90,27 +68,6 @@ def with_options(config: Config, length: int | None, uniqueness_min: float | Non
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
-def _line(frame: int, stamp_ns: int, match: PlaceMatch | None, map_rows: list[int]) -> ReplayLine:
-    if match is None:
-        return ReplayLine(frame, stamp_ns)
-    return ReplayLine(
-        frame=frame,
-        stamp_ns=stamp_ns,
-        place=match.place,
-        map_row=map_rows[match.place],
-        accepted=match.accepted,
-        event=match.event,
-        uniqueness=round(match.uniqueness, 6),
-        distance=round(match.distance, 6),
-        direction=match.direction,
-        order=match.order,
-        lat_deg=match.lat_deg,
-        lon_deg=match.lon_deg,
-        heading_deg=match.heading_deg,
-        category=match.category,
-    )
-
-
 def _run(args: argparse.Namespace) -> int:
     feed = read_feed(args.feed)
     reference_map = open_map(args.map)
@@ -119,6 +76,8 @@ def _run(args: argparse.Namespace) -> int:
     else:
         config = config_for_map(reference_map.header, args.sequence_length, args.uniqueness_min)
     sampling = sampling_from(args, config.sampling)
+    # The feed knows where its camera looked.
+    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
     network = Network.load(args.model or (Path(config.descriptor.model) if config.descriptor.model else None))
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
     lines = replay(recognizer, feed, sampling, reference_map.places["row"].tolist())
@@ -130,7 +89,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(lines: Iterator[ReplayLine], stream: TextIO, *, every: bool) -> None:
+def _write(lines: Iterator[Observation], stream: TextIO, *, every: bool) -> None:
     for line in lines:
-        if every or line.event:
+        if every or line.emitted:
             stream.write(msgspec.json.encode(line).decode() + "\n")

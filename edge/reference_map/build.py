@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -71,10 +72,10 @@ class MapBuilder:
         except OSError as error:
             raise MapError(f"{path}: cannot write a map here: {error.strerror}") from None
 
-    def begin_segment(self, source: str) -> None:
+    def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
         """Start a further drive; sequences are never searched across its beginning."""
         count = len(self._records)
-        self._segments.append(Segment(count, count, source))
+        self._segments.append(Segment(count, count, view, source))
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment."""
@@ -91,7 +92,7 @@ class MapBuilder:
             raise MapError(f"{other.path}: made with another model or other regions, so it cannot be joined")
         raw = other.raw()
         for segment in other.header.segments:
-            self.begin_segment(segment.source)
+            self.begin_segment(segment.source, segment.view)
             for index in range(segment.start, segment.end):
                 record = other.places[index]
                 place = Place(

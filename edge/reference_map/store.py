@@ -77,10 +77,11 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Places [start, end) of one drive; a trajectory never crosses from one segment to the next."""
+    """Places [start, end) of one drive, and where its camera looked; no trajectory crosses into the next segment."""
 
     start: int
     end: int
+    view: Literal["front", "rear"]
     source: str
 
 

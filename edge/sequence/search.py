@@ -16,16 +16,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import Direction, Order
+from edge.sequence import ORDERS, Direction, Plane
 
 NO_LINE = np.iinfo(np.int32).max
 """Cost of a place at which no whole line ends."""
-
-ORDERS: tuple[Order, ...] = ("same", "swapped")
 
 
 def slopes_around_diagonal(limit_rad: float, count: int) -> tuple[float, ...]:
@@ -53,21 +52,23 @@ class SequenceSearch:
     def __init__(
         self,
         segments: Sequence[tuple[int, int]],
-        orders: int,
+        planes: Sequence[Plane],
         length: int,
         slopes: Sequence[float],
-        directions: Sequence[Direction],
+        possible: NDArray[np.bool_] | None = None,
     ) -> None:
-        """`segments` are the map's [start, end) in order; `orders` is the number of region orders in a cost row."""
+        """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
+
+        possible: (planes, N), whether a line of that plane may end at that place; everywhere if None.
+        """
         self.length = length
-        self.planes: tuple[tuple[Direction, Order], ...] = tuple(
-            (direction, order) for direction in directions for order in ORDERS[:orders]
-        )
-        self._orders = orders
+        self.planes = tuple(planes)
         self._slopes = tuple(slopes)
-        self._directions = tuple(directions)
         self._places = segments[-1][1]
-        self._room = np.stack([_room(segments, direction) for direction in directions]).repeat(orders, axis=0)
+        room = np.stack([_room(segments)[direction] for direction, _ in self.planes])
+        if possible is not None:
+            room[~np.stack([self._mirror(plane, row) for plane, row in zip(self.planes, possible, strict=True)])] = -1
+        self._room = room
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
         self._sums = np.zeros((len(self._slopes), len(self.planes), self._places), dtype=np.int32)
         self._spare = np.empty_like(self._sums)
@@ -86,7 +87,7 @@ class SequenceSearch:
         frame = self._frame
         slot = frame % self.length
         leaving = self._ring[slot].copy()  # the row of frame T-L, all zero while the ring is filling
-        self._ring[slot] = self._mirrored(costs)
+        self._ring[slot] = self._by_plane(costs)
         entering = self._ring[slot]
         for k, slope in enumerate(self._slopes):
             step = _rounded(slope, frame) - _rounded(slope, frame - 1)
@@ -108,7 +109,7 @@ class SequenceSearch:
         for age, costs in enumerate(rows[::-1]):
             frame = self._frame - age
             row = self._ring[frame % self.length]
-            row[:] = self._mirrored(costs)
+            row[:] = self._by_plane(costs)
             for k, slope in enumerate(self._slopes):
                 offset = _rounded(slope, self._frame) - _rounded(slope, frame)
                 if offset < self._places:
@@ -123,16 +124,17 @@ class SequenceSearch:
         for k, slope in enumerate(self._slopes):
             offset = _rounded(slope, self._frame) - _rounded(slope, first)
             np.minimum(best, self._sums[k], out=best, where=self._room >= offset)
-        # Mirrored planes back into the map's order.
-        for index, (direction, _) in enumerate(self.planes):
-            if direction == "reverse":
-                best[index] = best[index, ::-1].copy()
-        planes = best.argmin(axis=0)
-        return Lines(np.take_along_axis(best, planes[np.newaxis], axis=0)[0], planes, self.length)
+        in_map_order = np.stack([self._mirror(plane, row) for plane, row in zip(self.planes, best, strict=True)])
+        which = in_map_order.argmin(axis=0)
+        return Lines(np.take_along_axis(in_map_order, which[np.newaxis], axis=0)[0], which, self.length)
 
-    def _mirrored(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
-        """One cost row (orders, N) for every plane, mirrored for the way back: (planes, N)."""
-        return np.concatenate([costs if direction == "forward" else costs[:, ::-1] for direction in self._directions])
+    def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
+        """One cost row (orders, N) as each plane needs it: (planes, N), mirrored for the way back."""
+        return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])
+
+    @staticmethod
+    def _mirror(plane: Plane, row: NDArray[Any]) -> NDArray[Any]:
+        return row[::-1] if plane[0] == "reverse" else row
 
 
 def _rounded(slope: float, frame: int) -> int:
@@ -145,9 +147,10 @@ def _shift(source: NDArray[np.int32], step: int, out: NDArray[np.int32]) -> None
     out[:, step:] = source[:, : max(0, source.shape[1] - step)]
 
 
-def _room(segments: Sequence[tuple[int, int]], direction: Direction) -> NDArray[np.int32]:
+def _room(segments: Sequence[tuple[int, int]]) -> dict[Direction, NDArray[np.int32]]:
     """How many places a line that ends here may reach back before it leaves its segment: (N,) in search order."""
     lengths = [end - start for start, end in segments]
-    if direction == "reverse":
-        lengths.reverse()
-    return np.concatenate([np.arange(length, dtype=np.int32) for length in lengths])
+    return {
+        "forward": np.concatenate([np.arange(length, dtype=np.int32) for length in lengths]),
+        "reverse": np.concatenate([np.arange(length, dtype=np.int32) for length in lengths[::-1]]),
+    }

@@ -31,7 +31,7 @@ def build(path: Path, raw: np.ndarray, segments: int = 1, *, replace: bool = Fal
     """A map of places 2 m apart going north, thumbnails "0", "11", "222"..."""
     with MapBuilder(path, MODEL, REGIONS, SamplingConfig(), replace=replace) as builder:
         for number, part in enumerate(np.array_split(raw, segments)):
-            builder.begin_segment(f"drive {number}")
+            builder.begin_segment(f"drive {number}", "rear")
             for index, descriptor in enumerate(part):
                 place = Place(
                     row=index,
@@ -126,7 +126,7 @@ def test_every_truncation_is_noticed(small_map: Path) -> None:
         ({"format": "other"}, "format"),
         ({"places": 10**12}, "descriptors.i8 should have"),
         ({"places": -1}, "should have"),
-        ({"segments": [{"start": 0, "end": 5, "source": ""}]}, "segments"),
+        ({"segments": [{"start": 0, "end": 5, "view": "rear", "source": ""}]}, "segments"),
         ({"surprise": 1}, "surprise"),
         ({"places": "many"}, "places"),
     ],
@@ -159,7 +159,7 @@ def test_replacing_needs_the_word_and_a_map(small_map: Path, tmp_path: Path) -> 
 
 def test_a_build_that_fails_leaves_the_old_map_and_nothing_else(small_map: Path) -> None:
     with pytest.raises(RuntimeError), MapBuilder(small_map, MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
-        builder.begin_segment("x")
+        builder.begin_segment("x", "rear")
         builder.add(raw_descriptors(1)[0], Place(row=0))
         raise RuntimeError
     with pytest.raises(MapError, match="at least 2 places"):

@@ -15,7 +15,7 @@ CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
 
 
 def match(costs: np.ndarray, neighbourhood: Neighbourhood, config: AcceptanceConfig = CONFIG):
-    search = SequenceSearch([(0, 100)], 1, 5, (1.0,), ("forward", "reverse"))
+    search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
     lines = Lines(costs.astype(np.int32), np.zeros(100, dtype=np.intp), 5)
     return best_match(search, lines, neighbourhood, config)
 

@@ -1,0 +1,55 @@
+"""One used frame and what was recognised in it, as `replay --all` writes it and as the journal can keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from edge.recognizer import PlaceMatch
+from edge.sequence import Direction, Order
+
+
+class Observation(msgspec.Struct, frozen=True):
+    """The fields after `emitted` are null while there is no match (warming up, standing).
+
+    frame: the camera's index, or the row of the query's feed. place: row of the map. map_row: that place's row in the
+    feed it came from. accepted: the place is believed. emitted: it went out as an event. category: of events.
+    """
+
+    frame: int
+    stamp_ns: int
+    accepted: bool = False
+    emitted: bool = False
+    place: int | None = None
+    map_row: int | None = None
+    uniqueness: float | None = None
+    distance: float | None = None
+    direction: Direction | None = None
+    order: Order | None = None
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    heading_deg: float | None = None
+    category: str | None = None
+
+
+def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, map_rows: Sequence[int]) -> Observation:
+    """The record of one frame; `map_rows` are the feed rows of the map's places."""
+    if match is None:
+        return Observation(frame, stamp_ns)
+    return Observation(
+        frame=frame,
+        stamp_ns=stamp_ns,
+        accepted=match.accepted,
+        emitted=match.event,
+        place=match.place,
+        map_row=map_rows[match.place],
+        uniqueness=round(match.uniqueness, 6),
+        distance=round(match.distance, 6),
+        direction=match.direction,
+        order=match.order,
+        lat_deg=match.lat_deg,
+        lon_deg=match.lon_deg,
+        heading_deg=match.heading_deg,
+        category=match.category,
+    )
