@@ -120,7 +120,7 @@ def _offsets(settings: SeqslamSettings) -> NDArray[np.intp]:
     """Places passed at each frame of each trajectory, (K, length + 1): one for every whole end offset, rounded down."""
     length = settings.length
     ends = np.arange(settings.slope_min * length, settings.slope_max * length + 1e-9)
-    offsets: NDArray[np.intp] = np.floor(np.arange(length + 1) * (ends / length)[:, np.newaxis]).astype(np.intp)
+    offsets: NDArray[np.intp] = np.floor(np.arange(length + 1) * (ends / max(length, 1))[:, np.newaxis]).astype(np.intp)
     return offsets
 
 

@@ -1,0 +1,150 @@
+"""One method on one pair of traverses: what it answered, and how much of it was right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import SamplingConfig, SequenceConfig
+from sim.evaluation.bootstrap import Resampling
+from sim.evaluation.descriptions import Descriptions, Raw
+from sim.evaluation.matching import (
+    FloatMatcher,
+    Matches,
+    errors_of,
+    int8_matcher,
+    judge,
+    match,
+    match_seqslam,
+    neighbourhood_of,
+    planes_of,
+)
+from sim.evaluation.methods import Method, find_method, needs_segments, query_rows, reference_rows
+from sim.evaluation.metrics import Answers
+from sim.evaluation.networks import Precision
+from sim.evaluation.plan import Pair, Plan
+from sim.evaluation.traverses import Traverse, place_coordinates, true_errors
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Answers of a method on a pair.
+
+    errors: (Q, N) true distance of every query to every place. length: frames of a sequence. answers: judged from the
+    first query on that ends a whole sequence, number `length` - 1; matches and errors have all queries.
+    """
+
+    pair: Pair
+    method: Method
+    length: int
+    reference: Traverse
+    query: Traverse
+    matches: Matches
+    errors: NDArray[np.float64]
+    answers: Answers
+
+    @property
+    def first(self) -> int:
+        """The first query that is judged."""
+        return self.length - 1
+
+    def error_of_best(self) -> NDArray[np.float64]:
+        """(Q,) true distance of each answer, inf where there is none."""
+        return errors_of(self.matches.place[:, np.newaxis], self.errors)[:, 0]
+
+
+class Bench:
+    """Runs the methods of a plan; traverses and descriptors are read and made once, when they are first needed."""
+
+    def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
+        """open_traverse(name, sampling) reads a traverse of the plan."""
+        self.plan = plan
+        self.descriptions = descriptions
+        self._open_traverse = open_traverse
+        self._traverses: dict[tuple[str, SamplingConfig], Traverse] = {}
+        self._external = sorted({name for traverse in plan.traverses.values() for name in traverse.external})
+
+    def method(self, text: str) -> Method:
+        """A row of the table; ConfigError if there is none of that name."""
+        return find_method(text, list(self.plan.networks), self._external)
+
+    def traverse(self, name: str, sampling: SamplingConfig | None = None) -> Traverse:
+        """A traverse of the plan, sampled as the plan says or otherwise."""
+        key = (name, sampling or self.plan.sampling)
+        if key not in self._traverses:
+            self._traverses[key] = self._open_traverse(*key)
+        return self._traverses[key]
+
+    def sequence_length(self, pair: Pair, sampling: SamplingConfig | None = None) -> int:
+        """Frames of a sequence of this pair."""
+        if pair.length is not None:
+            return pair.length
+        return max(1, round((pair.length_m or 0.0) / (sampling or self.plan.sampling).spacing_m))
+
+    def resampling(self, length: int) -> Resampling:
+        """Blocks of two sequences: what one sequence saw, the next but one did not."""
+        return Resampling(block=2 * length, resamples=self.plan.resamples)
+
+    def run(
+        self,
+        pair: Pair,
+        text: str,
+        *,
+        length: int | None = None,
+        spacing_m: float | None = None,
+        precision: Precision | None = None,
+    ) -> Outcome:
+        """One method on one pair; the options change what the plan says. `precision` is of network and descriptors."""
+        method = self.method(text)
+        sampling = self.plan.sampling
+        if spacing_m is not None:
+            sampling = msgspec.structs.replace(sampling, by="distance", spacing_m=spacing_m)
+        reference, query = self.traverse(pair.reference, sampling), self.traverse(pair.query, sampling)
+        length = length or self.sequence_length(pair, sampling)
+        matches = self._match(pair, method, reference, query, length, precision)
+        errors = true_errors(reference, query, pair)
+        answers = judge(matches, errors, pair.tolerance, length - 1)
+        return Outcome(pair, method, length, reference, query, matches, errors, answers)
+
+    def _match(
+        self,
+        pair: Pair,
+        method: Method,
+        reference: Traverse,
+        query: Traverse,
+        length: int,
+        precision: Precision | None,
+    ) -> Matches:
+        ground, along = place_coordinates(reference, pair)
+        # Uniqueness asks for the best elsewhere, and elsewhere begins at twice the tolerance.
+        window = 2 * pair.tolerance
+        if method.layer == "pixels":
+            places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
+            return match_seqslam(reference.pixels, query.pixels, length, places, centred=method.centred)
+        described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
+        matcher = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
+        earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None
+        rows = query_rows(
+            method,
+            self._raw(method, query, precision),
+            length,
+            segments=self._segments(method, query),
+            earlier=self._raw(method, earlier, precision) if earlier else None,
+        )
+        views_alike = reference.feed.header.view == query.feed.header.view
+        planes = planes_of(method.order, regions=described.shape[1], views_alike=views_alike)
+        sequence = SequenceConfig(length=length, region_order=method.order)
+        return match(rows, matcher, neighbourhood_of(ground, along, window), planes, sequence)
+
+    def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
+        if method.layer == "external":
+            return self.descriptions.external(traverse, method.external)
+        assert method.layer != "pixels"
+        return self.descriptions.raw(traverse, method.network, method.layer, method.regions, precision)
+
+    def _segments(self, method: Method, traverse: Traverse) -> list[tuple[int, int]]:
+        return self.descriptions.segments(traverse, method.network) if needs_segments(method) else []

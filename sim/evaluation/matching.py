@@ -1,0 +1,212 @@
+"""From descriptors to answers with the recogniser's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, SequenceConfig
+from edge.descriptor.normalize import NormalizedRows
+from edge.reference_map.costs import COST_ONE, CostMatcher, quantize, squared_norms
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Plane
+from edge.sequence.acceptance import Neighbourhood, best_match
+from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
+from sim.evaluation import seqslam
+from sim.evaluation.metrics import Answers
+
+CANDIDATES = 10
+DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
+LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What a method answers to each query of a traverse.
+
+    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is surer, NaN without one.
+    reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
+    costs: (Q, N) float32 cost of each query to each place, before any sequence, for pictures.
+    """
+
+    place: NDArray[np.intp]
+    confidence: NDArray[np.float64]
+    reverse: NDArray[np.bool_]
+    candidates: NDArray[np.intp]
+    costs: NDArray[np.float32]
+
+
+class Matcher(Protocol):
+    """What `match` needs of `CostMatcher`, `FloatMatcher` and costs given: the rows' costs (n, orders, N) int32."""
+
+    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Costs of query rows (n, R, D), or of whatever the rows are."""
+        ...
+
+
+class FloatMatcher:
+    """`CostMatcher` on float descriptors: what int8 descriptors are compared with."""
+
+    def __init__(self, descriptors: NDArray[np.float32]) -> None:
+        """descriptors (N, R, D)."""
+        self._orders = descriptors.shape[1]
+        self._unit = _unit(descriptors.reshape(len(descriptors), -1))
+
+    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
+        """As `CostMatcher.costs`: (n, R, D) -> (n, orders, N), COST_ONE for a query that is all zero."""
+        orders = [query, query[:, ::-1]][: self._orders]
+        cosines = [_unit(one.reshape(len(query), -1)) @ self._unit.T for one in orders]
+        return np.asarray(np.rint((1.0 - np.stack(cosines, axis=1)) * COST_ONE).astype(np.int32))
+
+
+def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
+    """The recogniser's matcher on descriptors (N, R, D), quantised as a map keeps them."""
+    quantized = quantize(descriptors).reshape(len(descriptors), -1)
+    return CostMatcher(quantized, squared_norms(quantized), descriptors.shape[1])
+
+
+def match(
+    rows: Iterable[NormalizedRows],
+    matcher: Matcher,
+    neighbourhood: Neighbourhood,
+    planes: Sequence[Plane],
+    sequence: SequenceConfig,
+) -> Matches:
+    """Search every frame of a query as `PlaceRecognizer` does."""
+    places = len(neighbourhood.around(0))
+    per_frame = sequence.region_order == "frame"
+    slopes = slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes)
+    search = SequenceSearch([(0, places)], planes, sequence.length, slopes)
+    found = []
+    for change in rows:
+        costs = matcher.costs(change.rows)
+        searched = costs.min(axis=1, keepdims=True) if per_frame else costs
+        if change.replaces_ring:
+            search.refill(searched)
+        else:
+            search.push(searched[-1])
+        found.append((*_answer(search, neighbourhood), costs[-1].min(axis=0).astype(np.float32)))
+    return _gather(found)
+
+
+def planes_of(order: str, *, regions: int, views_alike: bool) -> tuple[Plane, ...]:
+    """Directions and region orders that a method searches in; whole images and `frame` have no order to tell."""
+    if regions == 1 or order == "frame":
+        return tuple((direction, "same") for direction in DIRECTIONS)
+    if order == "rig":
+        return VIEWS_ALIKE if views_alike else VIEWS_OPPOSED
+    return tuple((direction, one) for direction in DIRECTIONS for one in ORDERS)
+
+
+def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
+    """Search a cost matrix (reference x query) of any origin; costs that are not negative keep their ratios."""
+    least, most = float(costs.min()), float(costs.max())
+    low = min(least, 0.0)
+    scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
+    rows = (NormalizedRows(row[np.newaxis, np.newaxis], replaces_ring=False) for row in scaled)
+    places = np.arange(len(costs), dtype=np.float64)
+    near = neighbourhood_of(np.full((len(costs), 2), np.nan), places, window_places)
+    return match(rows, _Given(), near, planes_of("frame", regions=1, views_alike=True), sequence)
+
+
+def neighbourhood_of(ground: NDArray[np.float64], along: NDArray[np.float64], window: float) -> Neighbourhood:
+    """Places of one drive that are within `window` of each other, in the unit of `place_coordinates`."""
+    return Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), AcceptanceConfig(window_m=window))
+
+
+def match_seqslam(
+    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centred: bool
+) -> Matches:
+    """SeqSLAM on frames as it describes them, (N, 32, 64) and (Q, 32, 64).
+
+    Centred is as published, forward only and with its own window. Causal looks both ways along the map, with the
+    window in which the other methods take places for the same, so that the two may be compared.
+    """
+    differences = seqslam.difference_matrix(reference, query)
+    ds = 2 * ((length - 1) // 2)  # its window is centred, and has one frame more
+    if centred:
+        enhanced = seqslam.enhance_contrast(differences, 10)
+        return _from_seqslam(seqslam.search(enhanced, seqslam.SeqslamSettings(length=ds)), differences)
+    settings = seqslam.SeqslamSettings(length=ds, window=2 * window, mode="causal")
+    enhanced = seqslam.enhance_contrast(differences, settings.contrast_window)
+    forward = _from_seqslam(seqslam.search(enhanced, settings), differences)
+    mirrored = _from_seqslam(seqslam.search(enhanced[::-1], settings), differences)
+    return _better_way(forward, mirrored, len(reference))
+
+
+class _Given:
+    """A matcher of rows that are costs already."""
+
+    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
+        return query.astype(np.int32)
+
+
+_Answer = tuple[int, float, bool, NDArray[np.intp]]
+
+
+def _answer(search: SequenceSearch, neighbourhood: Neighbourhood) -> _Answer:
+    lines = search.lines()
+    best = best_match(search, lines, neighbourhood, AcceptanceConfig()) if lines else None
+    if lines is None or best is None:
+        return -1, float("nan"), False, np.full(CANDIDATES, -1)
+    return best.place, best.uniqueness, best.direction == "reverse", _lowest(lines.costs, NO_LINE)
+
+
+def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
+    """The CANDIDATES places of lowest cost, -1 where there are no more."""
+    order = np.argsort(costs, kind="stable")[:CANDIDATES]
+    out = np.full(CANDIDATES, -1)
+    out[: len(order)] = np.where(costs[order] == none, -1, order)
+    return out
+
+
+def _gather(found: list[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
+    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
+    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
+
+
+def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
+    shift = matches.place - matches.scores.argmin(axis=1)  # of the answer against its trajectory's start
+    starts = np.stack([_lowest(scores, np.inf) for scores in matches.scores])
+    candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
+    candidates[candidates >= len(differences)] = -1
+    # Smaller ratios are surer; best over second best, so its inverse is the uniqueness of the others.
+    confidence = -matches.ratio
+    return Matches(matches.place, confidence, np.zeros(len(confidence), np.bool_), candidates, differences.T)
+
+
+def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
+    """Of each query, the direction in which it is the surer; `mirrored` numbers places from the far end."""
+    back = np.nan_to_num(mirrored.confidence, nan=-np.inf) > np.nan_to_num(forward.confidence, nan=-np.inf)
+    swapped = np.where(mirrored.candidates < 0, -1, places - 1 - mirrored.candidates)
+    return Matches(
+        place=np.where(back, places - 1 - mirrored.place, forward.place),
+        confidence=np.where(back, mirrored.confidence, forward.confidence),
+        reverse=back,
+        candidates=np.where(back[:, np.newaxis], swapped, forward.candidates),
+        costs=forward.costs,
+    )
+
+
+def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, first: int) -> Answers:
+    """Hold matches against the true errors (Q, N), from query `first` on (before it no whole sequence was seen)."""
+    best = errors_of(matches.place[:, np.newaxis], errors)[:, 0]
+    return Answers(
+        confidence=matches.confidence[first:],
+        correct=(best <= tolerance)[first:],
+        has_truth=(errors.min(axis=1) <= tolerance)[first:],
+    )
+
+
+def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """True error of each candidate, (Q, K) places -> (Q, K); inf where there is none (-1)."""
+    picked = np.take_along_axis(errors, np.maximum(places, 0), axis=1)
+    return np.where(places < 0, np.inf, picked)
+
+
+def _unit(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0))

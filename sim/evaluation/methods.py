@@ -1,0 +1,156 @@
+"""The table of methods: a named row each, and what each makes of raw descriptors.
+
+Raw descriptors (n, R, D) of a whole traverse go in; out come those of the reference, and of the query frame by frame,
+in the form in which the recogniser's own cost matcher and search take them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.descriptor.normalize import NormalizedRows, OnlineNormalizer, RunningStatistics, normalize
+from edge.descriptor.regions import Regions
+from edge.errors import ConfigError
+
+Raw = NDArray[np.float32]
+Runs = Sequence[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table.
+
+    layer: what describes a frame; "pixels" is SeqSLAM, "external" descriptors that another program made.
+    reference: how the map is normalised: not at all, over its whole set (eq. 1), or within semantic segments.
+    query: the same; or online (section III-B), or online with the ring normalised again ("ring", Lookback's default).
+    deviation: False takes out the mean only. warm: statistics go on from an earlier drive.
+    order: the lower cost of the two region orders in each frame (the paper), one order for a whole sequence, or the
+    one that the two cameras' views allow in that direction of travel ("rig").
+    centred: SeqSLAM looks half a sequence ahead, and forward only, as published; else back, and both ways.
+    says: the row in words.
+    """
+
+    name: str
+    says: str
+    layer: Literal["conv3", "fc6", "external", "pixels"] = "fc6"
+    regions: Regions = "whole"
+    reference: Literal["none", "set", "segments"] = "set"
+    query: Literal["none", "set", "segments", "online", "ring"] = "online"
+    deviation: bool = True
+    warm: bool = False
+    order: Literal["frame", "sequence", "rig"] = "frame"
+    centred: bool = False
+    network: str = ""
+    external: str = ""
+
+
+def _raw(method: Method) -> Method:
+    return replace(method, reference="none", query="none")
+
+
+def _rows() -> Iterator[Method]:
+    yield _raw(Method("Raw-conv3", "conv3 of the whole image as it is", "conv3"))
+    yield Method("NSD-conv3", "conv3, normalised (reference over its set, query online)", "conv3")
+    yield _raw(Method("Raw-fc6", "fc6 of the whole image as it is"))
+    yield Method("NSD-fc6", "fc6, normalised (reference over its set, query online)")
+    yield _raw(Method("Raw-CR", "fc6 of left and right regions as it is", regions="left-right"))
+    yield Method("NSD-CR", "fc6 of left and right regions, normalised: the paper's best", regions="left-right")
+    yield Method("NSD-conv3/batch", "NSD-conv3, query over its whole set too", "conv3", query="set")
+    yield Method("NSD-fc6/batch", "NSD-fc6, query over its whole set too", query="set")
+    yield Method("NSD-CR/batch", "NSD-CR, query over its whole set too", regions="left-right", query="set")
+    yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalised again", query="ring")
+    yield Method("NSD-CR/ring", "NSD-CR, the ring normalised again", regions="left-right", query="ring")
+    yield Method("NSD-CR/order", "NSD-CR, one region order a sequence", regions="left-right", order="sequence")
+    lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows: what `run` does", query="ring")
+    yield replace(lookback, regions="left-right", order="rig")
+    yield Method("mean-fc6", "fc6 less its mean, query online", deviation=False)
+    yield Method("mean-fc6/batch", "fc6 less its mean, both over their sets", query="set", deviation=False)
+    warm = Method(
+        "NSD-fc6/warm", "NSD-fc6/ring, its statistics going on from an earlier drive", query="ring", warm=True
+    )
+    yield warm
+    yield replace(warm, name="NSD-CR/warm", says="NSD-CR/ring, its statistics going on from one", regions="left-right")
+    yield Method("NSD-fc6/segments", "fc6, normalised within semantic segments", reference="segments", query="segments")
+    yield _raw(Method("SeqSLAM", "as published: centred, forward only, its own parameters", "pixels", centred=True))
+    yield _raw(Method("SeqSLAM/causal", "SeqSLAM without the future, both directions", "pixels"))
+
+
+METHODS: dict[str, Method] = {method.name: method for method in _rows()}
+
+
+def find_method(text: str, networks: Sequence[str], external: Sequence[str]) -> Method:
+    """The row of that name: NAME, NAME@NETWORK, or Raw-X and NSD-X[/batch] of external descriptors X.
+
+    ConfigError lists what there is.
+    """
+    name, _, network = text.partition("@")
+    network = network or networks[0]
+    if network not in networks:
+        raise ConfigError(f"method {text!r}: no network {network!r}; there are {', '.join(networks)}")
+    if name in METHODS:
+        return replace(METHODS[name], name=text, network=network)
+    form, _, rest = name.partition("-")
+    source, _, batch = rest.partition("/")
+    if source in external and (form, batch) in (("Raw", ""), ("NSD", ""), ("NSD", "batch")):
+        pattern = METHODS[f"{form}-fc6{'/batch' if batch else ''}"]
+        return replace(pattern, name=text, says=f"{source} in place of fc6", layer="external", external=source)
+    raise ConfigError(f"method {text!r}: no such row; there are {', '.join(METHODS)}, and Raw-X, NSD-X of external X")
+
+
+def needs_segments(method: Method) -> bool:
+    """Whether the method asks which frames show one kind of place."""
+    return "segments" in (method.reference, method.query)
+
+
+def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
+    """The reference's descriptors (N, R, D) as the method matches them."""
+    # A map keeps raw descriptors in half precision and is normalised from those.
+    raw = raw.astype(np.float16).astype(np.float32)
+    if method.reference == "none":
+        return raw
+    return _normalized_apart(raw, segments if method.reference == "segments" else [(0, len(raw))], method.deviation)
+
+
+def query_rows(
+    method: Method, raw: Raw, length: int, *, segments: Runs = (), earlier: Raw | None = None
+) -> Iterator[NormalizedRows]:
+    """What each query frame changes in the ring, in order.
+
+    `earlier` are raw descriptors of the drive whose statistics a warm method starts with.
+    """
+    if method.query in ("none", "set", "segments"):
+        apart = segments if method.query == "segments" else [(0, len(raw))]
+        rows = raw if method.query == "none" else _normalized_apart(raw, apart, method.deviation)
+        yield from (NormalizedRows(row[np.newaxis], replaces_ring=False) for row in rows)
+    elif not method.deviation:
+        yield from _mean_only(raw)
+    else:
+        # A ring of one frame is normalised with the newest statistics anyway.
+        normalizer = OnlineNormalizer(length, renormalize_ring=method.query == "ring" and length > 1)
+        for one in earlier if method.warm and earlier is not None else ():
+            normalizer.push(one)
+        normalizer.clear_ring()
+        yield from map(normalizer.push, raw)
+
+
+def _normalized_apart(raw: Raw, runs: Runs, deviation: bool) -> Raw:
+    """Equation 1 within each run of frames."""
+    out = np.empty_like(raw)
+    for start, end in runs:
+        part = raw[start:end]
+        spread = part.std(axis=0, dtype=np.float64) if deviation else np.ones(raw.shape[1:])
+        out[start:end] = normalize(part, part.mean(axis=0, dtype=np.float64), spread)
+    return out
+
+
+def _mean_only(raw: Raw) -> Iterator[NormalizedRows]:
+    statistics = RunningStatistics((raw.shape[1], raw.shape[2]))
+    for one in raw:
+        statistics.update(one)
+        rows = normalize(one[np.newaxis], statistics.mean, np.ones(one.shape))
+        yield NormalizedRows(rows, replaces_ring=False)

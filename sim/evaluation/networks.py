@@ -1,0 +1,92 @@
+"""The networks of a plan: files that `lookback model import` wrote, or graphs made of the weights on the spot."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from edge.descriptor import model_import, quantize
+from edge.descriptor.model_file import HEAD_FILE, ModelFile, ModelInfo, resolve_model
+from edge.descriptor.network import Head, Network
+from edge.descriptor.weights import Weights, has_head, read_labels, read_weights
+from edge.errors import ConfigError
+from sim.evaluation.plan import NetworkPlan
+
+Tap = Literal["fc6", "conv3"]
+Precision = Literal["int8", "float32"]
+
+
+def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision | None) -> Network:
+    """A layer of a network in int8 or float32; in None, int8 if that can be had. ConfigError says what is missing."""
+    wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
+    for one in wanted:
+        file = resolve_model(folder / plan.model if plan.model else None, f"{tap}_{one}.onnx")
+        if file.is_file():
+            return Network.load(file)
+        if plan.weights and (one == "float32" or plan.ranges):
+            return Network(_make(plan, folder, tap, one))
+    raise ConfigError(
+        f"[networks.{name}]: has no {tap} in {' or '.join(wanted)}; give it weights, or import it with"
+        f" `lookback model import --tap {tap}`"
+    )
+
+
+def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> Head:
+    """The categories of a network's fc6. ConfigError if neither its folder nor its weights have them."""
+    if network.path.with_name(HEAD_FILE).is_file():
+        return Head.load(network)
+    weights, sha256 = _weights(folder / plan.weights)
+    if not has_head(weights):
+        raise ConfigError(f"[networks.{name}]: neither {HEAD_FILE} nor weights of fc7 and fc8, so no categories")
+    labels = read_labels(None, weights)
+    info = msgspec.structs.replace(
+        _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
+    )
+    info = msgspec.structs.replace(info, tap="categories")
+    data = model_import.build_head(weights, info).SerializeToString(deterministic=True)
+    return Head(ModelFile(folder / plan.weights, data, info), network.info)
+
+
+def read_plan_weights(name: str, plan: NetworkPlan, folder: Path) -> Weights:
+    """The float weights of a network; ConfigError if the plan gives none."""
+    if not plan.weights:
+        raise ConfigError(f"[networks.{name}]: needs weights for class activation maps")
+    return _weights(folder / plan.weights)[0]
+
+
+def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
+    weights, sha256 = _weights(folder / plan.weights)
+    info = _info(plan, tap, precision, sha256)
+    model = model_import.build_float(weights, info)
+    if precision == "int8":
+        model = quantize.quantize(model, quantize.read_ranges(folder / plan.ranges), info)
+    data = model.SerializeToString(deterministic=True)
+    info = msgspec.structs.replace(info, sha256=hashlib.sha256(data).hexdigest())
+    return ModelFile(folder / plan.weights, data, info)
+
+
+@lru_cache(maxsize=2)
+def _weights(path: Path) -> tuple[Weights, str]:
+    return read_weights(path)
+
+
+def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> ModelInfo:
+    return ModelInfo(
+        name=Path(plan.weights).name.partition(".")[0],
+        tap=tap,
+        dimensions=model_import.DIMENSIONS[tap],
+        precision=precision,
+        input_size=model_import.INPUT_SIZE,
+        channel_order="BGR",
+        mean_rgb=model_import.MEAN_RGB,
+        std_rgb=model_import.STD_RGB,
+        labels=(),
+        licence="as that of the weights",
+        source=plan.weights,
+        weights_sha256=sha256,
+        calibration=plan.ranges,
+    )

@@ -1,0 +1,191 @@
+"""A plan: which traverses, which pairs of them, which methods, which experiments. One TOML file, checked whole.
+
+title = "My street"
+methods = ["Raw-conv3", "Raw-fc6", "NSD-fc6", "NSD-CR", "SeqSLAM"]   # rows of METHODS, or NAME@NETWORK
+region_width = 0.4          # of each region of NSD-CR, fraction of the picture
+resamples = 1000            # of the bootstrap
+radii = [10.0, 20.0, 40.0]  # of recall@K, metres or frames as the pair has it
+
+[sampling]                  # as in Lookback's configuration
+by = "distance"
+spacing_m = 2.0
+
+[networks.places100]        # the first is the default; "" is the shipped model
+model = ""                  # a folder or file that `lookback model import` wrote
+weights = "alexnet.npz"     # makes float networks, and layers that the folder has not got
+
+[traverses.day_rear]
+feed = "day_rear"           # under --feeds, or beside the plan; or instead:
+scenario = "day_rear.toml"  # a drive of the simulator, rendered once
+
+[[pairs]]
+name = "front against rear, dusk"
+reference = "day_rear"
+query = "dusk_front"
+truth = "positions"         # or rows, route_m, anchors, see `Pair`
+tolerance = 40.0            # metres; frames with truth = "rows" or "anchors"
+length_m = 40.0             # of a sequence; or length = 20, in frames
+figure = "fig. 5"           # of the paper, that this is like
+
+[experiments]               # all optional, see `Experiments`
+sequence_lengths = [5, 10, 20, 40]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+
+from edge.config import SamplingConfig
+from edge.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Truth = Literal["positions", "rows", "route_m", "anchors"]
+Length = Annotated[int, Meta(ge=1, le=500)]
+Positive = Annotated[float, Meta(gt=0)]
+Named = TypeVar("Named")
+
+
+class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
+    """[networks.NAME]: where a network's layers are. `ranges` (JSON) lets int8 layers be made of the weights too."""
+
+    model: str = ""
+    weights: str = ""
+    ranges: str = ""
+
+
+class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
+    """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
+
+    external: name -> .npy of descriptors (rows of the feed, D) that another program made; methods Raw-NAME, NSD-NAME.
+    """
+
+    feed: str = ""
+    scenario: str = ""
+    external: dict[str, str] = {}
+
+
+class Pair(Struct, frozen=True, forbid_unknown_fields=True):
+    """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
+
+    truth: positions (latitude and longitude of both feeds, metres); route_m (a column of both, metres along one
+    route); rows (equal row of the feed, frames); anchors (frames). anchors: [row of the query, row of the reference] in
+    the order of the query, interpolated between; queries outside have no truth. loop: rows of the reference after
+    which it is at its first place again, 0 where it is no loop; anchors then go on counting from lap to lap.
+    warm_start: a traverse that this vehicle drove before, for the statistics of methods that start warm.
+    figure: of the paper; published: method -> its max-F1 there, shown beside ours as from another data set unless
+    `dataset` says that this is the paper's own.
+    """
+
+    name: str
+    reference: str
+    query: str
+    truth: Truth
+    tolerance: Positive = 40.0
+    length: Length | None = None
+    length_m: Positive | None = None
+    anchors: list[tuple[float, float]] = []
+    loop: Annotated[int, Meta(ge=0)] = 0
+    warm_start: str = ""
+    figure: str = ""
+    dataset: str = ""
+    published: dict[str, float] = {}
+
+
+class ActivationMap(Struct, frozen=True, forbid_unknown_fields=True):
+    """[[experiments.activation_maps]]: a picture whose top-3 categories are looked into (fig. 10)."""
+
+    traverse: str
+    row: Annotated[int, Meta(ge=0)] = 0
+
+
+class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
+    """[experiments]: what is done besides every method on every pair.
+
+    sequence_lengths: frames (fig. 12), with sweep_methods; spacings_m: places this far apart, with sweep_methods.
+    cold_start: right answers by thirds of the drive. int8: int8 against float for these methods.
+    standing: names of pairs whose query is also driven in frames as recorded, with halts, with and without the gate.
+    pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
+    whose difference is told from noise.
+    """
+
+    sequence_lengths: list[Length] = []
+    spacings_m: list[Positive] = []
+    sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
+    cold_start: list[str] = []
+    int8: list[str] = []
+    standing: list[str] = []
+    pca: list[str] = []
+    activation_maps: list[ActivationMap] = []
+    better_than: list[tuple[str, str]] = []
+
+
+class Plan(Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole plan."""
+
+    title: str
+    methods: Annotated[list[str], Meta(min_length=1)]
+    traverses: dict[str, TraversePlan]
+    pairs: Annotated[list[Pair], Meta(min_length=1)]
+    networks: dict[str, NetworkPlan] = {}
+    sampling: SamplingConfig = SamplingConfig()
+    region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
+    resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000
+    radii: tuple[Positive, ...] = (10.0, 20.0, 40.0)
+    notes: str = ""
+    experiments: Experiments = Experiments()
+
+
+def load_plan(path: Path) -> Plan:
+    """Read and check a plan; ConfigError names the file and the key, in one line."""
+    try:
+        plan = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Plan)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read the plan: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    except msgspec.ValidationError as error:
+        what, _, key = str(error).partition(" - at `$")
+        where = key.rstrip("`").lstrip(".")
+        raise ConfigError(f"{path}: {where + ': ' if where else ''}{what[:1].lower()}{what[1:]}") from None
+    _check_names(path, plan)
+    return plan
+
+
+def _check_names(path: Path, plan: Plan) -> None:
+    """Everything that is named is there; ConfigError otherwise."""
+    for name, traverse in plan.traverses.items():
+        if bool(traverse.feed) == bool(traverse.scenario):
+            raise ConfigError(f"{path}: traverses.{name}: needs a feed or a scenario, and not both")
+    for index, pair in enumerate(plan.pairs):
+        where = f"{path}: pairs[{index}] {pair.name!r}"
+        for key, name in (("reference", pair.reference), ("query", pair.query), ("warm_start", pair.warm_start)):
+            if name or key != "warm_start":
+                named(f"{where}: {key}", name, plan.traverses)
+        if (pair.length is None) == (pair.length_m is None):
+            raise ConfigError(f"{where}: needs length (frames) or length_m, and not both")
+        if pair.length_m is not None and plan.sampling.by != "distance":
+            raise ConfigError(f'{where}: length_m needs [sampling] by = "distance"; give length, in frames')
+        rows = [query for query, _ in pair.anchors]
+        if (pair.truth == "anchors") != (len(rows) >= 2) or rows != sorted(set(rows)):
+            raise ConfigError(f'{where}: truth = "anchors" needs two or more anchors, the query\'s rows in order')
+    experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
+    for name in experiments.standing:
+        named(f"{path}: experiments.standing", name, pairs)
+    for name in [*experiments.pca, *(item.traverse for item in experiments.activation_maps)]:
+        named(f"{path}: experiments", name, plan.traverses)
+
+
+def named(where: str, name: str, known: dict[str, Named]) -> Named:
+    """The one of that name; ConfigError lists the names there are."""
+    if name not in known:
+        raise ConfigError(f"{where}: no {name!r}; there are {', '.join(known)}")
+    return known[name]
