@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from edge.errors import ConfigError
 from sim import autopilot_command
+from sim.datasets import commands as dataset_commands
 from sim.recording import times_by_distance, times_by_rate, write_feed
 from sim.scenario import load_scenario
 
@@ -26,6 +27,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     pace.add_argument("--fps", metavar="HZ", type=float, help="instead, HZ frames a second")
     drive.set_defaults(run=record_drive)
     autopilot_command.add_command(sim_commands)
+    dataset_commands.add_command(sim_commands)
 
 
 def record_drive(args: argparse.Namespace) -> int:

@@ -16,8 +16,10 @@ class Light:
 
     sun_azimuth_deg, sun_elevation_deg: where the sun stands; sun and ambient: its light and the sky's.
     fog_per_m: how much of a thing's colour turns into `fog` in each metre. lamps: strength of street lamps.
-    lit_share: share of the windows that are lit. gain: the sensor's, by colour. noise: standard deviation of a
-    pixel (of 255). blur_px: of wet or cold glass. headlight: strength of the vehicle's own beam.
+    lit_share: share of the windows that are lit. gain: the sensor's, by colour.
+    longest_exposure: how far automatic exposure may go up, against the day's. noise: standard deviation of a
+    pixel (of 255) before
+    exposure. blur_px: of wet or cold glass. headlight: strength of the vehicle's own beam.
     streaks, flakes: how many drops or snowflakes a picture of 320 x 240 shows. wet: how much the road mirrors.
     """
 
@@ -34,6 +36,7 @@ class Light:
     lit_share: float = 0.0
     snow: bool = False
     gain: Rgb = (1.0, 1.0, 1.0)
+    longest_exposure: float = 1.2
     noise: float = 2.0
     blur_px: float = 0.4
     headlight: float = 0.0
@@ -72,26 +75,28 @@ LIGHTS = {
         lamps=0.5,
         lit_share=0.25,
         gain=(1.03, 0.95, 0.88),
-        noise=4.0,
+        longest_exposure=1.7,
+        noise=3.0,
         blur_px=0.5,
         headlight=0.15,
     ),
     "night": Light(
         200,
         40,
-        sun=(0.03, 0.035, 0.05),
-        ambient=(0.13, 0.135, 0.17),
-        sky_top=(0.02, 0.025, 0.05),
-        sky_low=(0.10, 0.09, 0.10),
-        fog=(0.03, 0.03, 0.04),
-        fog_per_m=0.006,
+        sun=(0.06, 0.07, 0.09),
+        ambient=(0.28, 0.28, 0.32),
+        sky_top=(0.16, 0.15, 0.17),
+        sky_low=(0.50, 0.42, 0.38),
+        fog=(0.09, 0.08, 0.09),
+        fog_per_m=0.002,
         clouds=0.2,
-        lamps=1.0,
-        lit_share=0.35,
-        gain=(1.0, 0.88, 0.68),
-        noise=9.0,
+        lamps=0.45,
+        lit_share=0.2,
+        gain=(1.0, 0.86, 0.66),
+        longest_exposure=2.6,
+        noise=3.5,
         blur_px=0.8,
-        headlight=1.6,
+        headlight=0.7,
     ),
     "rain": Light(
         180,

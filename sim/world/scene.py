@@ -42,6 +42,7 @@ def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.floa
     """All that stands still, with the light of the condition in its colours."""
     rng = np.random.default_rng([window_seed, 5])
     root = NodePath("street")
+    _draw_in_order(root)
     groups: dict[tuple[int, int, int], list[tuple[Thing, Surface]]] = defaultdict(list)
     lit: list[tuple[Thing, Surface]] = []
     pictures: dict[int, Picture] = {}
@@ -66,6 +67,7 @@ def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.floa
 def build_moving(things: Sequence[Thing], light: Light) -> NodePath:
     """A car at the origin in the light of the open road, its lamps on when it is dark."""
     root = NodePath("car")
+    _draw_in_order(root)
     for thing in things:
         texture = upload(thing.picture)
         members = [(thing, surface) for surface in thing.surfaces]
@@ -74,6 +76,11 @@ def build_moving(things: Sequence[Thing], light: Light) -> NodePath:
             bright = [(thing, replace(window, color=(1.0, 1.0, 1.0))) for window in thing.windows]
             _attach_glowing(root, bright, texture, color=(1.0, 1.0, 1.0))
     return root
+
+
+def _draw_in_order(root: NodePath) -> None:
+    """Draw as the scene lists it; Panda3D's own order follows addresses, so that equal depths would differ by run."""
+    root.set_bin("fixed", 0)
 
 
 def _picture(thing: Thing, light: Light) -> Picture:
@@ -176,6 +183,7 @@ def _geom_node(points: NDArray[np.float64], uv: NDArray[np.float64], colors: NDA
 
 SKY_M = 300.0
 SKY_HIGH_M = 235.0
+FOG_BIN_ORDER = 100
 FOG_CARDS_M = (22.0, 38.0, 58.0, 85.0, 120.0, 170.0, 240.0)
 
 
@@ -210,6 +218,6 @@ def build_fog(light: Light) -> NodePath:
         node.set_alpha_scale(1 - float(np.exp(-light.fog_per_m * (distance_m - before_m))))
         node.set_transparency(TransparencyAttrib.M_alpha)
         node.set_depth_write(False)
-        node.set_bin("fixed", -order)
+        node.set_bin("fixed", FOG_BIN_ORDER - order)
         before_m = distance_m
     return root

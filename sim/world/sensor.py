@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from sim.world.light import Light
 
 CAMERA_HIGH_M = 1.4
-STREET_HALF_M = 8.0
+STREET_HALF_M = 9.0
+WANTED_MEAN = 105.0
 
 
 class Sensor:
@@ -35,21 +36,26 @@ class Sensor:
     def develop(self, image: NDArray[np.uint8], time_s: float) -> NDArray[np.uint8]:
         """The rendered picture (H, W, 3) uint8 BGR as the sensor gives it at a time of the drive."""
         light = self._light
-        rng = np.random.default_rng([self._seed, round(time_s * 1e6) + 1_000_000])
+        rng = np.random.default_rng([self._seed, round(time_s * 1e6) % 2**62])
         picture = image.astype(np.float32)
         if light.wet:
             _mirror_road(picture, light.wet)
         picture *= self._gain
-        # Automatic exposure hunts a little, over some 20 and 7 seconds.
-        drift = 0.05 * np.sin(time_s / 3.1 + self._phase[0]) + 0.03 * np.sin(time_s / 1.1 + self._phase[1])
-        picture *= np.float32(1 + drift)
+        exposure = self._exposure(picture, time_s)
+        picture *= exposure
         if light.streaks or light.flakes:
             self._precipitate(picture, rng)
         if light.blur_px:
             cv2.GaussianBlur(picture, (0, 0), light.blur_px * self._size[0] / 320, dst=picture)
         top, left = (int(rng.integers(n)) for n in self._size[::-1])
-        picture += light.noise * self._plate[top : top + self._size[1], left : left + self._size[0]]
+        picture += light.noise * exposure * self._plate[top : top + self._size[1], left : left + self._size[0]]
         return np.clip(picture, 0, 255).astype(np.uint8)
+
+    def _exposure(self, picture: NDArray[np.float32], time_s: float) -> np.float32:
+        """Automatic exposure: most of the way to the wanted mean, hunting a little over some 20 and 7 seconds."""
+        wanted = np.clip((WANTED_MEAN / max(1.0, float(picture.mean()))) ** 0.7, 0.8, self._light.longest_exposure)
+        drift = 0.05 * np.sin(time_s / 3.1 + self._phase[0]) + 0.03 * np.sin(time_s / 1.1 + self._phase[1])
+        return np.float32(wanted * (1 + drift))
 
     def _precipitate(self, picture: NDArray[np.float32], rng: np.random.Generator) -> None:
         """Streaks of rain, or snowflakes: near ones are few, long and large."""

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.world import lots
-from sim.world.ground import lay_ground
+from sim.world.ground import PAVEMENT_M, lay_ground
 from sim.world.lots import Pictures
 from sim.world.route import LEAD_M, DistrictKind, Route
 from sim.world.solids import Plot, Thing, box
 from sim.world.walls import draw_style
 
-PAVEMENT_EDGE_M = 6.0
 LAMP_STEP_M: dict[DistrictKind, float] = {"town": 26.0, "shops": 22.0, "suburb": 38.0}
 LAMP_HIGH_M = 6.0
 
@@ -66,7 +65,7 @@ def _stretches(route: Route, rng: np.random.Generator) -> Iterator[tuple[float, 
 def _clear(route: Route, plot: Plot, wide: float, deep: float) -> bool:
     """Whether a lot keeps off the road, also where the road bends around it."""
     corners = [(0, 0, 0), (wide / 2, 0, 0), (wide, 0, 0), (wide, deep, 0), (wide / 2, deep, 0), (0, deep, 0)]
-    return route.clearance_m(plot.place(np.array(corners))[:, :2]) > PAVEMENT_EDGE_M - 0.2
+    return route.clearance_m(plot.place(np.array(corners))[:, :2]) > PAVEMENT_M - 0.2
 
 
 def _fill_town(
@@ -74,7 +73,7 @@ def _fill_town(
 ) -> list[Thing]:
     """A row of two or three houses wall to wall, of one or several styles, with a gap after it at times."""
     things: list[Thing] = []
-    away = PAVEMENT_EDGE_M + (0.2 if kind == "shop" else rng.choice([0.3, 2.5, 4.5]))
+    away = PAVEMENT_M + (0.2 if kind == "shop" else rng.choice([0.3, 2.5, 4.5]))
     style = draw_style(rng, rng.uniform(2.7, 3.4))
     storeys = int(rng.integers(2, 4 if kind == "shop" else 6))
     built_m = SECTION_M - rng.choice([0.0, 3.0, 7.0], p=[0.35, 0.35, 0.3])
@@ -93,7 +92,7 @@ def _fill_town(
         if kind == "shop" and rng.random() < 0.5:
             things.append(lots.hanging_sign(rng, plot))
     if built_m < SECTION_M and rng.random() < 0.6:
-        gap = plot_at(route, start_m + (built_m + SECTION_M) / 2, side, PAVEMENT_EDGE_M + 4)
+        gap = plot_at(route, start_m + (built_m + SECTION_M) / 2, side, PAVEMENT_M + 4)
         things.append(lots.tree(rng, pictures, np.array(gap.origin_m), str(rng.choice(["round", "autumn"])), 6))
     return things
 
@@ -106,11 +105,11 @@ def _fill_suburb(rng: np.random.Generator, pictures: Pictures, route: Route, sta
     """One detached house in a garden behind a hedge or a fence, with a tree or two."""
     wide, deep = rng.uniform(8, 12), rng.uniform(7, 10)
     things: list[Thing] = []
-    plot = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M + rng.uniform(3, 9), wide)
+    plot = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M + rng.uniform(3, 9), wide)
     if rng.random() < 0.88 and _clear(route, plot, wide, deep):
         style = draw_style(rng)
         things += lots.building(rng, pictures, plot, style, (wide, deep, int(rng.integers(1, 3))), "home")
-    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M + 0.2, SECTION_M)
+    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M + 0.2, SECTION_M)
     edge = str(rng.choice(["hedge", "picket", "rail", "none"]))
     if edge != "none":
         high = rng.uniform(1.1, 2.2) if edge == "hedge" else 1.1
@@ -126,13 +125,13 @@ def _fill_suburb(rng: np.random.Generator, pictures: Pictures, route: Route, sta
 
 def _fill_wood(rng: np.random.Generator, pictures: Pictures, route: Route, start_m: float, side: int) -> list[Thing]:
     """Trees of one or two kinds, thick or thin, bushes, and the dark behind them."""
-    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M, SECTION_M)
+    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M, SECTION_M)
     kinds = rng.choice(["round", "conifer", "birch", "autumn", "poplar"], 2)
     high = rng.uniform(7, 14)
     things = [lots.strip(pictures, front, ((-1, 17), (SECTION_M + 1, 17)), rng.uniform(4, 8), "depth")]
     for _ in range(rng.integers(5, 15)):
         at = front.place(np.array((rng.uniform(0, SECTION_M), rng.uniform(0.5, 16), 0)))
-        if route.clearance_m(at[None, :2]) > PAVEMENT_EDGE_M - 1:
+        if route.clearance_m(at[None, :2]) > PAVEMENT_M - 1:
             things.append(lots.tree(rng, pictures, at, str(rng.choice(kinds)), high))
     if rng.random() < 0.6:
         x = rng.uniform(0, SECTION_M - 8)
@@ -142,27 +141,27 @@ def _fill_wood(rng: np.random.Generator, pictures: Pictures, route: Route, start
 
 def _fill_open(rng: np.random.Generator, pictures: Pictures, route: Route, start_m: float, side: int) -> list[Thing]:
     """Fields: a fence or a hedge, poles, a lone tree, at times a barn or a billboard."""
-    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M, SECTION_M)
+    front = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M, SECTION_M)
     edge = str(rng.choice(["rail", "hedge", "bush", "none"]))
     things: list[Thing] = []
     if edge != "none":
         things.append(lots.strip(pictures, front, ((0, 0.5), (SECTION_M, 0.5)), rng.uniform(0.9, 1.6), edge))
     choice = rng.random()
     if choice < 0.15:
-        plot = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M + rng.uniform(6, 16), 14)
+        plot = plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M + rng.uniform(6, 16), 14)
         if _clear(route, plot, 20, 12):
             things += lots.barn(rng, pictures, plot, draw_style(rng))
     elif choice < 0.3:
-        things += lots.billboard(rng, pictures, plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_EDGE_M + 1))
+        things += lots.billboard(rng, pictures, plot_at(route, start_m + SECTION_M / 2, side, PAVEMENT_M + 1))
     elif choice < 0.65:
         kind = str(rng.choice(["round", "poplar", "bare", "birch", "conifer"]))
         for _ in range(rng.integers(1, 5)):
             at = front.place(np.array((rng.uniform(0, SECTION_M), rng.uniform(1, 18), 0)))
-            if route.clearance_m(at[None, :2]) > PAVEMENT_EDGE_M - 0.5:
+            if route.clearance_m(at[None, :2]) > PAVEMENT_M - 0.5:
                 things.append(lots.tree(rng, pictures, at, kind, rng.uniform(5, 11)))
     if rng.random() < 0.4:
         high = float(rng.choice([2.6, 8.0]))
-        things += lots.post(rng, pictures, plot_at(route, start_m + 4, side, PAVEMENT_EDGE_M - 0.7), high)
+        things += lots.post(rng, pictures, plot_at(route, start_m + 4, side, PAVEMENT_M - 0.7), high)
     return things
 
 
@@ -178,7 +177,7 @@ def _lamps(route: Route, pictures: Pictures) -> tuple[NDArray[np.float64], list[
     while route_m < route.length_m + LEAD_M:
         step_m = LAMP_STEP_M.get(route.district(route_m))
         if step_m:
-            plot = plot_at(route, route_m, side, PAVEMENT_EDGE_M - 1.3)
+            plot = plot_at(route, route_m, side, PAVEMENT_M - 1.3)
             lights.append(plot.place(np.array((0, -1.5, LAMP_HIGH_M))))
             masts.append(
                 box(plot, (-0.08, -0.08, 0), (0.08, 0.08, LAMP_HIGH_M + 0.1), pictures.plain, (0.4, 0.42, 0.42))

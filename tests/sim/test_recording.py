@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pymap3d
+import pytest
+
+pytest.importorskip("panda3d")
+
+from edge.camera.feed import FeedImages, read_feed
+from edge.errors import ConfigError, FeedError
+from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
+from sim.commands import add_command
+from sim.recording import times_by_distance, times_by_rate, write_feed
+from sim.scenario import Scenario
+
+HOME = Scenario(seed=3, length_m=200.0, direction="reverse", light="dusk", view="rear", width=64, height=48)
+
+
+def run(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    add_command(parser.add_subparsers())
+    args = parser.parse_args(argv)
+    return int(args.run(args))
+
+
+def test_a_feed_has_the_truth_of_every_frame(tmp_path: Path) -> None:
+    drive = HOME.drive()
+    times_s = times_by_distance(drive, 10.0)
+    assert write_feed(HOME, drive, tmp_path / "home", times_s) == 20
+    feed = read_feed(tmp_path / "home")
+    assert (feed.header.view, feed.header.width, feed.header.height) == ("rear", 64, 48)
+    assert [row.distance_m for row in feed.rows] == pytest.approx(np.arange(0, 200, 10).tolist(), abs=1e-6)
+    for row, time_s in zip(feed.rows, times_s, strict=True):
+        pose = drive.pose(time_s)
+        assert float(row.extra["route_m"]) == pytest.approx(200 - row.distance_m, abs=1e-3)  # type: ignore[operator]
+        east, north, _ = pymap3d.geodetic2enu(
+            row.lat_deg, row.lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
+        )
+        assert (east, north) == pytest.approx((pose.east_m, pose.north_m), abs=0.01)
+        assert row.heading_deg == pose.heading_deg
+    assert FeedImages(feed).read(5).shape == (48, 64, 3)
+
+
+def test_the_same_scenario_is_the_same_bytes(tmp_path: Path) -> None:
+    folders = [tmp_path / "a" / "drive", tmp_path / "b" / "drive"]
+    for folder in folders:
+        drive = HOME.drive()
+        write_feed(HOME, drive, folder, times_by_distance(drive, 50.0))
+    files = [sorted(path.relative_to(folder) for path in folder.rglob("*.*")) for folder in folders]
+    assert files[0] == files[1]
+    assert len(files[0]) == 6
+    assert all((folders[0] / name).read_bytes() == (folders[1] / name).read_bytes() for name in files[0])
+
+
+def test_a_steady_rate_covers_the_whole_drive() -> None:
+    drive = HOME.drive()
+    times_s = times_by_rate(drive, 4.0)
+    assert np.allclose(np.diff(times_s), 0.25)
+    assert drive.duration_s - times_s[-1] < 0.26
+
+
+def test_the_command_writes_a_feed_and_refuses_a_folder_that_has_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "drive.toml"
+    scenario.write_text("length_m = 200.0\nwidth = 64\nheight = 48\n")
+    command = ["sim", "drive", str(scenario), "-o", str(tmp_path / "feed"), "--spacing-m", "40"]
+    assert run(command) == 0
+    assert len(read_feed(tmp_path / "feed").rows) == 5
+    assert capsys.readouterr().err.endswith("feed: 5 frames over 200 m\n")
+    with pytest.raises(FeedError, match="there is a feed here already"):
+        run(command)
+    with pytest.raises(ConfigError, match="--spacing-m: 0 is not above 0"):
+        run([*command[:-1], "0"])
+
+
+def test_an_existing_feed_is_refused_before_the_world_is_built(tmp_path: Path) -> None:
+    drive = HOME.drive()
+    write_feed(HOME, drive, tmp_path / "feed", [0.0])
+    with pytest.raises(FeedError, match="there is a feed here already"):
+        write_feed(HOME, drive, tmp_path / "feed", [0.0])
