@@ -1,0 +1,92 @@
+"""`lookback sim import`: a recording in its own layout, written as a feed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+from edge.config import SamplingConfig
+from edge.errors import ConfigError
+from edge.map_command import add_spacing_options, sampling_from
+from sim.datasets import KINDS, ReadOptions, open_dataset
+from sim.datasets.importing import choose_rows, write_feed
+
+
+def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `import` to the commands of `lookback sim`."""
+    parser = sim_commands.add_parser(
+        "import",
+        help="make a feed of a published data set, a bag, or a video and a log",
+        description="Make a feed of a recording in its own layout.",
+        epilog=_kinds(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout, see below")
+    parser.add_argument("path", metavar="PATH", type=Path, help="the folder or file that the layout says")
+    parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
+    _add_read_options(parser)
+    add_spacing_options(parser)
+    parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M metres")
+    parser.add_argument("--width", metavar="PIXELS", type=int, help="make the pictures smaller")
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave pictures out that cannot be read")
+    parser.set_defaults(run=import_dataset)
+
+
+def _add_read_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--camera", help="which camera or topic, e.g. stereo/left, mono_rear, image_2")
+    parser.add_argument("--positions", help="which positions: a log, a file, a topic, or ins | gps")
+    parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures that this list names")
+    parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, where there are no times")
+    parser.add_argument(
+        "--start-s", metavar="S", type=float, help="from the log's first position to the video's first frame"
+    )
+    parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="cut off where the vehicle itself is seen")
+    parser.add_argument("--view", choices=["front", "rear"], help="where the camera looks")
+
+
+def _kinds() -> str:
+    """What each kind is, takes, and is usually judged by."""
+    lines = ["kinds, their options, and their usual ground truth and tolerance:"]
+    for name, kind in sorted(KINDS.items()):
+        options = " ".join(f"--{option.replace('_', '-')}" for option in sorted(kind.options))
+        unit = "frames" if kind.truth == "index" else "m"
+        lines.append(f"  {name:14} {kind.what}\n{'':17}{options}; {kind.truth}, {kind.tolerance:g} {unit}")
+    return "\n".join([*lines, "", "Without a spacing: a picture every 2 m where positions are known, else all."])
+
+
+def import_dataset(args: argparse.Namespace) -> int:
+    """Write the feed; SetupError in one line when the recording, an option or the folder is wrong."""
+    _check_ranges(args)
+    traverse = open_dataset(
+        args.kind,
+        args.path,
+        ReadOptions(args.camera, args.positions, args.names, args.fps, args.start_s, args.crop_bottom, args.view),
+    )
+    placed = any(row.lat_deg is not None or row.distance_m is not None for row in traverse.rows)
+    otherwise = SamplingConfig(by="distance" if placed else "frames")
+    chosen = choose_rows(
+        traverse,
+        sampling_from(args, otherwise),
+        must_have_distance=args.spacing_m is not None or args.length_m < math.inf,
+        length_m=args.length_m,
+    )
+    progress = tqdm(chosen, unit="frame", desc=args.output.name)
+    count = write_feed(traverse, args.output, progress, width=args.width, skip_unreadable=args.skip_unreadable)
+    print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}", file=sys.stderr)
+    return 0
+
+
+def _check_ranges(args: argparse.Namespace) -> None:
+    """ConfigError names the option."""
+    for option, value in (("--fps", args.fps), ("--length-m", args.length_m), ("--width", args.width)):
+        # Not `value <= 0`: that would let NaN through.
+        if value is not None and not value > 0:
+            raise ConfigError(f"{option}: {value:g} is not above 0")
+    if args.crop_bottom is not None and args.crop_bottom < 0:
+        raise ConfigError(f"--crop-bottom: {args.crop_bottom} is not 0 or more")
+    if args.start_s is not None and not math.isfinite(args.start_s):
+        raise ConfigError(f"--start-s: {args.start_s} is not a number of seconds")

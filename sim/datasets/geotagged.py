@@ -1,0 +1,94 @@
+"""A folder of pictures with positions in their EXIF data: dashboard cameras, phones, drones, Mapillary exports.
+
+Specified in EXIF 2.32 (CIPA DC-008), sections 4.6.5 and 4.6.6. Pictures come in the order of their times
+(DateTimeOriginal with its fraction of a second, taken as UTC); those of one second without fractions, in the order of
+their names, a nanosecond apart.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from edge.errors import FeedError
+from sim.datasets import ReadOptions, Traverse
+from sim.datasets.pictures import PictureFiles, list_pictures
+from sim.datasets.track import Fix, row_at
+
+log = logging.getLogger(__name__)
+
+GPS = ExifTags.GPS
+NOWHERE = Fix(0, math.nan, math.nan)
+
+
+def open_traverse(path: Path, options: ReadOptions) -> Traverse:
+    """The pictures of one folder. FeedError names a picture that has no time, or the folder if none has a position."""
+    view = options.view or "front"
+    placed = sorted(((read_fix(path / name), name) for name in list_pictures(path)), key=lambda item: item[0].stamp_ns)
+    without = sum(math.isnan(fix.lat_deg) for fix, _ in placed)
+    if without == len(placed):
+        raise FeedError(f"{path}: none of its {without} pictures has a GPS position in its EXIF data")
+    if without:
+        log.warning("%s: %d of %d pictures have no GPS position", path, without, len(placed))
+    rows, last_ns = [], -1
+    for fix, name in placed:
+        last_ns = max(fix.stamp_ns, last_ns + 1)
+        rows.append(row_at(name, replace(fix, stamp_ns=last_ns)))
+    return Traverse(
+        name=path.name,
+        view=view,
+        source=f"geotagged pictures in {path.name}",
+        rows=tuple(rows),
+        pictures=PictureFiles([path / name for _, name in placed]),
+    )
+
+
+def read_fix(file: Path) -> Fix:
+    """Time and position of one picture; NaN where there is none. FeedError names the picture."""
+    try:
+        with Image.open(file) as image:
+            exif = image.getexif()
+            stamp_ns = _stamp_ns(file, exif, exif.get_ifd(ExifTags.IFD.Exif))
+            position = _position(exif.get_ifd(ExifTags.IFD.GPSInfo))
+    except (OSError, UnidentifiedImageError) as error:
+        raise FeedError(f"{file}: cannot read this picture: {error}") from None
+    except (ArithmeticError, IndexError, SyntaxError, TypeError, ValueError):
+        raise FeedError(f"{file}: its EXIF data are damaged") from None
+    return replace(position, stamp_ns=stamp_ns)
+
+
+def _stamp_ns(file: Path, image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:
+    """Nanoseconds since 1970, if the clock that wrote the tag was on UTC."""
+    text = exif.get(ExifTags.Base.DateTimeOriginal) or image.get(ExifTags.Base.DateTime)
+    if not text:
+        raise FeedError(f"{file}: no DateTimeOriginal in its EXIF data")
+    seconds = datetime.strptime(str(text).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=timezone.utc).timestamp()
+    fraction = str(exif.get(ExifTags.Base.SubsecTimeOriginal, "")).strip() or "0"
+    return int(seconds) * 1_000_000_000 + round(float(f"0.{fraction}") * 1e9)
+
+
+def _position(gps: Mapping[int, Any]) -> Fix:
+    if GPS.GPSLatitude not in gps or GPS.GPSLongitude not in gps:
+        return NOWHERE
+    alt_m = float(gps.get(GPS.GPSAltitude, math.nan))
+    return Fix(
+        0,
+        _degrees(gps[GPS.GPSLatitude], str(gps.get(GPS.GPSLatitudeRef, "N"))),
+        _degrees(gps[GPS.GPSLongitude], str(gps.get(GPS.GPSLongitudeRef, "E"))),
+        alt_m=-alt_m if gps.get(GPS.GPSAltitudeRef) in {1, b"\x01"} else alt_m,
+        # The way that the vehicle goes; where the camera looks (GPSImgDirection) is another matter.
+        heading_deg=float(gps.get(GPS.GPSTrack, math.nan)) if gps.get(GPS.GPSTrackRef, "T") == "T" else math.nan,
+    )
+
+
+def _degrees(parts: tuple[Any, Any, Any], hemisphere: str) -> float:
+    degrees, minutes, seconds = (float(part) for part in parts)
+    value = degrees + minutes / 60 + seconds / 3600
+    return -value if hemisphere.upper().startswith(("S", "W")) else value

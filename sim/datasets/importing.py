@@ -1,0 +1,169 @@
+"""A traverse of a data set, written as a feed."""
+
+from __future__ import annotations
+
+import logging
+import math
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import Feed, FeedHeader, FeedRow, FeedWriter
+from edge.config import SamplingConfig
+from edge.errors import FeedError, FrameError
+from edge.sampling import Sampler
+from edge.traverse import driven_m
+from sim.datasets import Traverse
+
+log = logging.getLogger(__name__)
+
+SOURCE_COLUMNS = ("source_file", "source_frame")
+
+
+@dataclass(frozen=True)
+class ChosenRow:
+    """A row of a traverse that goes into the feed, and metres driven since the first whose place is known."""
+
+    index: int
+    distance_m: float | None
+
+
+def choose_rows(
+    traverse: Traverse, sampling: SamplingConfig, *, must_have_distance: bool = False, length_m: float = math.inf
+) -> list[ChosenRow]:
+    """The rows that the sampling takes, up to `length_m` along the drive.
+
+    Where places are known, pictures taken where they are not are left out, with a line in the log. FeedError if none
+    are known and `must_have_distance`, or if nothing is left.
+    """
+    distances_m = _distances_m(traverse)
+    placed = any(distance_m is not None for distance_m in distances_m)
+    if must_have_distance and not placed:
+        raise FeedError(
+            f"{traverse.source}: no positions or distances in it, so pictures cannot be chosen by metres; use"
+            " --spacing-frames or --interval-s"
+        )
+    sampler, unplaced, late = Sampler(sampling), 0, 0
+    chosen: list[ChosenRow] = []
+    last_ns: int | None = None
+    for index, (row, distance_m) in enumerate(zip(traverse.rows, distances_m, strict=True)):
+        if placed and distance_m is None:
+            unplaced += 1
+        elif last_ns is not None and row.stamp_ns <= last_ns:
+            late += 1
+        elif (distance_m is None or distance_m <= length_m) and sampler.take(row.stamp_ns, distance_m):
+            chosen.append(ChosenRow(index, distance_m))
+            last_ns = row.stamp_ns
+    for count, why in ((unplaced, "were taken where no position is known"), (late, "are no later than the one before")):
+        if count:
+            log.warning("%s: %d of %d pictures %s; left out", traverse.source, count, len(traverse.rows), why)
+    return chosen
+
+
+def _distances_m(traverse: Traverse) -> list[float | None]:
+    """Metres driven at each row, None where its place is not known."""
+    rows = traverse.rows
+    placed = [index for index, row in enumerate(rows) if row.distance_m is not None or row.lat_deg is not None]
+    distances_m: list[float | None] = [None] * len(rows)
+    if placed:
+        # The size of the pictures is not known before the first is read, and of no matter here.
+        header = FeedHeader(traverse.name, traverse.view, 1, 1)
+        driven = driven_m(Feed(Path(traverse.source), header, tuple(rows[index] for index in placed)))
+        for index, distance_m in zip(placed, driven or [], strict=driven is not None):
+            distances_m[index] = distance_m
+    return distances_m
+
+
+def write_feed(
+    traverse: Traverse,
+    output: Path,
+    chosen: Iterable[ChosenRow],
+    *,
+    width: int | None = None,
+    skip_unreadable: bool = False,
+) -> int:
+    """Write the chosen rows as a feed at `output`, which appears when it is whole; returns the number of frames.
+
+    Every row also says `source_file` and `source_frame`, its number in the data set, so that traverses which were
+    aligned frame by frame stay so. width: pictures are made that many pixels wide. FeedError if something is at
+    `output` already, or for a picture that cannot be read (it is left out if `skip_unreadable`) or is of another
+    size than the first.
+    """
+    if output.exists():
+        raise FeedError(f"{output}: there is something here already; name another folder")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{output.name}-", dir=output.parent) as folder:
+            count = _write(traverse, Path(folder) / "feed", chosen, width, skip_unreadable)
+            (Path(folder) / "feed").rename(output)
+    except OSError as error:
+        raise FeedError(f"{output}: cannot write a feed here: {error.strerror}") from None
+    return count
+
+
+def _write(
+    traverse: Traverse, path: Path, chosen: Iterable[ChosenRow], width: int | None, skip_unreadable: bool
+) -> int:
+    columns = (*SOURCE_COLUMNS, *dict.fromkeys(key for row in traverse.rows for key in row.extra))
+    writer: FeedWriter | None = None
+    size, count = (0, 0), 0
+    try:
+        for row in chosen:
+            try:
+                image = _resized(traverse.pictures.read(row.index), width)
+            except FrameError as error:
+                if not skip_unreadable:
+                    raise FeedError(f"{error}; --skip-unreadable leaves such pictures out") from None
+                log.warning("%s; left out", error)
+                continue
+            if writer is None:
+                size = image.shape[:2]
+                writer = FeedWriter(path, _header(traverse, size), tuple(dict.fromkeys(columns)))
+            if image.shape[:2] != size:
+                which = traverse.rows[row.index].file
+                raise FeedError(
+                    f"{traverse.source}: {which}: {_text(image.shape)}, and the first has {_text(size)} pixels"
+                )
+            _write_row(writer, image, traverse.rows[row.index], row)
+            count += 1
+    finally:
+        if writer is not None:
+            writer.close()
+        traverse.pictures.close()
+    if writer is None:
+        raise FeedError(f"{traverse.source}: no picture in it can be used")
+    return count
+
+
+def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
+    return FeedHeader(traverse.name, traverse.view, size[1], size[0], traverse.source, traverse.notes)
+
+
+def _write_row(writer: FeedWriter, image: NDArray[np.uint8], row: FeedRow, chosen: ChosenRow) -> None:
+    writer.write(
+        image,
+        row.stamp_ns,
+        lat_deg=row.lat_deg,
+        lon_deg=row.lon_deg,
+        alt_m=row.alt_m,
+        heading_deg=row.heading_deg,
+        speed_mps=row.speed_mps,
+        distance_m=chosen.distance_m,
+        extra={"source_file": row.file, "source_frame": str(chosen.index), **row.extra},
+    )
+
+
+def _resized(image: NDArray[np.uint8], width: int | None) -> NDArray[np.uint8]:
+    if width is None or width == image.shape[1]:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _text(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]}"

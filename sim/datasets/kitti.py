@@ -1,0 +1,56 @@
+"""KITTI odometry: one sequence.
+
+    dataset/sequences/00/image_2/000000.png ...   left colour camera (3 right colour, 0 and 1 grey)
+    dataset/sequences/00/times.txt                seconds, a line a picture
+    dataset/poses/00.txt                          12 numbers a line: 3 x 4 pose of the left camera, row by row
+
+Specified in readme.txt of its development kit; A. Geiger et al., CVPR 2012. Poses are in the frame of the first
+camera (x right, y down, z ahead), so there is no north and no latitude: `local_x_m` is x and `local_y_m` is z.
+Poses are published for sequences 00 to 10.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from edge.camera.feed import FeedRow
+from edge.errors import FeedError
+from sim.datasets import ReadOptions, Traverse
+from sim.datasets.pictures import PictureFiles, list_pictures
+from sim.datasets.tables import read_numbers
+
+
+def open_traverse(path: Path, options: ReadOptions) -> Traverse:
+    """One camera of a sequence; `camera` is image_2 by default, `positions` another file of poses.
+
+    FeedError names the file that is missing, or that has another number of lines than there are pictures.
+    """
+    camera = options.camera or "image_2"
+    names = list_pictures(path / camera)
+    poses_file = Path(options.positions) if options.positions else path.parents[1] / "poses" / f"{path.name}.txt"
+    times_s = read_numbers(path / "times.txt", 1, "it comes with the sequence's calibration files")[:, 0]
+    poses = read_numbers(poses_file, 12, "poses are published for sequences 00 to 10; --positions takes others")
+    for file, lines in ((path / "times.txt", len(times_s)), (poses_file, len(poses))):
+        if lines != len(names):
+            raise FeedError(f"{file}: {lines} lines for the {len(names)} pictures in {path / camera}")
+    ground_m = poses.reshape(-1, 3, 4)[:, [0, 2], 3]
+    covered_m = np.concatenate([[0.0], np.linalg.norm(np.diff(ground_m, axis=0), axis=1).cumsum()])
+    rows = [
+        FeedRow(
+            f"{camera}/{name}",
+            round(time_s * 1e9),
+            distance_m=float(distance_m),
+            extra={"local_x_m": f"{x_m:.3f}", "local_y_m": f"{y_m:.3f}"},
+        )
+        for name, time_s, (x_m, y_m), distance_m in zip(names, times_s, ground_m, covered_m, strict=True)
+    ]
+    return Traverse(
+        name=f"kitti-{path.name}-{camera}",
+        view=options.view or "front",
+        source=f"KITTI odometry {path.name} {camera}",
+        rows=tuple(rows),
+        pictures=PictureFiles([path / camera / name for name in names]),
+        notes="local_x_m right and local_y_m ahead of the first picture",
+    )

@@ -1,0 +1,86 @@
+"""Pictures in folders and videos, in the order they were taken."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import Feed, FeedImages, read_feed, read_picture
+from edge.errors import FeedError
+from sim.datasets import Pictures
+
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})
+
+
+class PictureFiles:
+    """A picture a file, in colour, with what the data set needs done to it."""
+
+    def __init__(
+        self,
+        files: Sequence[Path],
+        develop: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None,
+        flags: int = cv2.IMREAD_COLOR,
+    ) -> None:
+        """develop: from what OpenCV reads with `flags` to (H, W, 3) uint8 BGR."""
+        self._files = files
+        self._develop = develop
+        self._flags = flags
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture `index`, (H, W, 3) uint8 BGR; FrameError names the file."""
+        image = read_picture(self._files[index], self._flags)
+        return self._develop(image) if self._develop else image
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+
+def list_pictures(folder: Path) -> list[str]:
+    """Names of the picture files in a folder, numbers in their numeric order; FeedError if there are none."""
+    try:
+        names = [entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES]
+    except OSError as error:
+        raise FeedError(f"{folder}: cannot read this folder: {error.strerror}") from None
+    if not names:
+        raise FeedError(f"{folder}: no pictures in this folder")
+    return sorted(names, key=natural_key)
+
+
+def natural_key(name: str) -> list[tuple[str, int]]:
+    """Sorts Image9 before Image10."""
+    return [(text, int(number or 0)) for text, number in re.findall(r"(\D*)(\d*)", name)]
+
+
+def number_in(name: str, otherwise: int) -> int:
+    """The last number in a file's name: 7 of images-00007.png."""
+    numbers = re.findall(r"\d+", Path(name).stem)
+    return int(numbers[-1]) if numbers else otherwise
+
+
+def open_video(file: Path) -> tuple[Feed, Pictures]:
+    """A video's frames with their stamps from its frame rate, and its pictures. FeedError names the file."""
+    if not file.is_file():
+        raise FeedError(f"{file}: no such video")
+    feed = read_feed(file)
+    return feed, FeedImages(feed)
+
+
+def frames_of(path: Path, fps: float) -> tuple[list[str], list[int], Pictures]:
+    """Frames of a folder, `fps` a second, or of a video, at its own rate: names, stamps in ns, and pictures.
+
+    A frame of a video is named by its number. FeedError if there are none.
+    """
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        feed, pictures = open_video(path)
+        return [str(index) for index in range(len(feed.rows))], [row.stamp_ns for row in feed.rows], pictures
+    if not fps > 0:
+        raise FeedError(f"--fps: {fps:g} is not above 0")
+    names = list_pictures(path)
+    stamps_ns = [round(index * 1e9 / fps) for index in range(len(names))]
+    return names, stamps_ns, PictureFiles([path / name for name in names])

@@ -1,0 +1,145 @@
+"""Recordings of ROS 1 (.bag), ROS 2 (folder, .db3, .mcap): pictures and positions.
+
+Pictures are sensor_msgs/Image or CompressedImage, positions sensor_msgs/NavSatFix (all in
+https://github.com/ros2/common_interfaces), both with the stamps of their headers. Where a recording has several such
+topics, `camera` and `positions` name one. Read with rosbags, which needs no ROS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.typesys import Stores, get_typestore
+
+from edge.errors import FeedError, FrameError
+from sim.datasets import ReadOptions, Traverse
+from sim.datasets.track import Fix, Track
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+POSITIONS = ("sensor_msgs/msg/NavSatFix",)
+NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
+
+# sensor_msgs/image_encodings.hpp: channels, and OpenCV's conversion to BGR. ROS names a Bayer pattern by its first
+# row's pixels, then its second's.
+ENCODINGS = {
+    "bgr8": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2BGR),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
+}
+
+
+class BagPictures:
+    """The pictures of one topic, in order; going back starts again from the beginning."""
+
+    def __init__(self, path: Path, topic: str) -> None:
+        self._path = path
+        self._topic = topic
+        self._messages: Iterator[Any] | None = None
+        self._next = 0
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture `index` of the topic, (H, W, 3) uint8 BGR; FrameError names it."""
+        if self._messages is None or index < self._next:
+            self.close()
+            self._messages = _messages(self._path, self._topic)
+        while True:
+            at, message = self._next, next(self._messages, None)
+            self._next += 1
+            if message is None:
+                raise FrameError(f"{self._path}: {self._topic}: no picture {index}")
+            if at == index:
+                return to_bgr(f"{self._path}: {self._topic}: picture {index}", message)
+
+    def close(self) -> None:
+        """Close the recording; more than once is harmless."""
+        self._messages, self._next = None, 0
+
+
+def open_traverse(path: Path, options: ReadOptions) -> Traverse:
+    """One camera's pictures at the positions of one receiver. FeedError lists the topics where it cannot choose."""
+    with _open(path) as reader:
+        camera = _choose(path, reader.connections, IMAGES, options.camera, "--camera")
+        receiver = _choose(path, reader.connections, POSITIONS, options.positions, "--positions")
+    track = Track(f"{path}: {receiver}", _fixes(path, receiver))
+    stamps_ns = [_stamp_ns(message) for message in _messages(path, camera)]
+    return Traverse(
+        name=path.stem,
+        view=options.view or "front",
+        source=f"{path.name} {camera}",
+        rows=track.rows(f"{path}: {camera}", [f"{camera}#{index}" for index in range(len(stamps_ns))], stamps_ns),
+        pictures=BagPictures(path, camera),
+        notes=f"positions from {receiver}",
+    )
+
+
+def to_bgr(where: str, message: Any) -> NDArray[np.uint8]:
+    """An Image or CompressedImage as (H, W, 3) uint8 BGR; FrameError, which begins with `where`."""
+    if not hasattr(message, "encoding"):
+        image = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise FrameError(f"{where}: not a whole picture ({message.format})")
+        return np.asarray(image, dtype=np.uint8)
+    if message.encoding not in ENCODINGS:
+        raise FrameError(f"{where}: encoding {message.encoding!r} is not one of {', '.join(ENCODINGS)}")
+    channels, conversion = ENCODINGS[message.encoding]
+    row_bytes = message.width * channels
+    if message.step < row_bytes or message.data.size < message.height * message.step:
+        raise FrameError(f"{where}: {message.data.size} bytes are not enough for {message.width} x {message.height}")
+    lines = message.data[: message.height * message.step].reshape(message.height, message.step)
+    image = lines[:, :row_bytes].reshape(message.height, message.width, channels)
+    return np.asarray(image if conversion is None else cv2.cvtColor(np.ascontiguousarray(image), conversion))
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[AnyReader]:
+    """The recording; FeedError, which names it, for all that is wrong in it."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except FeedError:
+        raise
+    except Exception as error:  # the library raises whatever comes up in a damaged file
+        raise FeedError(f"{path}: cannot read this recording: {error}") from None
+
+
+def _choose(
+    path: Path, connections: Sequence[Connection], types: Sequence[str], wanted: str | None, option: str
+) -> str:
+    topics = sorted({connection.topic for connection in connections if connection.msgtype in types})
+    if wanted in topics or (wanted is None and len(topics) == 1):
+        return wanted or topics[0]
+    found = ", ".join(topics) or "none"
+    raise FeedError(f"{path}: {option}: name one topic of {' or '.join(types)}; found: {found}")
+
+
+def _messages(path: Path, topic: str) -> Iterator[Any]:
+    with _open(path) as reader:
+        connections = [connection for connection in reader.connections if connection.topic == topic]
+        for connection, _, data in reader.messages(connections):
+            yield reader.deserialize(data, connection.msgtype)
+
+
+def _fixes(path: Path, topic: str) -> Iterator[Fix]:
+    for message in _messages(path, topic):
+        if message.status.status > NO_FIX and math.isfinite(message.latitude + message.longitude):
+            yield Fix(_stamp_ns(message), message.latitude, message.longitude, message.altitude)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

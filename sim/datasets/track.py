@@ -1,0 +1,106 @@
+"""Positions over time, and pictures put among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedRow
+from edge.errors import FeedError
+
+Floats = NDArray[np.float64]
+
+MAX_GAP_S = 5.0
+"""Between positions further apart in time than this, nobody knows where the vehicle was."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """One measured position; NaN is not known. heading_deg is clockwise from north."""
+
+    stamp_ns: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float = math.nan
+    heading_deg: float = math.nan
+    speed_mps: float = math.nan
+
+
+class Track:
+    """The positions of one drive, in the order of their stamps."""
+
+    def __init__(self, source: str, fixes: Iterable[Fix], max_gap_s: float = MAX_GAP_S) -> None:
+        """FeedError, which names the source, if there are fewer than two.
+
+        0, 0 is what receivers report before they know; of fixes with the same stamp only the first counts.
+        """
+        self._source = source
+        self._max_gap_ns = max_gap_s * 1e9
+        by_stamp: dict[int, Fix] = {}
+        for fix in fixes:
+            if (fix.lat_deg, fix.lon_deg) != (0.0, 0.0):
+                by_stamp.setdefault(fix.stamp_ns, fix)
+        if len(by_stamp) < 2:
+            raise FeedError(f"{source}: {len(by_stamp)} positions in it, and two at least are needed")
+        self.fixes = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
+        self._stamps_ns = np.array(sorted(by_stamp), dtype=np.int64)
+        self._values: Floats = np.array([astuple(fix)[1:] for fix in self.fixes], dtype=np.float64)
+
+    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(N,): which times lie between two positions that are not too far apart in time."""
+        last = len(self._stamps_ns) - 1
+        after = np.clip(np.searchsorted(self._stamps_ns, stamps_ns), 0, last)
+        before = np.clip(after - 1, 0, None)
+        inside = (stamps_ns >= self._stamps_ns[0]) & (stamps_ns <= self._stamps_ns[last])
+        near = self._stamps_ns[after] - self._stamps_ns[before] <= self._max_gap_ns
+        return np.asarray(inside & (near | (stamps_ns == self._stamps_ns[after])))
+
+    def at(self, stamps_ns: NDArray[np.int64]) -> list[Fix]:
+        """Positions at these times, linear between the fixes; the ends hold beyond them."""
+        # From the first fix, as nanoseconds since 1970 do not fit a float64.
+        times = (stamps_ns - self._stamps_ns[0]).astype(np.float64)
+        known = (self._stamps_ns - self._stamps_ns[0]).astype(np.float64)
+        lat, lon, alt, heading, speed = (np.interp(times, known, column) for column in self._unwrapped().T)
+        columns = (lat, lon, alt, np.degrees(heading) % 360.0, speed)
+        return [Fix(int(stamp), *map(float, values)) for stamp, *values in zip(stamps_ns, *columns, strict=True)]
+
+    def _unwrapped(self) -> Floats:
+        """The values with headings in radians that do not jump from 360 to 0."""
+        values = self._values.copy()
+        heading_known = np.isfinite(values[:, 3])
+        values[heading_known, 3] = np.unwrap(np.radians(values[heading_known, 3]))
+        return values
+
+    def rows(self, pictures: str, files: Sequence[str], stamps_ns: Sequence[int]) -> tuple[FeedRow, ...]:
+        """A feed's row for each picture; None for what is not known at its time.
+
+        pictures: what they are called in the message. FeedError if none of them was taken while there were positions.
+        """
+        times = np.array(stamps_ns, dtype=np.int64)
+        covered = self.covers(times)
+        if not covered.any():
+            raise FeedError(
+                f"{pictures}: taken from {_seconds(times.min())} to {_seconds(times.max())} s, where {self._source} has"
+                f" no positions (its first is of {_seconds(self._stamps_ns[0])}, its last of"
+                f" {_seconds(self._stamps_ns[-1])} s)"
+            )
+        fixes = self.at(times)
+        return tuple(
+            row_at(file, fix) if known else FeedRow(file, fix.stamp_ns)
+            for file, fix, known in zip(files, fixes, covered, strict=True)
+        )
+
+
+def row_at(file: str, fix: Fix) -> FeedRow:
+    """A feed's row for the picture taken at a fix."""
+    known = [None if math.isnan(value) else value for value in astuple(fix)[1:]]
+    lat_deg, lon_deg, alt_m, heading_deg, speed_mps = known
+    return FeedRow(file, fix.stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps)
+
+
+def _seconds(stamp_ns: np.int64) -> str:
+    return f"{int(stamp_ns) / 1e9:.3f}"

@@ -1,0 +1,78 @@
+"""Miniatures of data sets are written here and in the tests, in exactly the published layouts."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pymap3d
+import pytest
+from numpy.typing import NDArray
+
+from sim.datasets.commands import add_command
+
+WIDTH, HEIGHT = 64, 48
+ORIGIN = (51.7600, -1.2600, 100.0)
+
+
+def picture(index: int) -> NDArray[np.uint8]:
+    """A picture whose mean level tells its index, whatever a lossy codec makes of it."""
+    return np.full((HEIGHT, WIDTH, 3), 10 + 8 * index, np.uint8)
+
+
+@pytest.fixture
+def index_of() -> Callable[[NDArray[np.uint8]], int]:
+    return lambda image: round((float(image.mean()) - 10) / 8)
+
+
+@pytest.fixture
+def write_pictures() -> Callable[[Path, list[str]], None]:
+    """Writes one picture a name, the first darkest."""
+
+    def write(folder: Path, names: list[str]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for index, name in enumerate(names):
+            assert cv2.imwrite(str(folder / name), picture(index))
+
+    return write
+
+
+@pytest.fixture
+def write_video() -> Callable[[Path, int, float], None]:
+    """Writes a video of so many pictures at that frame rate: MJPG in AVI, what every OpenCV build writes."""
+
+    def write(file: Path, count: int, fps: float) -> None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        video = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), fps, (WIDTH, HEIGHT))
+        for index in range(count):
+            video.write(picture(index))
+        video.release()
+
+    return write
+
+
+@pytest.fixture
+def degrees_at() -> Callable[[float, float], tuple[float, float]]:
+    """Latitude and longitude of so many metres east and north of a corner of Oxford."""
+
+    def degrees(east_m: float, north_m: float) -> tuple[float, float]:
+        lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, *ORIGIN)
+        return float(lat_deg), float(lon_deg)
+
+    return degrees
+
+
+@pytest.fixture
+def sim_import() -> Callable[..., int]:
+    """Runs `lookback sim import ...`."""
+
+    def run(*argv: object) -> int:
+        parser = argparse.ArgumentParser()
+        add_command(parser.add_subparsers())
+        args = parser.parse_args(["import", *map(str, argv)])
+        return int(args.run(args))
+
+    return run
