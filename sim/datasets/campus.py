@@ -69,9 +69,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     beside = path.with_suffix(".csv") if path.suffix.lower() in VIDEO_SUFFIXES else path / "anchors.csv"
     file = Path(options.positions) if options.positions else beside
     anchors = read_anchors(file)
-    if anchors.frame[0] < 0 or anchors.frame[-1] >= len(names):
-        last = int(anchors.frame[-1])
-        raise FeedError(f"{file}: frame {last} is not among the {len(names)} frames of {path}")
+    for frame in anchors.frame[[0, -1]]:
+        if not 0 <= frame < len(names):
+            raise FeedError(f"{file}: frame {frame:g} is not among the {len(names)} frames of {path}")
     route_m, distance_m = anchors.route_at(len(names)), anchors.distance_at(len(names))
     rows = []
     for index, (name, stamp_ns) in enumerate(zip(names, stamps_ns, strict=True)):

@@ -12,6 +12,8 @@ import pymap3d
 import pytest
 from numpy.typing import NDArray
 
+from edge.errors import FeedError
+from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.commands import add_command
 
 WIDTH, HEIGHT = 64, 48
@@ -20,12 +22,12 @@ ORIGIN = (51.7600, -1.2600, 100.0)
 
 def picture(index: int) -> NDArray[np.uint8]:
     """A picture whose mean level tells its index, whatever a lossy codec makes of it."""
-    return np.full((HEIGHT, WIDTH, 3), 10 + 8 * index, np.uint8)
+    return np.full((HEIGHT, WIDTH, 3), 10 + 6 * index, np.uint8)
 
 
 @pytest.fixture
 def index_of() -> Callable[[NDArray[np.uint8]], int]:
-    return lambda image: round((float(image.mean()) - 10) / 8)
+    return lambda image: round((float(image.mean()) - 10) / 6)
 
 
 @pytest.fixture
@@ -76,3 +78,15 @@ def sim_import() -> Callable[..., int]:
         return int(args.run(args))
 
     return run
+
+
+@pytest.fixture
+def refused() -> Callable[..., None]:
+    """Sees that opening fails in one line with a message that matches."""
+
+    def see(kind: str, path: Path, message: str, options: ReadOptions | None = None) -> None:
+        with pytest.raises(FeedError, match=message) as raised:
+            open_dataset(kind, path, options)
+        assert "\n" not in str(raised.value)
+
+    return see

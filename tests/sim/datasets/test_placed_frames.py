@@ -1,0 +1,146 @@
+"""Frames with positions: St Lucia, KITTI odometry, and places in file names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedImages, read_feed
+from sim.datasets import ReadOptions, open_dataset
+from sim.datasets.truth import truth_between
+
+WritePictures = Callable[[Path, list[str]], None]
+WriteVideo = Callable[[Path, int, float], None]
+IndexOf = Callable[[NDArray[np.uint8]], int]
+Import = Callable[..., int]
+Refused = Callable[..., None]
+
+
+@pytest.fixture
+def st_lucia_path(tmp_path: Path, write_video: WriteVideo) -> Path:
+    """Thirty frames at 15 Hz; the receiver reports at every tenth frame, and the car stands at the end."""
+    path = tmp_path / "190809_0845"
+    write_video(path / "webcam_video.avi", 30, 15.0)
+    south = [27.5 + 0.0001 * min(frame // 10, 1) for frame in range(30)]
+    (path / "fGPS.txt").write_text("".join(f"{deg:.20f},153.00236500000000000000\n" for deg in south))
+    return path
+
+
+def test_st_lucia_is_south_and_moves_between_the_reports(st_lucia_path: Path, index_of: IndexOf) -> None:
+    traverse = open_dataset("st-lucia", st_lucia_path)
+    latitudes = [row.lat_deg for row in traverse.rows]
+    assert latitudes[:11] == pytest.approx([-27.5 - 0.00001 * frame for frame in range(11)], abs=1e-9)
+    assert latitudes[11:] == pytest.approx([-27.5001] * 19, abs=1e-9)
+    assert traverse.rows[7].lon_deg == pytest.approx(153.002365)
+    assert traverse.rows[15].stamp_ns == 1_000_000_000
+    assert index_of(traverse.pictures.read(15)) == 15
+
+
+def test_st_lucia_frames_may_be_pictures(st_lucia_path: Path, write_pictures: WritePictures) -> None:
+    (st_lucia_path / "webcam_video.avi").unlink()
+    write_pictures(st_lucia_path, [f"cam0_image{i:05d}.bmp" for i in range(1, 33)])
+    rows = open_dataset("st-lucia", st_lucia_path).rows
+    assert [row.lat_deg is None for row in rows] == [False] * 30 + [True] * 2
+
+
+def test_st_lucia_without_its_positions_or_with_a_bad_line_is_named(st_lucia_path: Path, refused: Refused) -> None:
+    file = st_lucia_path / "fGPS.txt"
+    file.write_text("27.5,153.0\n27.5;153.0\n")
+    refused("st-lucia", st_lucia_path, r"fGPS\.txt: line 2: not 2 numbers: '27\.5;153\.0'")
+    file.write_text("")
+    refused("st-lucia", st_lucia_path, r"fGPS\.txt: empty")
+    file.unlink()
+    refused("st-lucia", st_lucia_path, r"fGPS\.txt: cannot read it: No such file")
+
+
+@pytest.fixture
+def kitti_path(tmp_path: Path, write_pictures: WritePictures) -> Path:
+    """Ten pictures 0.5 m apart, ahead and then to the right; the road climbs, which y (down) shows."""
+    sequence = tmp_path / "dataset/sequences/00"
+    write_pictures(sequence / "image_2", [f"{i:06d}.png" for i in range(10)])
+    (sequence / "times.txt").write_text("".join(f"{0.1037 * i:.6e}\n" for i in range(10)))
+    lines = []
+    for i in range(10):
+        x_m, z_m = 0.5 * max(i - 5, 0), 0.5 * min(i, 5)
+        pose = np.column_stack([np.eye(3), [x_m, -0.02 * i, z_m]])
+        lines.append(" ".join(f"{value:.6e}" for value in pose.ravel()))
+    (tmp_path / "dataset/poses").mkdir()
+    (tmp_path / "dataset/poses/00.txt").write_text("\n".join(lines) + "\n")
+    return sequence
+
+
+def test_kitti_has_metres_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_import: Import) -> None:
+    rows = open_dataset("kitti", kitti_path).rows
+    assert [row.distance_m for row in rows] == pytest.approx(np.arange(10) * 0.5)
+    assert rows[8].extra == {"local_x_m": "1.500", "local_y_m": "2.500"}
+    assert (rows[8].stamp_ns, rows[8].lat_deg, rows[8].file) == (829_600_000, None, "image_2/000008.png")
+    sim_import("kitti", kitti_path, "-o", tmp_path / "feed", "--spacing-m", 1, "--width", 32)
+    feed = read_feed(tmp_path / "feed")
+    assert [row.extra["source_frame"] for row in feed.rows] == ["0", "2", "4", "6", "8"]
+    assert FeedImages(feed).read(4).shape == (24, 32, 3)
+    truth = truth_between("position", feed, feed, 1.2)
+    assert truth.error(1, 4) == pytest.approx(math.hypot(1.5, 1.5))
+    assert truth.true_rows(2).tolist() == [1, 2, 3]
+
+
+def test_kitti_files_that_do_not_belong_together_are_named(kitti_path: Path, refused: Refused) -> None:
+    poses, times = kitti_path.parents[1] / "poses/00.txt", kitti_path / "times.txt"
+    whole = poses.read_text()
+    poses.write_text("\n".join(whole.splitlines()[:9]))
+    refused("kitti", kitti_path, r"poses/00\.txt: 9 lines for the 10 pictures in .*sequences/00/image_2")
+    poses.write_text(whole.replace("0.000000e+00", "", 1))
+    refused("kitti", kitti_path, r"poses/00\.txt: line 1: not 12 numbers")
+    poses.unlink()
+    refused("kitti", kitti_path, r"poses/00\.txt: cannot read it: No such file.*published for sequences 00 to 10")
+    times.write_text("0.0\nx\n")
+    refused("kitti", kitti_path, r"times\.txt: line 2: not 1 number: 'x'")
+    refused("kitti", kitti_path, r"image_3: cannot read this folder: No such file", ReadOptions(camera="image_3"))
+
+
+def test_names_of_vpr_datasets_downloader(
+    tmp_path: Path, write_pictures: WritePictures, sim_import: Import, index_of: IndexOf
+) -> None:
+    queries = tmp_path / "st_lucia/images/test/queries"
+    write_pictures(
+        queries,
+        [
+            "@0500234.35@6957706.19@56@J@-27.50407@0153.00237@180809_1545_00010@@270@@@@@@.jpg",
+            "@0500240.10@6957706.19@56@J@-27.50408@0153.00243@180809_1545_00002@@@@@@@@.jpg",
+        ],
+    )
+    traverse = open_dataset("utm-names", queries)
+    assert [row.extra["local_x_m"] for row in traverse.rows] == ["500240.10", "500234.35"]  # by pano_id, not by name
+    last = traverse.rows[1]
+    assert (last.lat_deg, last.lon_deg, last.heading_deg) == (-27.50407, 153.00237, 270.0)
+    assert index_of(traverse.pictures.read(1)) == 0
+    assert traverse.source == "st_lucia/images/test/queries"
+
+
+def test_names_without_degrees_are_judged_by_their_metres(
+    tmp_path: Path, write_pictures: WritePictures, sim_import: Import
+) -> None:
+    for folder in ("database", "queries"):
+        write_pictures(tmp_path / folder, [f"@0@{2.4 * i:07.1f}@@@@@{i}@@@@@@@@.jpg" for i in range(24)])
+        sim_import("utm-names", tmp_path / folder, "-o", tmp_path / f"feeds/{folder}")
+    database, queries = (read_feed(tmp_path / f"feeds/{folder}") for folder in ("database", "queries"))
+    assert truth_between("position", database, queries, 25.0).true_rows(12).tolist() == list(range(2, 23))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("street.jpg", r"street\.jpg: this name does not begin with @utm_east@utm_north@"),
+        ("@500@@56@J@@@@@@@@@@@.jpg", r"@500@@56.*: this name does not begin with @utm_east@utm_north@"),
+        ("@500@69577o6@56@J@@@@@@@@@@@.jpg", r"y in this name is '69577o6', which is not a number"),
+    ],
+)
+def test_a_name_without_a_place_is_named(
+    tmp_path: Path, write_pictures: WritePictures, name: str, message: str, refused: Refused
+) -> None:
+    write_pictures(tmp_path / "queries", ["@500@600@@@@@@@@@@@@@.jpg", name])
+    refused("utm-names", tmp_path / "queries", f"^{tmp_path}/queries/.*{message}")
