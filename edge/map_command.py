@@ -101,7 +101,7 @@ def _add_feed(
 ) -> None:
     builder.begin_segment(feed.header.name, feed.header.view)
     chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
-    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame") as progress:
+    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for item in chosen:
             raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width))
             builder.add(raw, _place(item))

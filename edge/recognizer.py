@@ -33,7 +33,7 @@ class PlaceMatch:
 
     place: row of the map that looks most like here, even where it is not believed.
     lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
-    distance: mean cosine distance along the line. uniqueness: 1 is ambiguous, see `edge.sequence`.
+    slope: places passed a frame. distance: mean cosine distance along the line. uniqueness: 1 is ambiguous, see `edge.sequence`.
     accepted: the place is believed; False is the answer "off the map". event: accepted, and not held off.
     category: what kind of place the frame shows, told for events only.
     """
@@ -44,6 +44,7 @@ class PlaceMatch:
     heading_deg: float | None
     direction: Direction
     order: Order
+    slope: float
     distance: float
     uniqueness: float
     accepted: bool
@@ -93,6 +94,8 @@ class PlaceRecognizer:
         self._last_raw: NDArray[np.float32] | None = None
         self._last_ns: int | None = None
         self.state: State = "warming up"
+        self.newest_costs: NDArray[np.int32] = np.zeros((self._matcher.orders, header.places), dtype=np.int32)
+        """Cost row (orders, N) of the last used frame, in units of COST_ONE, for those who draw it."""
 
     def observe(self, image: NDArray[np.uint8], stamp_ns: int) -> PlaceMatch | None:
         """Take in one frame (H, W, 3) uint8 BGR; None while warming up and while the vehicle stands.
@@ -108,7 +111,7 @@ class PlaceRecognizer:
             self.state = "standing"
             return None
         self._forget_across_gap(stamp_ns)
-        costs = self._push(raw)
+        self._push(raw)
         self._stopwatch("matching")
         lines = self._search.lines()
         match = best_match(self._search, lines, self._neighbourhood, self._config.acceptance) if lines else None
@@ -117,7 +120,7 @@ class PlaceRecognizer:
             self.state = "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
-        return self._report(match, costs, raw, stamp_ns)
+        return self._report(match, raw, stamp_ns)
 
     def _stands_still(self, raw: NDArray[np.float32]) -> bool:
         """Whether this frame shows what the last used one did: normalised, it would be all zero, or mere noise."""
@@ -136,7 +139,7 @@ class PlaceRecognizer:
             self._search.clear()
         self._last_ns = stamp_ns
 
-    def _push(self, raw: NDArray[np.float32]) -> NDArray[np.int32]:
+    def _push(self, raw: NDArray[np.float32]) -> None:
         """Normalise and match the frame; its cost row (orders, N) goes into the search, or a whole new ring does."""
         normalized = self._normalizer.push(raw)
         costs = self._matcher.costs(normalized.rows)
@@ -145,13 +148,10 @@ class PlaceRecognizer:
             self._search.refill(searched)
         else:
             self._search.push(searched[-1])
-        newest: NDArray[np.int32] = costs[-1]
-        return newest
+        self.newest_costs = costs[-1]
 
-    def _report(
-        self, match: SequenceMatch, costs: NDArray[np.int32], raw: NDArray[np.float32], stamp_ns: int
-    ) -> PlaceMatch:
-        order = ORDERS[int(costs[:, match.place].argmin())] if self._per_frame_order else match.order
+    def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
+        order = ORDERS[int(self.newest_costs[:, match.place].argmin())] if self._per_frame_order else match.order
         forward = match.direction == "forward"
         rig = self._config.rig
         # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
@@ -164,6 +164,7 @@ class PlaceRecognizer:
             heading_deg=(position.heading_deg + (0 if forward else 180)) % 360 if position else None,
             direction=match.direction,
             order=order,
+            slope=match.slope,
             distance=match.cost / COST_ONE,
             uniqueness=match.uniqueness,
             accepted=match.accepted,

@@ -30,7 +30,6 @@ from edge.telemetry.autopilot import AutopilotConnection
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
 MIN_FREE_BYTES = 200_000_000
-View: TypeAlias = Literal["front", "rear"]
 Why: TypeAlias = Literal["told to stop", "time is over", "camera ended", "disk nearly full"]
 log = logging.getLogger(__name__)
 
@@ -49,7 +48,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = commands.add_parser("record", help="record a traverse: camera and positions, to a feed")
     parser.add_argument("config", type=Path, metavar="CONFIG")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FEED", help="folder to make")
-    parser.add_argument("--view", choices=("front", "rear"), default="front", help="where the camera looks")
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="stop after so many seconds")
     parser.add_argument(
         "--min-free-mb",
@@ -68,7 +66,6 @@ class Recorder:
         self,
         config: Config,
         path: Path,
-        view: View,
         parts: ExitStack,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
@@ -80,7 +77,6 @@ class Recorder:
             raise FeedError(f"{path}: there is a feed here already; name another folder")
         self._config = config
         self._path = path
-        self._view: View = view
         self._parts = parts
         self._clock_ns = clock_ns
         self._sampler = Sampler(config.sampling)
@@ -129,7 +125,7 @@ class Recorder:
         camera = self._config.camera
         height, width = frame.image.shape[:2]
         notes = "; ".join(self._camera.health.differences)
-        return FeedHeader(self._path.name, self._view, width, height, f"{camera.kind} {camera.device}", notes)
+        return FeedHeader(self._path.name, camera.view, width, height, f"{camera.kind} {camera.device}", notes)
 
     def _tell_camera(self) -> None:
         health = self._camera.health
@@ -147,7 +143,6 @@ class Recorder:
 def record(
     config: Config,
     path: Path,
-    view: View,
     stop: threading.Event,
     *,
     duration_s: float = math.inf,
@@ -161,7 +156,7 @@ def record(
     """
     free_bytes = free_bytes or (lambda: shutil.disk_usage(_existing(path)).free)
     with ExitStack() as parts:
-        recorder = Recorder(config, path, view, parts, clock_ns)
+        recorder = Recorder(config, path, parts, clock_ns)
         # On a terminal only: a service's log is no place for a counter.
         counter = parts.enter_context(tqdm(unit=" frames", disable=None))
         deadline_ns = clock_ns() + duration_s * 1e9
@@ -191,6 +186,6 @@ def _run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    done = record(config, args.output, args.view, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
+    done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)
     return 1 if done.why == "disk nearly full" else 0

@@ -37,14 +37,14 @@ def write_feed(path: Path, count: int, period_ns: int = PERIOD_NS) -> Path:
 def config(tmp_path: Path) -> Config:
     """A feed in the camera's place, and no autopilot: a serial port that is not there."""
     return Config(
-        camera=CameraConfig(kind="feed", device=str(write_feed(tmp_path / "camera", COUNT))),
+        camera=CameraConfig(kind="feed", view="rear", device=str(write_feed(tmp_path / "camera", COUNT))),
         sampling=SamplingConfig(by="time", interval_s=0.05),
         telemetry=TelemetryConfig(connection=f"serial:{tmp_path}/no-port:921600"),
     )
 
 
 def test_without_an_autopilot_frames_are_taken_by_time_and_have_no_position(config: Config, tmp_path: Path) -> None:
-    done = record.record(config, tmp_path / "new/out", "rear", threading.Event())
+    done = record.record(config, tmp_path / "new/out", threading.Event())
     feed = read_feed(tmp_path / "new/out")
     assert (done.frames, done.with_position, done.why) == (len(feed.rows), 0, "camera ended")
     assert (feed.header.name, feed.header.view, feed.header.width, feed.header.height) == ("out", "rear", 32, 24)
@@ -82,7 +82,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
         sampling=SamplingConfig(by="distance", spacing_m=1.0, interval_s=0.2),
         telemetry=TelemetryConfig(connection=f"serial:{device}:921600"),
     )
-    done = record.record(config, tmp_path / "out", "front", threading.Event())
+    done = record.record(config, tmp_path / "out", threading.Event())
     rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
     assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
     stamps_s, metres = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
@@ -95,7 +95,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
 
 
 def test_it_stops_when_the_time_is_over(config: Config, tmp_path: Path) -> None:
-    assert record.record(config, tmp_path / "out", "front", threading.Event(), duration_s=0.2).why == "time is over"
+    assert record.record(config, tmp_path / "out", threading.Event(), duration_s=0.2).why == "time is over"
     assert 1 <= len(read_feed(tmp_path / "out").rows) <= 5
 
 
@@ -105,7 +105,7 @@ def test_it_stops_before_the_disk_is_full(config: Config, tmp_path: Path) -> Non
     def free_bytes() -> int:
         return 1000 - len(list(out.glob("frames/*")))
 
-    done = record.record(config, out, "front", threading.Event(), min_free_bytes=998, free_bytes=free_bytes)
+    done = record.record(config, out, threading.Event(), min_free_bytes=998, free_bytes=free_bytes)
     assert (done.frames, done.why) == (3, "disk nearly full")
     assert len(read_feed(out).rows) == 3
 
@@ -115,7 +115,7 @@ def test_a_disk_that_refuses_a_frame_is_one_line_and_the_feed_stays_whole(config
     resource.setrlimit(resource.RLIMIT_FSIZE, (150, before[1]))  # room for feed.toml and no picture
     try:
         with pytest.raises(FeedError, match=r"out: (stopped after 0 frames: File too large|cannot write a feed here)"):
-            record.record(config, tmp_path / "out", "front", threading.Event())
+            record.record(config, tmp_path / "out", threading.Event())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
@@ -123,13 +123,13 @@ def test_a_disk_that_refuses_a_frame_is_one_line_and_the_feed_stays_whole(config
 def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
     no_camera = replace(config, camera=CameraConfig(device="/dev/video-none"))
     with pytest.raises(CameraLost, match=r"out: nothing recorded \(time is over\): /dev/video-none: No such file"):
-        record.record(no_camera, tmp_path / "out", "front", threading.Event(), duration_s=0.05)
+        record.record(no_camera, tmp_path / "out", threading.Event(), duration_s=0.05)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_feed_that_is_there_already_is_not_touched(config: Config, tmp_path: Path) -> None:
     with pytest.raises(FeedError, match="camera: there is a feed here already"):
-        record.record(config, tmp_path / "camera", "front", threading.Event())
+        record.record(config, tmp_path / "camera", threading.Event())
     assert len(read_feed(tmp_path / "camera").rows) == COUNT
 
 

@@ -25,7 +25,7 @@ METADATA_KEY = "lookback"
 MAX_FILE_BYTES = 512 * 2**20  # the float graph of AlexNet to fc6 is 161 MB
 MAX_ATTRIBUTE = 4096  # kernel, stride and padding of a convolution are far smaller
 OPERATORS = frozenset(
-    ["Conv", "DequantizeLinear", "Flatten", "Gemm", "MaxPool", "QuantizeLinear", "Relu", "Softmax", "Transpose"]
+    ["Conv", "DequantizeLinear", "Flatten", "Gemm", "Max", "MaxPool", "QuantizeLinear", "Relu", "Softmax", "Transpose"]
 )
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5

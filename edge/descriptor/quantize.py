@@ -47,14 +47,19 @@ def read_ranges(path: Path) -> dict[str, float]:
     """Greatest output by layer from a JSON file {layer: {min, max}}. ModelError names file and layer."""
     try:
         given = msgspec.json.decode(path.read_bytes(), type=dict[str, msgspec.Raw])
-        missing = [layer for layer in _LAYERS if layer not in given]
-        if missing:
-            raise ModelError(f"{path}: no range of {missing[0]}; it needs {{min, max}} of {', '.join(_LAYERS)}")
-        return {layer: msgspec.json.decode(given[layer], type=LayerRange).max for layer in _LAYERS}
     except OSError as error:
         raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except msgspec.DecodeError as error:
         raise ModelError(f"{path}: {error}") from None
+    greatest = {}
+    for layer in _LAYERS:
+        if layer not in given:
+            raise ModelError(f"{path}: no range of {layer}; it needs {{min, max}} of {', '.join(_LAYERS)}")
+        try:
+            greatest[layer] = msgspec.json.decode(given[layer], type=LayerRange).max
+        except msgspec.ValidationError as error:
+            raise ModelError(f"{path}: {layer}: {error}") from None
+    return greatest
 
 
 def measure_ranges(float_model: onnx.ModelProto, images: Iterable[NDArray[np.uint8]]) -> dict[str, float]:

@@ -11,6 +11,7 @@ import io
 import pickle
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +72,7 @@ def _read_npz(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
             raise ModelError(f"{path}: unpacks to {claimed} bytes; AlexNet's weights take far less")
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             return dict(arrays)
-    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, MemoryError, NotImplementedError) as error:
         raise ModelError(f"{path}: not a whole .npz file: {error}") from None
 
 

@@ -30,6 +30,7 @@ class SequenceMatch:
     place: where the line ends, that is, what the newest frame shows (I_min of eq. 3).
     direction: "forward" if places were passed in the map's order, "reverse" if backwards.
     order: "swapped" if the query's left region matched the map's right.
+    slope: how many places the line passes a frame, without sign.
     cost: mean cost along the line, in the units of the cost rows.
     uniqueness: lowest cost outside the window around `place` over the lowest cost; 1 is ambiguous.
     accepted: whether this is a place fix; False means that the vehicle is off the map, or cannot be told apart.
@@ -38,6 +39,7 @@ class SequenceMatch:
     place: int
     direction: Direction
     order: Order
+    slope: float
     cost: float
     uniqueness: float
     accepted: bool

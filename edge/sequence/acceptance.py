@@ -60,11 +60,13 @@ def best_match(
     second = int(outside.min(initial=NO_LINE))
     # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
     uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
-    direction, order = search.planes[int(lines.planes[place])]
+    plane = int(lines.planes[place])
+    direction, order = search.planes[plane]
     return SequenceMatch(
         place=place,
         direction=direction,
         order=order,
+        slope=search.slope(plane, place),
         cost=best / lines.length,
         uniqueness=uniqueness,
         accepted=uniqueness >= config.uniqueness_min,

@@ -128,6 +128,17 @@ class SequenceSearch:
         which = in_map_order.argmin(axis=0)
         return Lines(np.take_along_axis(in_map_order, which[np.newaxis], axis=0)[0], which, self.length)
 
+    def slope(self, plane: int, place: int) -> float:
+        """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
+        at = place if self.planes[plane][0] == "forward" else self._places - 1 - place
+        first = self._frame - self.length + 1
+        whole = [
+            (int(sums[plane, at]), slope)
+            for sums, slope in zip(self._sums, self._slopes, strict=True)
+            if self._room[plane, at] >= _rounded(slope, self._frame) - _rounded(slope, first)
+        ]
+        return min(whole)[1]
+
     def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
         """One cost row (orders, N) as each plane needs it: (planes, N), mirrored for the way back."""
         return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])

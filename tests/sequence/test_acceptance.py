@@ -16,7 +16,8 @@ CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
 
 def match(costs: np.ndarray, neighbourhood: Neighbourhood, config: AcceptanceConfig = CONFIG):
     search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
-    lines = Lines(costs.astype(np.int32), np.zeros(100, dtype=np.intp), 5)
+    search.refill(np.zeros((5, 1, 100), dtype=np.int32))
+    lines = Lines(costs.astype(np.int32), np.zeros(100, dtype=np.intp), 5)  # as the search would give them
     return best_match(search, lines, neighbourhood, config)
 
 
@@ -56,7 +57,7 @@ def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
 def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     everything_near = msgspec.structs.replace(CONFIG, window_m=1e6)
     around = Neighbourhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
-    found = match(np.arange(100), around, everything_near)
+    found = match(np.arange(100)[::-1], around, everything_near)
     assert (found.uniqueness, found.accepted) == (1.0, False)
     assert match(np.full(100, NO_LINE), around) is None
 

@@ -85,6 +85,10 @@ def test_running_sums_are_the_direct_sums(
     costs, which = searched_lines(search)
     np.testing.assert_array_equal(costs, direct.min(axis=0))
     np.testing.assert_array_equal(direct[which, np.arange(ends[-1])], costs)
+    for place in np.flatnonzero(costs < NO_LINE):
+        of_plane, of_slope = planes[which[place]], search.slope(int(which[place]), int(place))
+        again = direct_lines(rows, frames + 1, segments, (of_slope,), [of_plane])
+        assert again[0, place] == costs[place]
 
 
 def test_still_exact_after_a_billion_frames() -> None:
@@ -137,6 +141,7 @@ def test_each_direction_and_order_is_told_apart() -> None:
         assert place == (20 + length - 1 if direction == "forward" else 20 - length + 1)
         assert costs[place] == 0
         assert search.planes[which[place]] == (direction, order)
+        assert search.slope(int(which[place]), place) == pytest.approx(1.0, abs=0.06)
 
 
 def test_slopes_of_the_paper() -> None:

@@ -1,0 +1,140 @@
+"""The demo's story: out with the rear camera by day, then again at dusk and home at night with the front camera."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from edge.camera.feed import read_feed
+from edge.config import DescriptorConfig, RigConfig, SamplingConfig
+from edge.errors import ConfigError, LookbackError
+from edge.map_command import build_map
+from edge.reference_map.store import ReferenceMap, open_map
+from sim.demo.live import LiveDrive, ReceivedFix, check_ended_well, start_drive
+from sim.demo.report import write_report
+from sim.demo.review import TOLERANCE_M, Review, review_drive
+from sim.demo.rig import measure_rig
+from sim.recording import times_by_distance, write_feed
+from sim.scenario import Scenario
+
+SEED = 7
+LENGTH_M = 1000.0
+SPEED_MPS = 25.0  # brisk, to keep the demo short
+MEASURED_M = 400.0  # of the route, for the rig's offset
+WATCH_S = 0.1
+MARKER = ".lookback-demo"
+
+MAP_DRIVE = Scenario(seed=SEED, length_m=LENGTH_M, view="rear", light="day", drive_seed=1)
+DUSK = Scenario(seed=SEED, length_m=LENGTH_M, light="dusk", drive_seed=2, speed_mps=SPEED_MPS)
+NIGHT = Scenario(seed=SEED, length_m=LENGTH_M, light="night", drive_seed=3, speed_mps=SPEED_MPS, direction="reverse")
+WITH_GPS = (
+    Scenario(seed=SEED, length_m=LENGTH_M, drive_seed=4),
+    Scenario(seed=SEED, length_m=LENGTH_M, drive_seed=5, direction="reverse"),
+)
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback demo` to the command line; the entry point of `lookback.commands`."""
+    parser = commands.add_parser("demo", help="the main job in simulation: map, drive back, fixes, report")
+    parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="FOLDER")
+    parser.add_argument("--require-good", action="store_true", help="exit 1 unless both drives gave right fixes (CI)")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    folder: Path = args.output
+    started_s = time.monotonic()
+    _make_folder(folder)
+    print("1. Out along the route by day, with the camera that looks back, to make the map")
+    reference_map = _make_map(folder)
+    print("2. Two short drives with GPS: how far ahead of the vehicle does the matched place lie?")
+    rig = _measure_rig(folder, reference_map)
+    print(f"   {rig.ahead_forward_m:.0f} m driving the same way, {rig.ahead_reverse_m:.0f} m on the way home")
+    print("3. Live, without GPS, with the front camera: once more at dusk, and home at night (at the same time)")
+    lives = _drive(folder, reference_map, rig)
+    print("4. What they saw, held against the truth")
+    reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
+    for live, review in zip(lives, reviews, strict=True):
+        _print_table(live, review)
+    report = write_report(folder / "report.html", reference_map, rig, lives, reviews)
+    print(f"\nreport: {report}   ({time.monotonic() - started_s:.0f} s in all)")
+    return 0 if not args.require_good or all(map(_is_good, lives, reviews)) else 1
+
+
+def _make_folder(folder: Path) -> None:
+    """An empty folder; one that an earlier demo made is cleared, anything else is left alone."""
+    if folder.exists() and any(folder.iterdir()) and not (folder / MARKER).exists():
+        raise ConfigError(f"--output: {folder} has files that no demo made; name another folder")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / MARKER).touch()
+
+
+def _make_map(folder: Path) -> ReferenceMap:
+    _record(MAP_DRIVE, folder / "rear_day", LENGTH_M)
+    build_map([read_feed(folder / "rear_day")], folder / "rear_day.map", DescriptorConfig(), SamplingConfig())
+    return open_map(folder / "rear_day.map")
+
+
+def _measure_rig(folder: Path, reference_map: ReferenceMap) -> RigConfig:
+    drives = []
+    for scenario in WITH_GPS:
+        path = folder / f"gps_{scenario.direction}"
+        _record(scenario, path, MEASURED_M)
+        drives.append(read_feed(path))
+    return measure_rig(reference_map, drives)
+
+
+def _record(scenario: Scenario, path: Path, distance_m: float) -> None:
+    drive = scenario.drive()
+    times_s = [t for t in times_by_distance(drive, SamplingConfig().spacing_m) if drive.distance_m(t) <= distance_m]
+    write_feed(scenario, drive, path, tqdm(times_s, unit="frame", desc=path.name, disable=None))
+
+
+def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig) -> list[LiveDrive]:
+    """Both drives at once, each with its own daemon and autopilot; fixes are printed as they arrive."""
+    with ExitStack() as running:
+        lives = [
+            running.enter_context(start_drive(name, scenario, folder / name, reference_map.path, rig))
+            for name, scenario in (("again_dusk", DUSK), ("home_night", NIGHT))
+        ]
+        while any(live.process.poll() is None for live in lives):
+            time.sleep(WATCH_S)
+            for live in lives:
+                for fix in live.new_fixes():
+                    _print_fix(live, fix)
+        for live in lives:
+            check_ended_well(live)
+    return lives
+
+
+def _print_fix(live: LiveDrive, fix: ReceivedFix) -> None:
+    print(
+        f"   {live.name:<10}  {fix.time_s:5.1f} s  at {fix.route_m:5.0f} m  fix {fix.error_m:5.1f} m from the truth,"
+        f" {fix.age_s * 1e3:3.0f} ms old; the autopilot was {fix.believed_error_m:4.1f} m off"
+    )
+
+
+def _print_table(live: LiveDrive, review: Review) -> None:
+    errors_m = np.array([fix.error_m for fix in live.fixes])
+    stages = ", ".join(f"{stage} {ms:.2f}" for stage, ms in live.stages_ms().items())
+    print(f"\n   {live.name}: {live.scenario.light}, {live.scenario.direction}, {len(review.seen)} frames used")
+    print(f"   fixes                {len(errors_m)}")
+    if errors_m.size:
+        print(f"   error of the fixes   median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m")
+    print(f"   precision            {review.precision:.3f} of the accepted frames are within {TOLERANCE_M:.0f} m")
+    print(f"   recall               {review.recall:.3f} of all frames, those of the warm-up included")
+    print(f"   time per frame, ms   {stages}")
+
+
+def _is_good(live: LiveDrive, review: Review) -> bool:
+    """Fixes came, and nearly all of them are right: the bar of the smoke test."""
+    if len(live.fixes) < 5 or not review.precision >= 0.9:
+        raise LookbackError(f"{live.name}: {len(live.fixes)} fixes, precision {review.precision:.3f}: not good enough")
+    return True

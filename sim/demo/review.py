@@ -1,0 +1,89 @@
+"""What the daemon saw, once more: the frames it used are rendered again, and every answer is held against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.descriptor.network import Head, Network
+from edge.observation import Observation
+from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.reference_map.costs import COST_ONE
+from edge.reference_map.store import ReferenceMap
+from edge.replay import config_for_map
+from sim.camera import open_renderer
+from sim.demo.live import LiveDrive, error_m
+from sim.evaluation.metrics import Answers
+
+TOLERANCE_M = 40.0
+"""The paper's, for a road (section IV-B)."""
+
+
+@dataclass(frozen=True)
+class Review:
+    """One drive in review; rows are the frames that the daemon used.
+
+    route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. costs: (Q, N)
+    cosine distances, the better of the region orders. matches: the recogniser's answers on the same frames again.
+    pairs: frame rows to be shown, with their pictures.
+    """
+
+    seen: list[Observation]
+    route_m: NDArray[np.float64]
+    error_m: NDArray[np.float64]
+    costs: NDArray[np.float32]
+    matches: list[PlaceMatch | None]
+    pictures: dict[int, NDArray[np.uint8]]
+
+    @property
+    def answers(self) -> Answers:
+        """For precision and recall: right within TOLERANCE_M; every frame is on the map, warming up or not."""
+        confidence = np.array([np.nan if seen.uniqueness is None else seen.uniqueness for seen in self.seen])
+        return Answers(confidence, self.error_m <= TOLERANCE_M, np.ones(len(self.seen), dtype=bool))
+
+    @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """Frames whose match was believed."""
+        return np.array([seen.accepted for seen in self.seen])
+
+    @property
+    def precision(self) -> float:
+        """Share of the accepted frames that are right."""
+        return float((self.error_m[self.accepted] <= TOLERANCE_M).mean()) if self.accepted.any() else float("nan")
+
+    @property
+    def recall(self) -> float:
+        """Share of all used frames that were accepted and right (`recall_of_places`)."""
+        return float((self.accepted & (self.error_m <= TOLERANCE_M)).mean())
+
+
+def review_drive(live: LiveDrive, reference_map: ReferenceMap, pictures: int) -> Review:
+    """Render the used frames again, run the recogniser on them, and keep `pictures` of the emitted ones."""
+    seen = live.frames()
+    times_s = [item.stamp_ns / 1e9 - live.epoch_s for item in seen]
+    errors_m = [
+        np.nan if item.lat_deg is None or item.lon_deg is None else error_m(live.drive, t, item.lat_deg, item.lon_deg)
+        for item, t in zip(seen, times_s, strict=True)
+    ]
+    emitted = [row for row, item in enumerate(seen) if item.emitted]
+    shown = {emitted[at] for at in np.linspace(0, len(emitted) - 1, pictures).round().astype(int)} if emitted else set()
+    network = Network.load()
+    config = config_for_map(reference_map.header)
+    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=live.scenario.view))
+    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    renderer = open_renderer(live.scenario, live.drive)
+    costs, matches, kept = [], [], {}
+    try:
+        for row, (item, time_s) in enumerate(zip(seen, times_s, strict=True)):
+            image = renderer.render(live.drive.pose(time_s), time_s)
+            matches.append(recognizer.observe(image, item.stamp_ns))
+            costs.append(recognizer.newest_costs.min(axis=0) / np.float32(COST_ONE))
+            if row in shown:
+                kept[row] = image
+    finally:
+        renderer.close()
+    route_m = np.array([live.drive.route_m(time_s) for time_s in times_s])
+    return Review(seen, route_m, np.array(errors_m), np.array(costs, dtype=np.float32), matches, kept)
