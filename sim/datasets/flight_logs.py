@@ -24,6 +24,7 @@ from sim.datasets.track import Fix, Track
 
 MAVLINK_1, MAVLINK_2 = 0xFE, 0xFD
 STAMP_BYTES = 8
+DATAFLASH_BEGINS = b"\xa3\x95"
 
 
 def read_log(file: Path) -> Track:
@@ -32,16 +33,18 @@ def read_log(file: Path) -> Track:
     if file.suffix.lower() not in readers:
         raise FeedError(f"{file}: not a log that is known here; it is one of {', '.join(readers)}")
     try:
-        file.open("rb").close()
+        data = file.read_bytes()
     except OSError as error:
         raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    return Track(str(file), readers[file.suffix.lower()](file))
+    if not data:
+        raise FeedError(f"{file}: empty")
+    return Track(str(file), readers[file.suffix.lower()](file, data))
 
 
-def _tlog_fixes(file: Path) -> Iterator[Fix]:
+def _tlog_fixes(_: Path, data: bytes) -> Iterator[Fix]:
     codec = MavlinkCodec(255, 0)
     system = None
-    for stamp_us, frame in _tlog_frames(file.read_bytes()):
+    for stamp_us, frame in _tlog_frames(data):
         for message in codec.decode(frame):
             if message.get_type() != "GLOBAL_POSITION_INT":
                 continue
@@ -78,30 +81,33 @@ def _tlog_frames(data: bytes) -> Iterator[tuple[int, bytes]]:
         at = end
 
 
-def _dataflash_fixes(file: Path) -> Iterator[Fix]:
+def _dataflash_fixes(file: Path, data: bytes) -> list[Fix]:
+    if not data.startswith(DATAFLASH_BEGINS):
+        raise FeedError(f"{file}: not a DataFlash log")
     # DFReader is under the GPL, unlike the dialects: imported here alone, at a desk, when somebody has such a log.
     from pymavlink.DFReader import DFReader_binary
 
+    fixes = []
     # It prints what it thinks of damaged logs; what could be read counts here.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             with DFReader_binary(str(file)) as log:
                 while (message := log.recv_match(type="POS")) is not None:
-                    yield Fix(message.TimeUS * 1000, message.Lat, message.Lng, message.Alt)
+                    fixes.append(Fix(message.TimeUS * 1000, message.Lat, message.Lng, message.Alt))
         except Exception as error:  # the library raises whatever comes up in a damaged file
             raise FeedError(f"{file}: not a whole DataFlash log: {error}") from None
+    return fixes
 
 
-def _ulog_fixes(file: Path) -> Iterator[Fix]:
+def _ulog_fixes(file: Path, data: bytes) -> list[Fix]:
     from pyulog import ULog
 
     topic = "vehicle_global_position"
     try:
-        found = [item.data for item in ULog(str(file), [topic]).data_list if item.multi_id == 0]
+        found = [item.data for item in ULog(io.BytesIO(data), [topic]).data_list if item.multi_id == 0]
     except Exception as error:  # the library raises whatever comes up in a damaged file
         raise FeedError(f"{file}: not a whole ULog: {error}") from None
     if not found:
         raise FeedError(f"{file}: no {topic} in it; log it, or give another log")
-    columns = (found[0][name] for name in ("timestamp", "lat", "lon", "alt"))
-    for stamp_us, lat_deg, lon_deg, alt_m in zip(*columns, strict=True):
-        yield Fix(int(stamp_us) * 1000, float(lat_deg), float(lon_deg), float(alt_m))
+    columns = (found[0][name].tolist() for name in ("timestamp", "lat", "lon", "alt"))
+    return [Fix(stamp_us * 1000, lat, lon, alt) for stamp_us, lat, lon, alt in zip(*columns, strict=True)]

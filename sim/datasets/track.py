@@ -45,7 +45,7 @@ class Track:
             if (fix.lat_deg, fix.lon_deg) != (0.0, 0.0):
                 by_stamp.setdefault(fix.stamp_ns, fix)
         if len(by_stamp) < 2:
-            raise FeedError(f"{source}: {len(by_stamp)} positions in it, and two at least are needed")
+            raise FeedError(f"{source}: {len(by_stamp) or 'no'} position(s) in it, and two at least are needed")
         self.fixes = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
         self._stamps_ns = np.array(sorted(by_stamp), dtype=np.int64)
         self._values: Floats = np.array([astuple(fix)[1:] for fix in self.fixes], dtype=np.float64)

@@ -1,0 +1,242 @@
+"""Recordings that carry their own positions: geotagged pictures, and video beside an autopilot's log."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.camera.feed import read_feed
+from edge.errors import FeedError
+from edge.reference_map.route import east_north
+from sim.datasets import ReadOptions, open_dataset
+from sim.datasets.flight_logs import read_log
+
+WriteVideo = Callable[[Path, int, float], None]
+Degrees = Callable[[float, float], tuple[float, float]]
+Refused = Callable[..., None]
+
+SPEED_MPS = 5.0
+
+
+# Geotagged pictures
+
+
+def sexagesimal(degrees: float) -> tuple[float, float, float]:
+    minutes = abs(degrees) % 1 * 60
+    return float(int(abs(degrees))), float(int(minutes)), minutes % 1 * 60
+
+
+def geotag(file: Path, taken: str | None, position: tuple[float, float] | None, **gps: Any) -> None:
+    """A small JPEG as cameras write it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    exif = Image.Exif()
+    if taken:
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.DateTimeOriginal] = taken.partition(".")[0]
+        if "." in taken:
+            exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.SubsecTimeOriginal] = taken.partition(".")[2]
+    tags = exif.get_ifd(ExifTags.IFD.GPSInfo)
+    if position:
+        lat_deg, lon_deg = position
+        tags[ExifTags.GPS.GPSLatitudeRef], tags[ExifTags.GPS.GPSLatitude] = "NS"[lat_deg < 0], sexagesimal(lat_deg)
+        tags[ExifTags.GPS.GPSLongitudeRef], tags[ExifTags.GPS.GPSLongitude] = "EW"[lon_deg < 0], sexagesimal(lon_deg)
+    for name, value in gps.items():
+        tags[ExifTags.GPS[name]] = value
+    Image.new("RGB", (64, 48), (90, 90, 90)).save(file, exif=exif)
+
+
+def test_geotagged_pictures_are_put_in_the_order_of_their_times(tmp_path: Path) -> None:
+    below_sea = {"GPSAltitude": 3.5, "GPSAltitudeRef": b"\x01", "GPSTrack": 270.5, "GPSTrackRef": "T"}
+    geotag(tmp_path / "b.jpg", "2024:05:01 10:00:00.25", (-27.4772, 153.0283), **below_sea)
+    geotag(tmp_path / "a.jpg", "2024:05:01 10:00:00.5", (51.76, -1.26), GPSTrack=10.0, GPSTrackRef="M")
+    geotag(tmp_path / "c.jpg", "2024:05:01 09:59:59", None)
+    rows = open_dataset("geotagged", tmp_path).rows
+    assert [row.file for row in rows] == ["c.jpg", "b.jpg", "a.jpg"]
+    start_ns = 1_714_557_600_000_000_000  # 2024-05-01T10:00:00Z
+    assert [row.stamp_ns - start_ns for row in rows] == [-1_000_000_000, 250_000_000, 500_000_000]
+    assert (rows[0].lat_deg, rows[0].lon_deg) == (None, None)
+    assert (rows[1].lat_deg, rows[1].lon_deg) == pytest.approx((-27.4772, 153.0283), abs=1e-7)
+    assert (rows[1].alt_m, rows[1].heading_deg) == (-3.5, 270.5)
+    assert (rows[2].lat_deg, rows[2].lon_deg) == pytest.approx((51.76, -1.26), abs=1e-7)
+    assert (rows[2].alt_m, rows[2].heading_deg) == (None, None)  # a magnetic heading is another thing
+
+
+def test_geotagged_pictures_become_a_feed(tmp_path: Path, degrees_at: Degrees, sim_import: Callable[..., int]) -> None:
+    for index in range(10):  # two a second, whose clock has no fractions
+        geotag(tmp_path / f"drive/{index}.jpg", f"2024:05:01 10:00:{index // 2:02d}", degrees_at(0.0, 1.5 * index))
+    geotag(tmp_path / "drive/tunnel.jpg", "2024:05:01 10:00:04", None)
+    sim_import("geotagged", tmp_path / "drive", "-o", tmp_path / "feed", "--spacing-m", 3, "--view", "rear")
+    feed = read_feed(tmp_path / "feed")
+    assert [row.extra["source_file"] for row in feed.rows] == ["0.jpg", "2.jpg", "4.jpg", "6.jpg", "8.jpg"]
+    assert [row.distance_m for row in feed.rows] == pytest.approx([0, 3, 6, 9, 12], abs=1e-3)
+    assert feed.header.view == "rear"
+
+
+def test_pictures_without_positions_or_times_and_broken_ones_are_named(tmp_path: Path, refused: Refused) -> None:
+    geotag(tmp_path / "0.jpg", "2024:05:01 10:00:00", None)
+    refused("geotagged", tmp_path, f"^{tmp_path}: none of its 1 pictures has a GPS position in its EXIF data$")
+    geotag(tmp_path / "1.jpg", None, (51.0, -1.0))
+    refused("geotagged", tmp_path, r"1\.jpg: no DateTimeOriginal in its EXIF data")
+    geotag(tmp_path / "1.jpg", "yesterday", (51.0, -1.0))
+    refused("geotagged", tmp_path, r"1\.jpg: its EXIF data are damaged")
+    (tmp_path / "1.jpg").write_bytes(b"\xff\xd8\xff\xe1 no picture")
+    refused("geotagged", tmp_path, r"1\.jpg: cannot read this picture: ")
+
+
+# Video and a log
+
+
+def positions(degrees_at: Degrees, count: int) -> list[tuple[int, float, float]]:
+    """Microseconds and degrees, at 5 Hz, driving north at SPEED_MPS."""
+    return [(i * 200_000, *degrees_at(0.0, SPEED_MPS * i / 5)) for i in range(count)]
+
+
+def write_tlog(file: Path, degrees_at: Degrees, count: int) -> None:
+    """What a ground station keeps: its own heartbeats too, MAVLink 1 and 2 and signed frames, and a torn last one."""
+    vehicle, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
+    log = bytearray()
+    for number, (after_us, lat_deg, lon_deg) in enumerate(positions(degrees_at, count)):
+        vehicle.signing.secret_key, vehicle.signing.sign_outgoing = b"k" * 32, number % 3 == 2
+        message = mavlink.MAVLink_global_position_int_message(
+            after_us // 1000, round(lat_deg * 1e7), round(lon_deg * 1e7), 110_500, 0, 500, 0, 0, 0
+        )
+        heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+        for sender, sent in ((station, heartbeat), (vehicle, message)):
+            packed = sent.pack(sender, force_mavlink1=number % 3 == 1)
+            log += struct.pack(">Q", 1_714_557_600_000_000 + after_us) + packed
+    file.write_bytes(bytes(log) + struct.pack(">Q", 1_714_557_700_000_000) + b"\xfd\x1c\x00")
+
+
+def write_dataflash(file: Path, degrees_at: Degrees, count: int) -> None:
+    """ArduPilot's format messages first (FMT describes itself), then POS at 5 Hz."""
+    layouts = {
+        128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns", struct.Struct("<BB4s16s64s")),
+        130: ("GPS", "QBIHLL", "TimeUS,Status,GMS,GWk,Lat,Lng", struct.Struct("<QBIHii")),
+        131: ("POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", struct.Struct("<Qiifff")),
+    }
+
+    def packed(kind: int, *values: Any) -> bytes:
+        return b"\xa3\x95" + bytes([kind]) + layouts[kind][3].pack(*values)
+
+    log = b"".join(
+        packed(128, kind, layout.size + 3, name.encode(), form.encode(), columns.encode())
+        for kind, (name, form, columns, layout) in layouts.items()
+    )
+    for after_us, lat_deg, lon_deg in positions(degrees_at, count):
+        log += packed(130, 90_000_000 + after_us, 3, 295_218_000 + after_us // 1000, 2312, 0, 0)
+        place = round(lat_deg * 1e7), round(lon_deg * 1e7)
+        log += packed(131, 90_000_000 + after_us, *place, 110.5, 0.0, 0.0)
+    file.write_bytes(log)
+
+
+def write_ulog(file: Path, degrees_at: Degrees, count: int, topic: str = "vehicle_global_position") -> None:
+    """PX4's header, flags, format, subscription and data messages."""
+
+    def message(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    log = b"\x55\x4c\x6f\x67\x01\x12\x35\x01" + struct.pack("<Q", 90_000_000) + message("B", bytes(40))
+    log += message("F", f"{topic}:uint64_t timestamp;double lat;double lon;float alt;".encode())
+    log += message("A", struct.pack("<BH", 0, 7) + topic.encode())
+    for after_us, lat_deg, lon_deg in positions(degrees_at, count):
+        log += message("D", struct.pack("<HQddf", 7, 90_000_000 + after_us, lat_deg, lon_deg, 110.5))
+    file.write_bytes(log)
+
+
+LOGS = {".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog}
+
+
+@pytest.mark.parametrize("suffix", LOGS)
+def test_each_log_gives_the_positions_that_were_driven(tmp_path: Path, degrees_at: Degrees, suffix: str) -> None:
+    LOGS[suffix](tmp_path / f"flight{suffix}", degrees_at, 12)
+    fixes = read_log(tmp_path / f"flight{suffix}").fixes
+    start_ns = fixes[0].stamp_ns
+    assert len(fixes) == 12
+    for fix, (after_us, *degrees) in zip(fixes, positions(degrees_at, 12), strict=True):
+        assert fix.stamp_ns - start_ns == pytest.approx(after_us * 1000, abs=1000)
+        assert [fix.lat_deg, fix.lon_deg] == pytest.approx(degrees, abs=1e-7)
+        assert fix.alt_m == pytest.approx(110.5)
+    if suffix == ".tlog":
+        assert (start_ns, fixes[3].heading_deg, fixes[3].speed_mps) == (1_714_557_600_000_000_000, 0.0, 5.0)
+
+
+@pytest.mark.parametrize("suffix", LOGS)
+def test_a_video_is_put_along_its_log(
+    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, sim_import: Callable[..., int], suffix: str
+) -> None:
+    write_video(tmp_path / "drive.avi", 20, 10.0)
+    LOGS[suffix](tmp_path / f"flight{suffix}", degrees_at, 12)
+    log, output = tmp_path / f"flight{suffix}", tmp_path / "feed"
+    sim_import("video-log", tmp_path / "drive.avi", "--positions", log, "--start-s", "1", "-o", output)
+    feed = read_feed(output)
+    # The log ends after 2.2 s, which is 1.2 s into the video.
+    assert [row.extra["source_frame"] for row in feed.rows] == ["0", "4", "8", "12"]
+    for row, north_m in zip(feed.rows, (5, 7, 9, 11), strict=True):
+        assert (row.lat_deg, row.lon_deg) == pytest.approx(degrees_at(0.0, north_m), abs=2e-7)
+
+
+def test_a_video_and_a_log_of_other_times_are_one_line(
+    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, refused: Refused
+) -> None:
+    write_video(tmp_path / "drive.avi", 20, 10.0)
+    write_tlog(tmp_path / "flight.tlog", degrees_at, 12)
+    options = ReadOptions(positions=str(tmp_path / "flight.tlog"), start_s=60.0)
+    message = r"drive\.avi: taken from 1714557660\.000 to 1714557661\.900 s, where .*flight\.tlog has no positions"
+    refused("video-log", tmp_path / "drive.avi", message, options)
+
+
+def test_where_a_log_has_a_gap_nobody_knows_the_position(tmp_path: Path, degrees_at: Degrees) -> None:
+    file = tmp_path / "flight.tlog"
+    write_tlog(file, degrees_at, 12)
+    early = file.read_bytes()
+    write_tlog(file, degrees_at, 60)
+    late = file.read_bytes()
+    frame = late.rfind(struct.pack(">Q", 1_714_557_600_000_000 + 55 * 200_000))
+    file.write_bytes(early[:-11] + late[late.rfind(late[frame : frame + 8], 0, frame) :])
+    track = read_log(file)
+    start_ns = track.fixes[0].stamp_ns
+    seconds = np.array([0.0, 1.0, 2.2, 2.3, 10.9, 11.0, 11.5, 12.0, -0.1])
+    covered = track.covers(start_ns + (seconds * 1e9).astype(np.int64))
+    assert covered.tolist() == [True, True, True, False, False, True, True, False, False]
+
+
+def test_a_real_rover_drove_as_far_as_its_speed_says(shared: Path) -> None:
+    fixes = read_log(shared / "autopilot/ardurover-4.6.3-nogps.tlog").fixes
+    steps = np.diff(east_north(*np.array([(fix.lat_deg, fix.lon_deg) for fix in fixes]).T), axis=0)
+    speed_mps = np.array([fix.speed_mps for fix in fixes])
+    seconds = np.array([fix.stamp_ns - fixes[0].stamp_ns for fix in fixes]) / 1e9
+    by_speed_m = float((np.diff(seconds) * (speed_mps[1:] + speed_mps[:-1]) / 2).sum())
+    assert by_speed_m > 400
+    assert np.hypot(*steps.T).sum() == pytest.approx(by_speed_m, rel=0.02)
+
+
+def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees) -> None:
+    def fails(name: str, message: str) -> None:
+        with pytest.raises(FeedError, match=f"^{tmp_path}/{name}: {message}") as raised:
+            read_log(tmp_path / name)
+        assert "\n" not in str(raised.value)
+
+    fails("flight.tlog", "cannot read it: No such file or directory")
+    fails("flight.csv", "not a log that is known here; it is one of .tlog, .bin, .ulg")
+    for suffix in LOGS:
+        (tmp_path / f"noise{suffix}").write_bytes(np.random.default_rng(3).bytes(5000))
+        (tmp_path / f"empty{suffix}").write_bytes(b"")
+        fails(f"empty{suffix}", "empty")
+    fails("noise.tlog", r"no position\(s\) in it, and two at least are needed")
+    fails("noise.bin", "not a DataFlash log")
+    fails("noise.ulg", "not a whole ULog: ")
+    write_dataflash(tmp_path / "parked.bin", degrees_at, 1)
+    fails("parked.bin", r"1 position\(s\) in it, and two at least are needed")
+    write_ulog(tmp_path / "indoors.ulg", degrees_at, 5, topic="vehicle_local_position")
+    fails("indoors.ulg", "no vehicle_global_position in it")
+
+
+def test_a_video_without_its_log_is_told_so(tmp_path: Path, write_video: WriteVideo, refused: Refused) -> None:
+    write_video(tmp_path / "drive.avi", 3, 10.0)
+    refused("video-log", tmp_path / "drive.avi", r"--positions: name the log \(\.tlog, \.bin or \.ulg\)")
