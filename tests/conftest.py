@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+
+from edge.camera.feed import FeedHeader, FeedWriter
 
 SHARED = Path(__file__).parents[2] / "shared"
 
@@ -15,3 +20,41 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"needs the real recordings in {SHARED.name}/ beside the checkout, which is not there")
     return SHARED
+
+
+def _street(length_px: int) -> np.ndarray:
+    """A long strip of coloured fronts with windows: every stretch of it looks like no other."""
+    rng = np.random.default_rng(7)
+    strip = np.full((120, length_px, 3), 200, dtype=np.uint8)
+    at = 0
+    while at < length_px:
+        width, top = int(rng.integers(40, 110)), int(rng.integers(10, 70))
+        cv2.rectangle(strip, (at, top), (at + width, 119), rng.integers(20, 235, 3).tolist(), -1)
+        for _ in range(int(rng.integers(1, 7))):
+            x, y = at + int(rng.integers(0, width)), int(rng.integers(top, 110))
+            cv2.rectangle(strip, (x, y), (x + int(rng.integers(5, 25)), y + 12), rng.integers(0, 255, 3).tolist(), -1)
+        at += width
+    return strip
+
+
+@pytest.fixture(scope="session")
+def write_traverse() -> Callable[..., Path]:
+    """Writes a feed that passes the fronts of one and the same street, 2 m and `period_ms` a frame."""
+    strip = _street(160 + 12 * 80)
+
+    def write(path: Path, frames: range = range(80), *, noise: float = 0.0, period_ms: int = 50) -> Path:
+        rng = np.random.default_rng(1)
+        with FeedWriter(path, FeedHeader(path.name, "front", 160, 120)) as writer:
+            for row, frame in enumerate(frames):
+                image = strip[:, 12 * frame : 12 * frame + 160] + rng.normal(0, noise, (120, 160, 3))
+                writer.write(
+                    image.clip(0, 255).astype(np.uint8),
+                    row * period_ms * 1_000_000,
+                    lat_deg=-27.0 + frame * 2 / 110_800,
+                    lon_deg=153.0,
+                    heading_deg=0.0,
+                    distance_m=row * 2.0,
+                )
+        return path
+
+    return write

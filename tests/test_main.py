@@ -1,0 +1,177 @@
+"""Every mistake a user can make is one line on standard error that names the thing, and the exit code says the kind."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from edge.__main__ import main
+
+
+@pytest.fixture(scope="module")
+def traverse(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_traverse(tmp_path_factory.mktemp("feeds") / "out", range(30))
+
+
+@pytest.fixture(scope="module")
+def street_map(traverse: Path) -> Path:
+    path = traverse.with_name("street.map")
+    assert main(["map", "build", str(traverse), "-o", str(path)]) == 0
+    return path
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must fail as a set-up error; its one line."""
+    capsys.readouterr()
+    assert main(list(arguments)) == 78
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("lookback: ")
+    return err
+
+
+def test_map_info_and_verify(street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", "info", str(street_map)]) == 0
+    told = capsys.readouterr().out
+    assert "30, 30 of them with a position" in told
+    assert "every 2 m" in told
+    assert main(["map", "verify", str(street_map)]) == 0
+    assert "whole" in capsys.readouterr().out
+
+
+def test_a_map_is_extended_without_its_images(
+    street_map: Path, traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(street_map, tmp_path / "grown.map")
+    assert main(["map", "extend", str(tmp_path / "grown.map"), str(traverse)]) == 0
+    assert "60 places in 2 segment(s)" in capsys.readouterr().out
+    assert main(["map", "verify", str(tmp_path / "grown.map")]) == 0
+
+
+def test_missing_feed(tmp_path: Path, street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "nowhere: no such feed" in refused(
+        capsys, "map", "build", str(tmp_path / "nowhere"), "-o", str(tmp_path / "m")
+    )
+    assert "nowhere: no such feed" in refused(capsys, "replay", str(tmp_path / "nowhere"), "--map", str(street_map))
+    assert not (tmp_path / "m").exists()
+
+
+def test_missing_and_truncated_map(
+    traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "no such map" in refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "nowhere"))
+    shutil.copytree(street_map, tmp_path / "cut.map")
+    os.truncate(tmp_path / "cut.map/descriptors.i8", 1000)
+    told = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "cut.map"))
+    assert "descriptors.i8: 1000 bytes where the header says 245760" in told
+
+
+def test_a_map_of_another_model_or_other_regions(
+    traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "whole.toml"
+    config.write_text('[descriptor]\nregions = "whole"\n')
+    told = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
+    assert "made with regions left-right of width 0.4" in told
+    assert "asks for whole" in told
+
+    from edge.config import SamplingConfig
+    from edge.descriptor.normalize import normalize
+    from edge.reference_map.build import MapBuilder
+    from edge.reference_map.store import ModelKey, open_map
+
+    original = open_map(street_map)
+    other = ModelKey("other-network", "f" * 64, "fc6", 4096)
+    with MapBuilder(tmp_path / "other.map", other, original.header.regions, SamplingConfig()) as builder:
+        builder.begin_segment("x", "front")
+        for index, raw in enumerate(original.raw()):
+            from edge.reference_map.build import Place
+
+            builder.add(raw.astype("f4"), Place(row=index))
+        builder.finish(normalize, "test")
+    told = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
+    assert "made with model other-network (ffffffffffff, fc6)" in told
+
+
+def test_a_model_that_is_none(
+    traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "noise.onnx").write_bytes(os.urandom(1000))
+    told = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--model", str(tmp_path / "noise.onnx"))
+    assert "noise.onnx" in told
+
+
+def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "bad.toml"
+    config.write_text("[sequence]\nlenght = 20\n")
+    for command in ("run", "check"):
+        assert refused(capsys, command, str(config)) == f"lookback: {config}: [sequence] unknown key `lenght`\n"
+
+
+def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    at = ("replay", str(traverse), "--map", str(street_map))
+    assert "--sequence-length: expected `int` >= 2" in refused(capsys, *at, "--sequence-length", "1")
+    assert "--spacing-m: expected `float` > 0" in refused(capsys, *at, "--spacing-m", "-1")
+    assert "--uniqueness-min: expected `float` >= 1" in refused(capsys, *at, "--uniqueness-min", "0.2")
+
+
+def test_distance_that_a_feed_does_not_have(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    feed = str(shared / "feeds/track_lap_a")
+    told = refused(capsys, "map", "build", feed, "-o", str(tmp_path / "m"), "--spacing-m", "2")
+    assert "no distance_m and no positions" in told
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unreadable_pictures_are_left_out_and_named(
+    traverse: Path,
+    street_map: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    spoiled = tmp_path / "spoiled"
+    shutil.copytree(traverse, spoiled)
+    (spoiled / "frames/000003.jpg").write_bytes(b"not a picture")
+    (spoiled / "frames/000007.jpg").unlink()
+    assert main(["replay", str(spoiled), "--map", str(street_map), "--sequence-length", "5", "--all"]) == 0
+    frames = [json.loads(line)["frame"] for line in capsys.readouterr().out.splitlines()]
+    assert frames == [row for row in range(30) if row not in (3, 7)]
+    assert "000003.jpg" in caplog.text
+    assert "000007.jpg" in caplog.text
+
+
+def test_the_default_config_can_be_printed_and_used(
+    street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", "--default"]) == 0
+    text = capsys.readouterr().out.replace("/var/lib/lookback/map", str(street_map))
+    (tmp_path / "lookback.toml").write_text(text)
+    assert main(["check", str(tmp_path / "lookback.toml")]) == 0
+    assert "map of 30 places" in capsys.readouterr().out
+
+
+def test_a_reader_that_goes_away_is_no_error(traverse: Path, street_map: Path) -> None:
+    command = (
+        f'"{sys.executable}" -m edge replay "{traverse}" --map "{street_map}" --sequence-length 2 --all | head -n 1'
+    )
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+
+
+def test_version_and_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    with pytest.raises(SystemExit) as ended:
+        main(["replay"])
+    assert ended.value.code == 2
+    assert "the following arguments are required" in capsys.readouterr().err

@@ -1,0 +1,72 @@
+"""The main job on real recordings: a corridor driven twice, and a track in both directions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.__main__ import main
+
+
+@pytest.fixture(scope="module")
+def corridor_map(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("maps") / "corridor.map"
+    assert (
+        main(["map", "build", str(shared / "feeds/corridor_reference"), "-o", str(path), "--spacing-frames", "1"]) == 0
+    )
+    return path
+
+
+def replayed(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, Any]]:
+    capsys.readouterr()
+    assert main(["replay", *arguments]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_corridor(shared: Path, corridor_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = str(shared / "feeds/corridor_query")
+    lines = replayed(capsys, query, "--map", str(corridor_map), "--sequence-length", "20", "--all")
+    assert [line["frame"] for line in lines] == list(range(111))
+    assert all(line["place"] is None for line in lines[:19])
+    right = [abs(line["place"] - line["frame"]) <= 3 for line in lines[19:]]
+    assert sum(right) / len(right) >= 0.98
+    assert all(right[row] for row, line in enumerate(lines[19:]) if line["accepted"])
+    assert {(line["direction"], line["order"]) for line in lines[19:]} == {("forward", "same")}
+    events = replayed(capsys, query, "--map", str(corridor_map), "--sequence-length", "20")
+    assert events == [line for line in lines if line["emitted"]]
+    assert len(events) >= 10
+    assert all(event["category"] for event in events)
+
+
+def test_the_same_bytes_from_run_to_run(shared: Path, corridor_map: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        query, output = str(shared / "feeds/corridor_query"), str(tmp_path / name)
+        assert (
+            main(["replay", query, "--map", str(corridor_map), "--sequence-length", "20", "--all", "-o", output]) == 0
+        )
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    again = tmp_path / "again.map"
+    assert (
+        main(["map", "build", str(shared / "feeds/corridor_reference"), "-o", str(again), "--spacing-frames", "1"]) == 0
+    )
+    for file in corridor_map.iterdir():
+        assert file.read_bytes() == (again / file.name).read_bytes()
+
+
+def test_track(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "track.map"
+    assert main(["map", "build", str(shared / "feeds/track_lap_a"), "-o", str(path), "--interval-s", "0.2"]) == 0
+    again = replayed(
+        capsys, str(shared / "feeds/track_laps_a_again"), "--map", str(path), "--sequence-length", "20", "--all"
+    )
+    known = [line for line in again if line["accepted"]]
+    assert len(known) >= 0.8 * sum(line["place"] is not None for line in again)
+    assert {(line["direction"], line["order"]) for line in known} == {("forward", "same")}
+    # The other way round: few matches are believed, and those go against the map as the car does.
+    back = replayed(capsys, str(shared / "feeds/track_laps_b"), "--map", str(path), "--sequence-length", "20", "--all")
+    believed = [line for line in back if line["accepted"]]
+    assert len(believed) <= 0.2 * len(back)
+    assert {line["direction"] for line in believed} <= {"reverse"}
