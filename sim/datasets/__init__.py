@@ -136,5 +136,7 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         # Imported here, as each reader needs another library, and most people have one kind of recording.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path, options)
     except ModuleNotFoundError as error:
-        raise FeedError(f"{kind}: needs the package {error.name}: pip install 'lookback[eval]'") from None
+        raise FeedError(
+            f"{kind}: needs the package {str(error.name).partition('.')[0]}: pip install 'lookback[eval]'"
+        ) from None
     return traverse
