@@ -22,7 +22,7 @@ def draw_car(plot: Plot, rng: np.random.Generator) -> tuple[Thing, ...]:
     The lamps are the body's windows: what may glow.
     """
     paint = PAINTS[rng.integers(len(PAINTS))]
-    length, roof = rng.uniform(3.8, 4.9), rng.uniform(1.4, 1.9)
+    length, roof = rng.uniform(3.8, 4.9), rng.choice((1.4, 1.5, 1.9), p=(0.5, 0.35, 0.15))
     half, hood = CAR_WIDTH_M / 2, 0.85
     rear, side, front = (_panel(rng, paint, size, hood) for size in (CAR_WIDTH_M, length, CAR_WIDTH_M))
     for wall, lamp in ((rear, TAILLIGHT), (front, HEADLIGHT)):
@@ -33,7 +33,7 @@ def draw_car(plot: Plot, rng: np.random.Generator) -> tuple[Thing, ...]:
     for x in (0.6, length - 1.25):
         side.fill((x, 0.0, x + 0.65, 0.55), (0.05, 0.05, 0.05))
     body = house(_moved(plot, -half, -length / 2), [rear, side, front, side], base_m=0.12)
-    glass = [_panel(rng, paint, size, roof - hood) for size in (CAR_WIDTH_M - 0.2, 0.55 * length)]
+    glass = [_panel(rng, paint, size, roof - 0.95) for size in (CAR_WIDTH_M - 0.2, 0.55 * length)]
     for wall in glass:
         wall.fill((0.12, 0.08, wall.width_m - 0.12, wall.height_m - 0.12), (0.10, 0.12, 0.14))
     cabin = house(_moved(plot, 0.1 - half, -0.42 * length), [glass[0], glass[1], glass[0], glass[1]], base_m=0.95)
@@ -57,7 +57,7 @@ def _lids(plot: Plot, rng: np.random.Generator, paint: Color, length: float, roo
     half = CAR_WIDTH_M / 2
     spans = [
         (-half, -length / 2, half, length / 2, 0.97),
-        (0.1 - half, -0.42 * length, half - 0.1, 0.13 * length, roof + 0.1),
+        (0.1 - half, -0.42 * length, half - 0.1, 0.13 * length, roof),
     ]
     surfaces = tuple(
         Surface(plot.place(np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])), rect_uv(rect) * 0.5 + 0.4)

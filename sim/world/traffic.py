@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,7 +55,8 @@ def build_traffic(drive: Drive) -> Traffic:
     for side in (1, -1):
         for route_m in np.arange(-60.0, drive.route.length_m + 60, 6.5):
             if rng.random() < PARKED_SHARE[drive.route.district(float(route_m))]:
-                parked += draw_car(_kerb(drive.route, float(route_m), side, rng), rng)
+                car = draw_car(_kerb(drive.route, float(route_m), side, rng), rng)
+                parked += [replace(thing, windows=()) for thing in car]  # its lamps are off
     return Traffic(tuple(parked), _oncoming(drive, rng), int(rng.integers(2**31)))
 
 

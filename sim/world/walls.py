@@ -85,8 +85,8 @@ class Wall:
 
     def _span(self, rect: Rect) -> tuple[slice, slice]:
         high, wide = self.pixels.shape[:2]
-        x0, x1 = (round(np.clip(x / self.width_m, 0, 1) * wide) for x in (rect[0], rect[2]))
-        z0, z1 = (round((1 - np.clip(z / self.height_m, 0, 1)) * high) for z in (rect[1], rect[3]))
+        x0, x1 = (round(min(max(x / self.width_m, 0.0), 1.0) * wide) for x in (rect[0], rect[2]))
+        z0, z1 = (round((1 - min(max(z / self.height_m, 0.0), 1.0)) * high) for z in (rect[1], rect[3]))
         return slice(z1, max(z0, z1 + 1)), slice(x0, max(x1, x0 + 1))
 
 

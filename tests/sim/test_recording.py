@@ -75,10 +75,3 @@ def test_the_command_writes_a_feed_and_refuses_a_folder_that_has_one(
         run(command)
     with pytest.raises(ConfigError, match="--spacing-m: 0 is not above 0"):
         run([*command[:-1], "0"])
-
-
-def test_an_existing_feed_is_refused_before_the_world_is_built(tmp_path: Path) -> None:
-    drive = HOME.drive()
-    write_feed(HOME, drive, tmp_path / "feed", [0.0])
-    with pytest.raises(FeedError, match="there is a feed here already"):
-        write_feed(HOME, drive, tmp_path / "feed", [0.0])
