@@ -1,0 +1,134 @@
+"""`lookback run` as its own process: a recorded feed for a camera, the simulated autopilot on a pty."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from edge.camera.feed import read_feed
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.map_command import build_map
+from edge.telemetry.journal import read_journal
+from sim import Pose
+from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.pty_link import PtyLink, open_pty
+
+FRAMES, PERIOD_MS = 80, 60
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a feed and the map made of it."""
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "feed", range(FRAMES), period_ms=PERIOD_MS)
+    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
+    return folder
+
+
+@pytest.fixture
+def cable() -> Iterator[PtyLink]:
+    link = open_pty()
+    yield link
+    link.close()
+
+
+def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
+    config = {
+        "camera": {"kind": "feed", "device": str(street / "feed")},
+        "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
+        "map": {"path": str(street / "map")},
+        "sequence": {"length": 10},
+        "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
+        "telemetry": {"connection": connection, "emit": "external_position", "journal": "events.jsonl"},
+    }
+    (folder / "lookback.toml").write_text(tomli_w.dumps(config))
+    command = [sys.executable, "-m", "edge", "run", str(folder / "lookback.toml")]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def journal(folder: Path, event: str) -> list[dict[str, Any]]:
+    path = folder / "events.jsonl"
+    return [record for record in read_journal(path) if record["event"] == event] if path.exists() else []
+
+
+def wait_for(condition: Callable[[], object], what: str, timeout_s: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"no {what} in {timeout_s} s"
+        time.sleep(0.02)
+
+
+def standing(_: float) -> Pose:
+    return Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) -> None:
+    autopilot = SimulatedAutopilot(cable, standing, gps=False)
+    stop = threading.Event()
+    flying = threading.Thread(target=autopilot.run, args=(stop,))
+    flying.start()
+    try:
+        process = start(street, tmp_path, f"serial:{cable.device}:921600")
+        assert process.wait(60) == 0, process.communicate()[1]
+    finally:
+        stop.set()
+        flying.join()
+    process.communicate()
+    places = journal(tmp_path, "place")
+    assert len(places) >= 5
+    assert [place["place"] for place in places] == sorted(place["place"] for place in places)
+    fixes = [
+        item.message
+        for item in autopilot.received
+        if item.message.get_type() == "COMMAND_INT" and item.message.command == EXTERNAL_POSITION_ESTIMATE
+    ]
+    assert fixes
+    sent = {round(place["lat_deg"] * 1e7) for place in places}
+    assert {fix.x for fix in fixes} <= sent
+    assert all(0 < fix.param2 < 1 for fix in fixes)
+    texts = [item.message.text for item in autopilot.received if item.message.get_type() == "STATUSTEXT"]
+    assert texts
+    (stopped,) = journal(tmp_path, "stopped")
+    assert stopped["frames_used"] >= 40
+    assert {"regions", "network", "matching", "search", "telemetry"} <= set(stopped["stages_ms"])
+
+
+def test_a_port_that_vanishes_costs_the_link_and_nothing_else(street: Path, tmp_path: Path, cable: PtyLink) -> None:
+    process = start(street, tmp_path, f"serial:{cable.device}:921600")
+    wait_for(lambda: journal(tmp_path, "place"), "first event")
+    before = len(journal(tmp_path, "place"))
+    cable.close()
+    assert process.wait(60) == 0
+    told = process.communicate()[1]
+    assert "Traceback" not in told
+    assert [line for line in told.splitlines() if cable.device in line and "trying again" in line]
+    assert journal(tmp_path, "link")[-1]["state"] == "closed"
+    assert len(journal(tmp_path, "place")) > before
+
+
+def test_told_to_stop(street: Path, tmp_path: Path) -> None:
+    process = start(street, tmp_path, f"serial:{tmp_path}/no-port:921600")
+    wait_for(lambda: journal(tmp_path, "place"), "first event")
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(3) == 0
+    process.communicate()
+    assert len(journal(tmp_path, "stopped")) == 1
+
+
+def test_a_map_that_is_not_there_is_one_line_and_exit_78(street: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    process = start(elsewhere, tmp_path, "udp:127.0.0.1:14550")
+    told = process.communicate(timeout=60)[1]
+    assert process.returncode == 78
+    assert told.count("\n") == 1
+    assert f"{elsewhere}/map: no such map" in told

@@ -1,0 +1,166 @@
+"""The recogniser as a whole, on a street driven twice: warm-up, gaps, standing, off the map, both directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.camera.feed import Feed, FeedImages, read_feed
+from edge.config import (
+    AcceptanceConfig,
+    CameraConfig,
+    Config,
+    DescriptorConfig,
+    RigConfig,
+    SamplingConfig,
+    SequenceConfig,
+)
+from edge.descriptor.network import Head, Network
+from edge.errors import MapError
+from edge.map_command import build_map
+from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.reference_map.store import ReferenceMap, open_map
+
+LENGTH = 8
+CONFIG = Config(
+    sampling=SamplingConfig(by="frames"),
+    sequence=SequenceConfig(length=LENGTH),
+    acceptance=AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, hold_off_s=0.0),
+)
+FRAME_NS = 50_000_000
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return Network.load()
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Feed:
+    return read_feed(write_traverse(tmp_path_factory.mktemp("feeds") / "street", range(60)))
+
+
+@pytest.fixture(scope="module")
+def street_map(street: Feed, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
+    path = tmp_path_factory.mktemp("maps") / "street.map"
+    build_map([street], path, CONFIG.descriptor, CONFIG.sampling)
+    return open_map(path)
+
+
+@pytest.fixture(scope="module")
+def frames(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
+    """The same street on another day: with noise, and on beyond the map's end."""
+    feed = read_feed(write_traverse(tmp_path_factory.mktemp("feeds") / "again", range(80), noise=6.0))
+    images = FeedImages(feed)
+    return [images.read(row) for row in range(80)]
+
+
+def recognizer(network: Network, reference_map: ReferenceMap, config: Config = CONFIG) -> PlaceRecognizer:
+    return PlaceRecognizer(network, Head.load(network), reference_map, config)
+
+
+def drive(recognizer: PlaceRecognizer, images: list[np.ndarray], start_ns: int = 0) -> list[PlaceMatch | None]:
+    return [recognizer.observe(image, start_ns + row * FRAME_NS) for row, image in enumerate(images)]
+
+
+def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+    matches = drive(recognizer(network, street_map), frames[:60])
+    assert matches[: LENGTH - 1] == [None] * (LENGTH - 1)
+    places = [match.place for match in matches if match]
+    assert np.abs(np.array(places) - np.arange(LENGTH - 1, 60)).max() <= 1
+    assert all(match.direction == "forward" and match.order == "same" for match in matches if match)
+    last = matches[-1]
+    assert last and last.accepted and last.event and last.category
+    assert last.lat_deg == pytest.approx(-27.0 + last.place * 2 / 110_800)
+    assert last.heading_deg == 0.0
+
+
+def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+    # The camera looks back and drives home: the same view, the map in reverse.
+    rear = msgspec.structs.replace(CONFIG, camera=CameraConfig(view="rear"), rig=RigConfig(ahead_reverse_m=4.0))
+    matches = drive(recognizer(network, street_map, rear), frames[59:0:-1])
+    last = matches[-1]
+    assert last and last.accepted
+    assert (last.direction, last.order, last.heading_deg) == ("reverse", "same", 180.0)
+    assert abs(last.place - 1) <= 1
+    # The place lies 4 m ahead, which is towards the start: the vehicle is 2 places further along.
+    assert last.lat_deg == pytest.approx(-27.0 + (last.place + 2) * 2 / 110_800)
+
+
+def test_beyond_the_end_of_the_map_nothing_is_believed(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    recogniser = recognizer(network, street_map)
+    matches = drive(recogniser, frames)
+    assert recogniser.state == "off the map"
+    assert not any(match.accepted for match in matches[60 + LENGTH :] if match)
+
+
+def test_standing_still_changes_nothing(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+    rng = np.random.default_rng(0)
+    moving, halting = recognizer(network, street_map), recognizer(network, street_map)
+    expected = drive(moving, frames[:30])
+    drive(halting, frames[:20])
+    for _ in range(30):
+        noisy = (frames[19] + rng.normal(0, 1, frames[19].shape)).clip(0, 255).astype(np.uint8)
+        assert halting.observe(noisy, 20 * FRAME_NS) is None
+        assert halting.state == "standing"
+    assert drive(halting, frames[20:30], 21 * FRAME_NS)[-1] == expected[-1]
+
+
+@pytest.mark.parametrize("next_s", [100.0, -5.0])
+def test_after_a_gap_a_sequence_begins_anew(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], next_s: float
+) -> None:
+    recogniser = recognizer(network, street_map)
+    drive(recogniser, frames[:20])
+    after = drive(recogniser, frames[40:55], round(next_s * 1e9))
+    assert after[: LENGTH - 1] == [None] * (LENGTH - 1)
+    assert after[-1] and abs(after[-1].place - 54) <= 1
+
+
+@pytest.mark.parametrize(
+    "descriptor",
+    [
+        DescriptorConfig(renormalize_ring=False),
+        DescriptorConfig(normalization="none"),
+        DescriptorConfig(regions="whole"),
+        DescriptorConfig(region_width=0.5),
+    ],
+)
+def test_every_kind_of_descriptor(
+    network: Network, street: Feed, frames: list[np.ndarray], descriptor: DescriptorConfig, tmp_path: Path
+) -> None:
+    build_map([street], tmp_path / "m", descriptor, CONFIG.sampling)
+    reference_map = open_map(tmp_path / "m")
+    config = msgspec.structs.replace(CONFIG, descriptor=descriptor)
+    matches = drive(recognizer(network, reference_map, config), frames[:60])
+    places = np.array([match.place for match in matches[2 * LENGTH :] if match])
+    assert (np.abs(places - np.arange(2 * LENGTH, 60)) <= 2).mean() > 0.9
+
+
+def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_path: Path) -> None:
+    build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling)
+    with pytest.raises(MapError, match="regions left-right of width 0.5"):
+        recognizer(network, open_map(tmp_path / "m"))
+
+
+@pytest.mark.parametrize("region_order", ["sequence", "frame"])
+def test_every_way_to_choose_the_region_order(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], region_order: str
+) -> None:
+    sequence = SequenceConfig(length=LENGTH, region_order=region_order)  # type: ignore[arg-type]
+    matches = drive(recognizer(network, street_map, msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
+    last = matches[-1]
+    assert last and abs(last.place - 59) <= 1
+    assert (last.direction, last.order) == ("forward", "same")
+
+
+def test_the_same_frames_give_the_same_answers(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    assert drive(recognizer(network, street_map), frames) == drive(recognizer(network, street_map), frames)
