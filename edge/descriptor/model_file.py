@@ -77,7 +77,7 @@ def read_model_file(path: Path) -> ModelFile:
     try:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
-            raise ModelError(f"{path}: {size} bytes; a fc6 network has at most {MAX_FILE_BYTES}")
+            raise ModelError(f"{path}: {size} bytes; an fc6 network has at most {MAX_FILE_BYTES}")
         data = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot read the network: {error.strerror}") from None

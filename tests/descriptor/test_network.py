@@ -1,0 +1,158 @@
+"""The shipped network and head, on real frames where they are there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedImages, read_feed
+from edge.descriptor.fidelity import NSD_COSINE_MIN, compare, matching_accuracy
+from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
+from edge.descriptor.model_import import MEAN_RGB, build_float
+from edge.descriptor.network import Head, Network, onnxruntime
+from edge.descriptor.regions import Regions, cut_regions
+from edge.descriptor.weights import read_weights
+from edge.errors import ModelError
+
+Oracle = Callable[..., dict[str, NDArray[np.float64]]]
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return Network.load()
+
+
+@pytest.fixture(scope="module")
+def images() -> NDArray[np.uint8]:
+    """Two pictures that differ, (2, 224, 224, 3)."""
+    coarse = np.random.default_rng(1).integers(0, 256, (2, 14, 14, 3), dtype=np.uint8)
+    return coarse.repeat(16, axis=1).repeat(16, axis=2)
+
+
+def read_regions(feed: Path, kind: Regions) -> NDArray[np.uint8]:
+    """All frames of a feed as (N, R, 224, 224, 3)."""
+    rows = FeedImages(read_feed(feed))
+    return np.stack([cut_regions(rows.read(row), kind, 0.4) for row in range(len(read_feed(feed).rows))])
+
+
+def describe(network: Network, regions: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.stack([network.describe(frame) for frame in regions])
+
+
+def test_shipped_network_says_what_it_is(network: Network) -> None:
+    info = network.info
+    assert (info.name, info.tap, info.dimensions, info.precision) == ("alexnet_places100", "fc6", 4096, "int8")
+    assert (info.input_size, info.channel_order, len(info.labels)) == (224, "BGR", 100)
+    assert "non-commercial" in info.licence
+    card = (SHIPPED_MODEL / "README.md").read_text(encoding="utf-8")
+    for name in (FC6_FILE, HEAD_FILE):
+        assert read_model_file(SHIPPED_MODEL / name).info.sha256[:16] in card
+
+
+@pytest.mark.parametrize(("name", "kernels"), [(FC6_FILE, {"QLinearConv": 5, "QGemm": 1}), (HEAD_FILE, {"QGemm": 1})])
+def test_every_large_layer_runs_in_int8(name: str, kernels: dict[str, int], tmp_path: Path) -> None:
+    """ONNX Runtime says nothing when it does not fuse a layer into an int8 kernel and runs it in float instead."""
+    onnx = pytest.importorskip("onnx", reason="needs the extra `model`")
+    options = onnxruntime.SessionOptions()
+    options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
+    options.log_severity_level = 3  # it warns that such a file is for this machine only
+    onnxruntime.InferenceSession(SHIPPED_MODEL / name, options, providers=["CPUExecutionProvider"])
+    found = Counter(node.op_type for node in onnx.load(tmp_path / "optimized.onnx").graph.node)
+    assert {kernel: found[kernel] for kernel in kernels} == kernels
+    assert found["Conv"] == 0
+
+
+def test_descriptors_are_float32_after_relu(network: Network, images: NDArray[np.uint8]) -> None:
+    descriptors = network.describe(images)
+    assert descriptors.shape == (2, 4096)
+    assert descriptors.dtype == np.float32
+    assert descriptors.min() == 0.0
+    assert 0.1 < (descriptors > 0).mean() < 0.9
+
+
+def test_repeated_and_split_batches_are_identical_to_the_bit(network: Network, images: NDArray[np.uint8]) -> None:
+    both = network.describe(images)
+    again = network.describe(images)
+    one_by_one = np.concatenate([network.describe(images[:1]), network.describe(images[1:])])
+    other_session = Network.load().describe(images[::-1].copy())[::-1]
+    for other in (again, one_by_one, other_session):
+        np.testing.assert_array_equal(both, other)
+
+
+def test_channel_order_matters(network: Network, images: NDArray[np.uint8]) -> None:
+    swapped = network.describe(np.ascontiguousarray(images[..., ::-1]))
+    assert not np.array_equal(swapped, network.describe(images))
+
+
+def test_head_gives_probabilities(network: Network, images: NDArray[np.uint8]) -> None:
+    head = Head.load(network)
+    descriptors = network.describe(images)
+    probabilities = head.probabilities(descriptors)
+    assert probabilities.shape == (2, 100)
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, rtol=1e-5)
+    label, probability = head.categories(descriptors)
+    assert head.labels.index(label) == probabilities.sum(axis=0).argmax()
+    assert probability == pytest.approx(probabilities.mean(axis=0).max())
+
+
+def test_head_of_another_network_is_refused() -> None:
+    file = read_model_file(SHIPPED_MODEL / FC6_FILE)
+    other = dataclasses.replace(file, info=msgspec.structs.replace(file.info, sha256="0" * 64))
+    with pytest.raises(ModelError, match=r"head_int8\.onnx: belongs to the network .*import the two again"):
+        Head.load(Network(other))
+
+
+def test_head_in_place_of_a_network_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"head_int8\.onnx: is a head of categories; name the network file"):
+        Network.load(SHIPPED_MODEL / HEAD_FILE)
+
+
+@pytest.fixture(scope="module")
+def float_network(shared: Path, network: Network, tmp_path_factory: pytest.TempPathFactory) -> Network:
+    """The shipped network's weights, in float."""
+    pytest.importorskip("onnx", reason="needs the extra `model`")
+    weights, sha256 = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
+    assert sha256 == network.info.weights_sha256
+    file = tmp_path_factory.mktemp("float") / "fc6.onnx"
+    file.write_bytes(build_float(weights, msgspec.structs.replace(network.info, sha256="")).SerializeToString())
+    return Network.load(file)
+
+
+def test_int8_keeps_descriptors_and_matches_of_real_frames(
+    shared: Path, network: Network, float_network: Network
+) -> None:
+    feeds = [read_regions(shared / "feeds" / name, "left-right") for name in ("corridor_query", "corridor_reference")]
+    exact, rounded = ([describe(each, regions) for regions in feeds] for each in (float_network, network))
+    for pair in zip(exact, rounded, strict=True):
+        assert compare(*pair).nsd_mean >= NSD_COSINE_MIN
+    rows = np.arange(len(feeds[0]))
+    correct = abs(rows[:, None] - rows) <= 3
+    float_share, int8_share = matching_accuracy(*exact, correct), matching_accuracy(*rounded, correct)
+    assert float_share > 0.8
+    assert int8_share >= float_share - 0.01
+
+
+def test_grey_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
+    """Training had zeros after normalisation beyond the edge; the graph has one grey for all channels."""
+    weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
+    regions = read_regions(shared / "feeds" / "corridor_reference", "whole")[::40, 0]
+    mean_level = 255 * np.array(MEAN_RGB)
+    expected = np.stack([alexnet(weights, image, pad_level=mean_level)["fc6"] for image in regions])
+    found = float_network.describe(regions)
+    cosines = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
+    assert cosines.min() > 0.9995
+
+
+def test_a_real_corridor_is_called_a_corridor(shared: Path, network: Network) -> None:
+    head = Head.load(network)
+    regions = read_regions(shared / "feeds" / "corridor_reference", "whole")[::4]
+    labels = Counter(head.categories(network.describe(frame))[0] for frame in regions)
+    assert labels.most_common(1)[0][0] == "corridor"
+    assert labels["corridor"] > len(regions) / 2
