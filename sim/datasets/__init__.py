@@ -25,7 +25,7 @@ from edge.camera.feed import FeedRow
 from edge.errors import FeedError
 
 View = Literal["front", "rear"]
-TruthKind = Literal["position", "index", "route"]
+TruthKind = Literal["positions", "rows", "route_m"]
 
 
 class Pictures(Protocol):
@@ -87,7 +87,7 @@ class DatasetKind:
     what: str
     truth: TruthKind
     tolerance: float
-    """Metres; frames if truth is "index"."""
+    """Metres; frames if truth is "rows"."""
     options: frozenset[str] = field(default=frozenset({"view"}))
 
 
@@ -100,21 +100,21 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "robotcar": _kind(
             "robotcar",
             "Oxford RobotCar: folder of one traverse",
-            "position",
+            "positions",
             40.0,
             "camera",
             "positions",
             "crop_bottom",
         ),
-        "campus": _kind("campus", "frames and anchors.csv (University Campus)", "route", 20.0, "positions", "fps"),
-        "nordland": _kind("equal_index", "Nordland: a season's frames or video", "index", 10.0, "names", "fps"),
-        "gardens-point": _kind("equal_index", "Gardens Point: day_left, ...", "index", 2.0, "names", "fps"),
-        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "position", 25.0, "fps"),
-        "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "position", 10.0, "camera", "positions"),
-        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "position", 25.0, "fps"),
-        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "position", 25.0),
-        "video-log": _kind("video_log", "video, and a .tlog, .bin or .ulg", "position", 25.0, "positions", "start_s"),
-        "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "position", 25.0, "camera", "positions"),
+        "campus": _kind("campus", "frames and anchors.csv (University Campus)", "route_m", 20.0, "positions", "fps"),
+        "nordland": _kind("equal_index", "Nordland: a season's frames or video", "rows", 10.0, "names", "fps"),
+        "gardens-point": _kind("equal_index", "Gardens Point: day_left, ...", "rows", 2.0, "names", "fps"),
+        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "positions", 25.0, "fps"),
+        "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "positions", 10.0, "camera", "positions"),
+        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "positions", 25.0, "fps"),
+        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "positions", 25.0),
+        "video-log": _kind("video_log", "video, and a .tlog, .bin or .ulg", "positions", 25.0, "positions", "start_s"),
+        "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "positions", 25.0, "camera", "positions"),
     }
 )
 
@@ -134,7 +134,8 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         raise FeedError(f"{path}: no such file or folder")
     try:
         # Imported here, as each reader needs another library, and most people have one kind of recording.
-        traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path, options)
+        # Absolute, as readers name a traverse after its folder and look for files beside it.
+        traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     except ModuleNotFoundError as error:
         raise FeedError(
             f"{kind}: needs the package {str(error.name).partition('.')[0]}: pip install 'lookback[eval]'"

@@ -53,7 +53,7 @@ def _kinds() -> str:
     lines = ["kinds, their options, and their usual ground truth and tolerance:"]
     for name, kind in sorted(KINDS.items()):
         options = " ".join(f"--{option.replace('_', '-')}" for option in sorted(kind.options))
-        unit = "frames" if kind.truth == "index" else "m"
+        unit = "frames" if kind.truth == "rows" else "m"
         lines.append(f"  {name:14} {kind.what}\n{'':17}{options}; {kind.truth}, {kind.tolerance:g} {unit}")
     return "\n".join([*lines, "", "Without a spacing: a picture every 2 m where positions are known, else all."])
 

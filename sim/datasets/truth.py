@@ -3,10 +3,10 @@
 Whatever the ground truth of a data set is, each row is put at a point, and two rows are of the same place if their
 points are no further apart than the tolerance:
 
-    position  metres east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own metres (KITTI)
-    route     metres along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
-              the simulator; the direction of travel does not matter
-    index     number of the frame, for traverses that were aligned frame by frame (Nordland, Gardens Point)
+    positions  metres east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own metres (KITTI)
+    route_m    metres along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
+               the simulator; the direction of travel does not matter
+    rows       number of the frame, for traverses that were aligned frame by frame (Nordland, Gardens Point)
 """
 
 from __future__ import annotations
@@ -40,9 +40,18 @@ class Truth:
     unit: str
 
     def error(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Floats:
-        """How far apart the rows are, in `unit`, for arrays of rows that broadcast; NaN where it is not known."""
-        apart = self.query_at[np.asarray(query_rows)] - self.reference_at[np.asarray(reference_rows)]
-        return np.asarray(np.linalg.norm(apart, axis=-1))
+        """How far apart the rows are, in `unit`, for arrays of rows that broadcast.
+
+        NaN where nobody knows where the query row is, else inf where nobody knows where the reference row is.
+        """
+        query_at, reference_at = self.query_at[np.asarray(query_rows)], self.reference_at[np.asarray(reference_rows)]
+        apart = np.linalg.norm(query_at - reference_at, axis=-1)
+        lost = np.isnan(reference_at).any(axis=-1) & ~np.isnan(query_at).any(axis=-1)
+        return np.where(lost, np.inf, apart)
+
+    def errors(self) -> Floats:
+        """`error` of each query row and each reference row, (Q, N)."""
+        return self.error(np.arange(len(self.query_at))[:, np.newaxis], np.arange(len(self.reference_at)))
 
     def is_true(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> NDArray[np.bool_]:
         """Whether the rows are of the same place; False where it is not known."""
@@ -79,18 +88,18 @@ def _known(points: Floats) -> Rows:
 
 
 def truth_between(kind: TruthKind, reference: Feed, query: Feed, tolerance: float) -> Truth:
-    """The truth between two feeds; tolerance in metres, or in frames if kind is "index".
+    """The truth between two feeds; tolerance in metres, or in frames if kind is "rows".
 
     FeedError names the feed that does not have what this kind of truth needs.
     """
     if not tolerance >= 0:
         raise FeedError(f"tolerance: {tolerance:g} is not 0 or more")
-    points = {"position": _by_position, "route": _by_route, "index": _by_index}[kind]
+    points = {"positions": _by_positions, "route_m": _by_route, "rows": _by_rows}[kind]
     reference_at, query_at = points(reference, query)
-    return Truth(query_at, reference_at, tolerance, "frames" if kind == "index" else "m")
+    return Truth(query_at, reference_at, tolerance, "frames" if kind == "rows" else "m")
 
 
-def _by_position(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
+def _by_positions(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
     degrees = [_points(feed.rows, lambda row: (row.lat_deg, row.lon_deg)) for feed in (reference, query)]
     if not any(_known(points).size for points in degrees):
         return _by_columns(reference, query, ("local_x_m", "local_y_m"), "no positions")
@@ -119,7 +128,7 @@ def _must_be_known(points: Sequence[Floats], feeds: Sequence[Feed], lack: str) -
             raise FeedError(f"{feed.path / 'frames.csv'}: {lack} in any row; use another kind of ground truth")
 
 
-def _by_index(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
+def _by_rows(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
     if all("source_frame" in feed.rows[0].extra for feed in (reference, query)):
         return _by_columns(reference, query, ("source_frame",), "no source_frame")
     return (

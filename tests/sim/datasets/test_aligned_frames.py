@@ -48,7 +48,7 @@ def test_campus_traverses_in_both_directions_have_one_truth(campus_path: Path, s
         sim_import("campus", campus_path / name, "-o", campus_path / "feeds" / name, "--spacing-m", 5)
         feeds.append(read_feed(campus_path / "feeds" / name))
     forward, back = feeds
-    truth = truth_between("route", forward, back, 20.0)
+    truth = truth_between("route_m", forward, back, 20.0)
     for query, row in enumerate(back.rows):
         near = [
             index
@@ -108,7 +108,7 @@ def test_nordland_seasons_are_the_same_frame_by_frame(
     summer, winter = read_feed(tmp_path / "feeds/summer"), read_feed(tmp_path / "feeds/winter")
     assert (len(summer.rows), len(winter.rows)) == (16, 15)
     assert index_of(FeedImages(summer).read(10)) == 14
-    truth = truth_between("index", summer, winter, 1)
+    truth = truth_between("rows", summer, winter, 1)
     # Row 3 of the winter is frame 5, row 9 is frame 15: the first after the tunnel.
     assert [summer.rows[row].extra["source_frame"] for row in truth.true_rows(3)] == ["4", "5", "6"]
     assert [summer.rows[row].extra["source_frame"] for row in truth.true_rows(9)] == ["15", "16"]
@@ -129,7 +129,7 @@ def test_gardens_point_walks(tmp_path: Path, write_pictures: WritePictures, sim_
         sim_import("gardens-point", tmp_path / walk, "-o", tmp_path / f"feeds/{walk}", "--spacing-frames", 2)
     day, night = (read_feed(tmp_path / f"feeds/{walk}") for walk in ("day_left", "night_right"))
     assert [row.extra["source_file"] for row in night.rows][:2] == ["Image000.jpg", "Image002.jpg"]
-    assert truth_between("index", day, night, 2).true_rows(3).tolist() == [2, 3, 4]
+    assert truth_between("rows", day, night, 2).true_rows(3).tolist() == [2, 3, 4]
 
 
 def test_frames_that_are_not_there_are_named(tmp_path: Path, write_pictures: WritePictures, refused: Refused) -> None:

@@ -117,7 +117,7 @@ def test_the_paper_s_sampling_and_tolerance(
     assert distances_m == pytest.approx(np.arange(0, 16.1, 2), abs=1e-3)
     assert [row.extra["source_frame"] for row in front.rows] == [str(i) for i in range(0, 33, 4)]
     assert FeedImages(front).read(3)[8, 16].tolist() == pytest.approx([70, 110, 40 + 4 * 12], abs=3)
-    truth = truth_between("position", rear, front, 5.0)
+    truth = truth_between("positions", rear, front, 5.0)
     assert truth.true_rows(4).tolist() == [2, 3, 4, 5, 6]
 
 

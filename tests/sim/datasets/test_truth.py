@@ -36,7 +36,7 @@ def with_extra(column: str, *values: str) -> Feed:
 
 
 def test_positions_are_right_within_the_tolerance_and_no_further() -> None:
-    truth = truth_between("position", street(0, 10, 20, 30, 200), street(11, 90, None, east_m=3.0), 40.0)
+    truth = truth_between("positions", street(0, 10, 20, 30, 200), street(11, 90, None, east_m=3.0), 40.0)
     assert truth.error(0, [0, 1, 4]) == pytest.approx([np.hypot(3, 11), np.hypot(3, 1), np.hypot(3, 189)], abs=1e-3)
     assert truth.true_rows(0).tolist() == [0, 1, 2, 3]
     assert truth.true_rows(1).tolist() == truth.true_rows(2).tolist() == []
@@ -61,46 +61,48 @@ def test_the_nearest_row_agrees_with_looking_at_all_of_them() -> None:
     assert error[known] == pytest.approx(everything[known].min(axis=1))
     assert (nearest[3], np.isnan(error[3])) == (-1, True)
     assert truth.on_map().tolist() == (everything <= 5.0).any(axis=1).tolist()
-    every_pair = truth.is_true(np.arange(40)[:, None], np.arange(60)[None, :])
-    assert every_pair.tolist() == (everything <= 5.0).tolist()
+    errors = truth.errors()
+    assert (errors.shape, bool(np.isnan(errors[3]).all())) == ((40, 60), True)
+    assert errors[known] == pytest.approx(everything[known])  # inf where the place is not known
+    assert truth.is_true(2, np.arange(60)).tolist() == (everything[2] <= 5.0).tolist()
 
 
 def test_some_rows_of_a_truth_are_numbered_anew() -> None:
-    truth = truth_between("index", street(*range(10)), street(*range(10)), 1).take([4, 8], [3, 7])
+    truth = truth_between("rows", street(*range(10)), street(*range(10)), 1).take([4, 8], [3, 7])
     assert [truth.true_rows(query).tolist() for query in range(2)] == [[0], [1]]
 
 
 def test_rows_of_aligned_traverses_match_by_number(shared: Path) -> None:
     reference = read_feed(shared / "feeds/corridor_reference")
     query = read_feed(shared / "feeds/corridor_query")
-    truth = truth_between("index", reference, query, 3)
+    truth = truth_between("rows", reference, query, 3)
     assert truth.true_rows(50).tolist() == list(range(47, 54))
     assert truth.unit == "frames"
     assert truth.on_map().all()
 
 
 def test_the_frame_number_of_the_data_set_counts_where_a_feed_has_it() -> None:
-    truth = truth_between("index", with_extra("source_frame", "10", "12", "14"), with_extra("source_frame", "13"), 1)
+    truth = truth_between("rows", with_extra("source_frame", "10", "12", "14"), with_extra("source_frame", "13"), 1)
     assert truth.true_rows(0).tolist() == [1, 2]
 
 
 def test_the_same_route_driven_backwards_is_matched_by_its_metres() -> None:
-    truth = truth_between("route", with_extra("route_m", "0", "50", "100"), with_extra("route_m", "95", "52", ""), 20)
+    truth = truth_between("route_m", with_extra("route_m", "0", "50", "100"), with_extra("route_m", "95", "52", ""), 20)
     assert [truth.true_rows(query).tolist() for query in range(3)] == [[2], [1], []]
 
 
 def test_local_metres_serve_where_there_are_no_degrees() -> None:
     rows = [FeedRow(f"{i}.png", i, extra={"local_x_m": "3.0", "local_y_m": str(10.0 * i)}) for i in range(4)]
-    truth = truth_between("position", feed_of(rows), feed_of(rows[2:]), 5.0)
+    truth = truth_between("positions", feed_of(rows), feed_of(rows[2:]), 5.0)
     assert [truth.true_rows(query).tolist() for query in range(2)] == [[2], [3]]
 
 
 @pytest.mark.parametrize(
-    ("kind", "lack"), [("position", "no positions in any row"), ("route", "no column route_m in any row")]
+    ("kind", "lack"), [("positions", "no positions in any row"), ("route_m", "no column route_m in any row")]
 )
 def test_a_feed_that_lacks_what_the_truth_needs_is_named(kind: TruthKind, lack: str) -> None:
     bare = feed_of([FeedRow("0.jpg", 0)], "bare")
-    good = with_extra("route_m", "0") if kind == "route" else street(0.0)
+    good = with_extra("route_m", "0") if kind == "route_m" else street(0.0)
     for reference, query in ((bare, good), (good, bare)):
         with pytest.raises(FeedError, match=rf"^bare/frames\.csv: {lack}"):
             truth_between(kind, reference, query, 5.0)
@@ -108,4 +110,4 @@ def test_a_feed_that_lacks_what_the_truth_needs_is_named(kind: TruthKind, lack: 
 
 def test_a_tolerance_below_zero_is_refused() -> None:
     with pytest.raises(FeedError, match="tolerance: -1 is not 0 or more"):
-        truth_between("index", street(0), street(0), -1)
+        truth_between("rows", street(0), street(0), -1)
