@@ -90,7 +90,7 @@ def test_kitti_has_metres_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_i
 
 def test_kitti_is_found_from_inside_its_folder(kitti_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(kitti_path)
-    assert open_dataset("kitti", Path(".")).name == "kitti-00-image_2"
+    assert open_dataset("kitti", Path()).name == "kitti-00-image_2"
 
 
 def test_kitti_files_that_do_not_belong_together_are_named(kitti_path: Path, refused: Refused) -> None:

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from edge.errors import FeedError
+from sim.datasets.track import Fix, Track
+
+SECOND = 1_000_000_000
+EPOCH = 1_714_557_600 * SECOND
+
+
+def stamps(*seconds: float) -> np.ndarray:
+    return np.array([EPOCH + round(second * SECOND) for second in seconds], dtype=np.int64)
+
+
+def test_headings_turn_the_short_way_through_north() -> None:
+    fixes = [Fix(EPOCH + i * SECOND, 51.0, -1.0, heading_deg=heading) for i, heading in enumerate((350, 10, 30, 350))]
+    headings = [fix.heading_deg for fix in Track("log", fixes).at(stamps(0.25, 0.5, 1.5, 2.5))]
+    assert headings == pytest.approx([355, 0, 20, 10])
+
+
+def test_what_some_fixes_lack_is_not_made_up() -> None:
+    fixes = [Fix(EPOCH, 51.0, -1.0, alt_m=100.0), Fix(EPOCH + SECOND, 51.0002, -1.0)]
+    row = Track("log", fixes).rows("pictures", ["0.png"], stamps(0.5).tolist())[0]
+    assert (row.lat_deg, row.alt_m, row.heading_deg) == (pytest.approx(51.0001), None, None)
+
+
+def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_position() -> None:
+    fixes = [
+        Fix(EPOCH + 2 * SECOND, 51.2, -1.0),
+        Fix(EPOCH, 51.0, -1.0),
+        Fix(EPOCH, 40.0, -1.0),
+        Fix(EPOCH - SECOND, 0.0, 0.0),
+    ]
+    assert [fix.lat_deg for fix in Track("log", fixes).fixes] == [51.0, 51.2]
+    with pytest.raises(FeedError, match=r"^log: 1 position\(s\) in it, and two at least are needed"):
+        Track("log", fixes[1:])
+
+
+def test_a_gap_ends_what_is_known_but_for_its_two_ends() -> None:
+    track = Track("log", [Fix(int(stamp), 51.0, -1.0) for stamp in stamps(0, 1, 8, 9)], max_gap_s=5.0)
+    assert track.covers(stamps(-0.1, 0, 0.5, 1, 1.1, 7.9, 8, 8.5, 9, 9.1)).tolist() == [
+        *(False, True, True, True),
+        *(False, False),
+        *(True, True, True, False),
+    ]
+
+
+def test_nanoseconds_since_1970_keep_their_precision() -> None:
+    track = Track("log", [Fix(EPOCH, 51.0, -1.0), Fix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
+    assert [fix.stamp_ns for fix in track.at(np.array([EPOCH + 1, EPOCH + 3]))] == [EPOCH + 1, EPOCH + 3]
