@@ -46,7 +46,7 @@ Version: $version
 Architecture: $(dpkg --print-architecture)
 Maintainer: The Lookback authors <lookback@localhost>
 Installed-Size: $(du -sk "$stage" | cut -f1)
-Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), systemd, udev
+Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libstdc++6, systemd, udev
 Section: science
 Priority: optional
 Description: place recognition for a vehicle's computer, told to the autopilot
@@ -81,6 +81,10 @@ TEXT
 cat >"$stage/DEBIAN/postrm" <<'TEXT'
 #!/bin/sh
 set -e
+case $1 in
+    # Python may have compiled modules there that dpkg does not know of.
+    remove | purge) rm -rf /opt/lookback ;;
+esac
 if [ "$1" = purge ]; then rm -rf /etc/lookback /var/lib/lookback; fi
 [ ! -d /run/systemd/system ] || systemctl daemon-reload
 TEXT
