@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig, SequenceConfig
+from edge.errors import ConfigError
 from sim.evaluation.bootstrap import Resampling
 from sim.evaluation.descriptions import Descriptions, Raw
 from sim.evaluation.matching import (
@@ -18,6 +19,7 @@ from sim.evaluation.matching import (
     errors_of,
     int8_matcher,
     judge,
+    judged_queries,
     match,
     match_seqslam,
     neighbourhood_of,
@@ -34,8 +36,8 @@ from sim.evaluation.traverses import Traverse, place_coordinates, true_errors
 class Outcome:
     """Answers of a method on a pair.
 
-    errors: (Q, N) true distance of every query to every place. length: frames of a sequence. answers: judged from the
-    first query on that ends a whole sequence, number `length` - 1; matches and errors have all queries.
+    errors: (Q, N) true distance of every query to every place. length: frames of a sequence. judged: the queries that
+    `answers` are about, see `judged_queries`; matches and errors have all.
     """
 
     pair: Pair
@@ -45,12 +47,8 @@ class Outcome:
     query: Traverse
     matches: Matches
     errors: NDArray[np.float64]
+    judged: NDArray[np.intp]
     answers: Answers
-
-    @property
-    def first(self) -> int:
-        """The first query that is judged."""
-        return self.length - 1
 
     def error_of_best(self) -> NDArray[np.float64]:
         """(Q,) true distance of each answer, inf where there is none."""
@@ -107,8 +105,11 @@ class Bench:
         length = length or self.sequence_length(pair, sampling)
         matches = self._match(pair, method, reference, query, length, precision)
         errors = true_errors(reference, query, pair)
-        answers = judge(matches, errors, pair.tolerance, length - 1)
-        return Outcome(pair, method, length, reference, query, matches, errors, answers)
+        judged = judged_queries(errors, length)
+        if not judged.size:
+            raise ConfigError(f"pair {pair.name!r}: no frame with a known true place ends a sequence of {length}")
+        answers = judge(matches, errors, pair.tolerance, judged)
+        return Outcome(pair, method, length, reference, query, matches, errors, judged, answers)
 
     def _match(
         self,

@@ -11,8 +11,9 @@ from tqdm import tqdm
 from edge.camera.feed import FeedImages
 from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
+from edge.descriptor.weights import Weights
 from edge.errors import ConfigError, FrameError
-from sim.evaluation.networks import Precision, Tap, open_head, open_network
+from sim.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
 from sim.evaluation.plan import Plan
 from sim.evaluation.segments import likeliest_states, runs
 from sim.evaluation.traverses import Traverse
@@ -39,6 +40,10 @@ class Descriptions:
     def head(self, name: str) -> Head:
         """The categories of a network's fc6."""
         return open_head(name, self._plan.networks[name], self._folder, self.network(name, "fc6"))
+
+    def weights(self, name: str) -> Weights:
+        """Float weights of a network; ConfigError if the plan gives none."""
+        return read_plan_weights(name, self._plan.networks[name], self._folder)
 
     def opened(self) -> list[Network]:
         """Every network that was used so far."""
@@ -72,16 +77,18 @@ class Descriptions:
         return runs(likeliest_states(self.probabilities(traverse, name)))
 
 
-def read_matrix(path: Path) -> NDArray[np.float64]:
-    """A two-dimensional .npy of finite numbers; ConfigError names the file. Mapped, so a header cannot claim memory."""
+def read_matrix(path: Path, dimensions: int = 2) -> NDArray[np.float64]:
+    """A .npy of finite numbers; ConfigError names the file. Mapped, so that a header cannot claim memory."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise ConfigError(f"{path}: cannot read it: {error.strerror or error}") from None
     except (ValueError, EOFError) as error:
         raise ConfigError(f"{path}: not a whole .npy file of numbers: {error}") from None
-    if array.ndim != 2 or array.dtype.kind not in "fiu" or not array.size:
-        raise ConfigError(f"{path}: holds {array.dtype} of shape {array.shape}; needs numbers of two dimensions")
+    if array.ndim != dimensions or array.dtype.kind not in "fiu" or not array.size:
+        raise ConfigError(
+            f"{path}: holds {array.dtype} of shape {array.shape}; needs numbers in {dimensions} dimensions"
+        )
     out = np.asarray(array, dtype=np.float64)
     if not np.isfinite(out).all():
         raise ConfigError(f"{path}: has values that are not finite")

@@ -191,14 +191,20 @@ def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
     )
 
 
-def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, first: int) -> Answers:
-    """Hold matches against the true errors (Q, N), from query `first` on (before it no whole sequence was seen)."""
-    best = errors_of(matches.place[:, np.newaxis], errors)[:, 0]
+def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
+    """Hold the matches of some queries against the true errors (Q, N)."""
+    best = errors_of(matches.place[:, np.newaxis], errors)[queries, 0]
     return Answers(
-        confidence=matches.confidence[first:],
-        correct=(best <= tolerance)[first:],
-        has_truth=(errors.min(axis=1) <= tolerance)[first:],
+        confidence=matches.confidence[queries],
+        correct=best <= tolerance,
+        has_truth=errors[queries].min(axis=1) <= tolerance,
     )
+
+
+def judged_queries(errors: NDArray[np.float64], length: int) -> NDArray[np.intp]:
+    """Queries with a known true position, from the first on that ends a whole sequence."""
+    known = np.flatnonzero(~np.isnan(errors).all(axis=1))
+    return known[known >= length - 1]
 
 
 def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:

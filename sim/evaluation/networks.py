@@ -42,7 +42,7 @@ def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> H
     weights, sha256 = _weights(folder / plan.weights)
     if not has_head(weights):
         raise ConfigError(f"[networks.{name}]: neither {HEAD_FILE} nor weights of fc7 and fc8, so no categories")
-    labels = read_labels(None, weights)
+    labels = read_labels(folder / plan.labels if plan.labels else None, weights)
     info = msgspec.structs.replace(
         _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
     )

@@ -55,21 +55,28 @@ Named = TypeVar("Named")
 
 
 class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
-    """[networks.NAME]: where a network's layers are. `ranges` (JSON) lets int8 layers be made of the weights too."""
+    """[networks.NAME]: where a network's layers are. `ranges` (JSON) lets int8 layers be made of the weights too.
+
+    labels: names of the weights' categories, one a line, where the model folder has no head.
+    """
 
     model: str = ""
     weights: str = ""
     ranges: str = ""
+    labels: str = ""
 
 
 class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
+
+    fps: frames a second of a scenario, halts and all; without it there is one every spacing of the sampling.
 
     external: name -> .npy of descriptors (rows of the feed, D) that another program made; methods Raw-NAME, NSD-NAME.
     """
 
     feed: str = ""
     scenario: str = ""
+    fps: Positive | None = None
     external: dict[str, str] = {}
 
 

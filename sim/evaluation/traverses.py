@@ -53,14 +53,19 @@ def load_traverse(name: str, plan: TraversePlan, path: Path, sampling: SamplingC
 def true_errors(reference: Traverse, query: Traverse, pair: Pair) -> NDArray[np.float64]:
     """Distance from each query's true position to each place, (Q, N), metres or frames as `Pair.truth` has it.
 
-    inf where a query's true position is not known. ConfigError if the feeds do not have what `truth` needs.
+    NaN throughout the row of a query whose true position is not known, inf where a place's is not. ConfigError if the
+    feeds do not have what `truth` needs.
     """
     if pair.truth == "positions":
         places, positions = _positions(reference, query, pair)
         offsets = positions[:, np.newaxis] - places
         return np.asarray(np.hypot(offsets[..., 0], offsets[..., 1]))
     if pair.truth == "route_m":
-        return np.asarray(np.abs(_column(query, pair)[:, np.newaxis] - _column(reference, pair)))
+        there, at = _column(query, pair), _column(reference, pair)
+        away = np.abs(there[:, np.newaxis] - at)
+        away[:, np.isnan(at)] = np.inf
+        away[np.isnan(there)] = np.nan
+        return np.asarray(away)
     if pair.truth == "rows":
         return np.asarray(np.abs(query.rows[:, np.newaxis] - reference.rows).astype(np.float64))
     return anchored_errors(pair, query.rows, reference.rows)
@@ -74,7 +79,7 @@ def anchored_errors(pair: Pair, query_rows: NDArray[np.intp], rows: NDArray[np.i
     if pair.loop:
         away %= pair.loop
         away = np.minimum(away, pair.loop - away)
-    return np.asarray(np.where(np.isnan(away), np.inf, away))
+    return np.asarray(away)
 
 
 def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -110,8 +115,6 @@ def _positions(reference: Traverse, query: Traverse, pair: Pair) -> tuple[NDArra
 
 def _column(one: Traverse, pair: Pair) -> NDArray[np.float64]:
     try:
-        return np.array([float(row.extra["route_m"]) for row in one.feed_rows()])
+        return np.array([float(row.extra["route_m"] or "nan") for row in one.feed_rows()])
     except (KeyError, ValueError):
-        raise ConfigError(
-            f'pair {pair.name!r}: truth = "route_m", but {one.feed.path} has no route_m in every row'
-        ) from None
+        raise ConfigError(f'pair {pair.name!r}: truth = "route_m", but {one.feed.path} has no such column') from None

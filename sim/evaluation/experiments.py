@@ -1,0 +1,220 @@
+"""Experiments besides the comparison: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedImages
+from edge.config import Config, SamplingConfig
+from edge.descriptor.network import Head
+from edge.map_command import build_map
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.store import open_map
+from edge.replay import replay
+from sim.evaluation import figures
+from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
+from sim.evaluation.bench import Bench, Outcome
+from sim.evaluation.comparison import Results, thumbnail
+from sim.evaluation.methods import METHODS, query_rows
+from sim.evaluation.metrics import max_f1_of_places, scores
+from sim.evaluation.plan import ActivationMap, Pair
+from sim.evaluation.results import Cell, Figure, Picture, Section, Table
+from sim.evaluation.traverses import true_errors
+
+Step = Callable[[str], None]
+
+
+def sequence_lengths(bench: Bench, step: Step) -> Section:
+    """Max-F1 over the length of a sequence (fig. 12), judged on the same frames at every length."""
+    lengths = sorted(bench.plan.experiments.sequence_lengths)
+    rows: list[Sequence[Cell]] = []
+    plots = []
+    for number, pair in enumerate(bench.plan.pairs):
+        lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
+        for text in bench.plan.experiments.sweep_methods:
+            values = []
+            for length in lengths:
+                step(f"{pair.name}: {text}, length {length}")
+                values.append(_f1_from(bench.run(pair, text, length=length), lengths[-1]))
+            rows.append([pair.name, text, *values])
+            lines[text] = (lengths, values)
+        plot = figures.line_plot(lines, "frames in a sequence", "max-F1 (places)")
+        plots.append(Figure(f"sequence_length_{number}", pair.name, plot))
+    columns = ("pair", "method", *(f"{length}" for length in lengths))
+    text = "Frames are judged from the first whole sequence of the greatest length on, so that all lengths share them."
+    return Section(
+        "Sequence length (fig. 12)", text, [Table("sequence_length", "Max-F1 (places)", columns, rows)], plots
+    )
+
+
+def spacings(bench: Bench, step: Step) -> Section:
+    """Max-F1 with places this far apart, the sequence as long in metres as the plan has it."""
+    rows: list[Sequence[Cell]] = []
+    distances = bench.plan.experiments.spacings_m
+    for pair in bench.plan.pairs:
+        for text in bench.plan.experiments.sweep_methods:
+            values: list[Cell] = []
+            for spacing_m in distances:
+                step(f"{pair.name}: {text}, a place every {spacing_m:g} m")
+                values.append(max_f1_of_places(bench.run(pair, text, spacing_m=spacing_m).answers))
+            rows.append([pair.name, text, *values])
+    columns = ("pair", "method", *(f"{spacing_m:g} m" for spacing_m in distances))
+    return Section("Spacing of the places", "", [Table("spacing", "Max-F1 (places)", columns, rows)])
+
+
+def cold_start(bench: Bench, results: Results) -> Section:
+    """Right answers in each third of the drive: online statistics begin with nothing."""
+    rows: list[Sequence[Cell]] = []
+    for (pair, _), outcome in results.items():
+        if outcome.method.name in bench.plan.experiments.cold_start:
+            thirds = np.array_split(outcome.answers.correct, 3), np.array_split(outcome.answers.has_truth, 3)
+            shares = [
+                float(right.sum() / known.sum()) if known.any() else float("nan")
+                for right, known in zip(*thirds, strict=True)
+            ]
+            rows.append([pair, outcome.method.name, *shares])
+    columns = ("pair", "method", "first third", "second third", "last third")
+    return Section("Cold start", "", [Table("cold_start", "Accuracy by thirds of the drive", columns, rows)])
+
+
+def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
+    """The same method with float network and descriptors: what quantising costs."""
+    rows: list[Sequence[Cell]] = []
+    for pair in bench.plan.pairs:
+        for text in bench.plan.experiments.int8:
+            step(f"{pair.name}: {text} in float")
+            exact = bench.run(pair, text, precision="float32")
+            small = results.get((pair.name, text)) or bench.run(pair, text)
+            agree = float((exact.matches.place == small.matches.place)[exact.judged].mean())
+            rows.append(
+                [
+                    pair.name,
+                    text,
+                    scores(small.answers).accuracy,
+                    scores(exact.answers).accuracy,
+                    max_f1_of_places(small.answers),
+                    max_f1_of_places(exact.answers),
+                    agree,
+                ]
+            )
+    columns = ("pair", "method", "accuracy, int8", "accuracy, float", "max-F1, int8", "max-F1, float", "same place")
+    note = "int8 network and int8 descriptors against float32 of both. Same place: frames with the very same answer."
+    return Section("int8 against float", note, [Table("int8", "int8 against float", columns, rows)])
+
+
+def pca(bench: Bench, step: Step) -> Section:
+    """Two principal components of the category layer, raw and normalised (fig. 11)."""
+    network = next(iter(bench.plan.networks))
+    head = bench.descriptions.head(network)
+    rows: list[Sequence[Cell]] = []
+    plots = []
+    for name in bench.plan.experiments.pca:
+        step(f"PCA of {name}")
+        raw = bench.descriptions.probabilities(bench.traverse(name), network)
+        batch, online = (
+            np.concatenate([change.rows[:, 0] for change in query_rows(METHODS[row], raw[:, np.newaxis], 1)])
+            for row in ("NSD-fc6/batch", "NSD-fc6")
+        )
+        panels = {"raw": raw, "normalised": batch, "normalised online": online}
+        points = {title: principal_components(values) for title, values in panels.items()}
+        labels = [head.labels[index] for index in raw.argmax(axis=1)]
+        plots.append(Figure(f"pca_{name}", name, figures.scatter_plot(points, labels), "Colour: frame, dark is early."))
+        rows.append([name, *(neighbour_distance(values) for values in points.values())])
+    note = (
+        "Distance of a frame to the next one in the plane, over the mean distance of any two frames: low where the"
+        " projection runs along the drive, 1 where it does not know of it."
+    )
+    columns = ("traverse", "raw", "normalised", "normalised online")
+    return Section(
+        "PCA of the category layer (fig. 11)", note, [Table("pca", "Next frame's distance", columns, rows)], plots
+    )
+
+
+def principal_components(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Projection (n, 2) of rows (n, D) on the two directions of greatest variance."""
+    centred = values - values.mean(axis=0, dtype=np.float64)
+    left, singular, _ = np.linalg.svd(centred, full_matrices=False)
+    return np.asarray(left[:, :2] * singular[:2])
+
+
+def neighbour_distance(points: NDArray[np.float64]) -> float:
+    """Mean distance of consecutive points over that of any two."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+    apart = np.linalg.norm(points[:, np.newaxis] - points, axis=2)
+    count = len(points)
+    return float(steps / (apart.sum() / (count * (count - 1))))
+
+
+def activation_maps(bench: Bench, step: Step) -> Section:
+    """Where in a picture each network sees its top-3 categories (fig. 10)."""
+    rows = []
+    for wanted in bench.plan.experiments.activation_maps:
+        for name in [name for name, network in bench.plan.networks.items() if network.weights]:
+            step(f"activation maps of {wanted.traverse}, {name}")
+            rows.append(_activation_row(bench, wanted, name))
+    text = "Grad-CAM on the last pooled convolution, in float: the generalisation of class activation maps to AlexNet."
+    return Section("Class activation maps (fig. 10)", text, pictures=rows)
+
+
+def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Picture]:
+    images = FeedImages(bench.traverse(wanted.traverse).feed)
+    try:
+        image = images.read(wanted.row)
+    finally:
+        images.close()
+    weights = bench.descriptions.weights(name)
+    pooled = pooled_features(weights, bench.descriptions.network(name, "fc6").info, image)
+    probabilities, rank, gradients = scores_and_gradients(weights, pooled)
+    labels = bench.descriptions.head(name).labels
+    maps = [
+        Picture(thumbnail(overlay(image, activation_map(pooled, gradient))), f"{labels[c]} {probabilities[c]:.2f}")
+        for c, gradient in zip(rank[:3], gradients, strict=True)
+    ]
+    return [Picture(thumbnail(image), f"{wanted.traverse}, row {wanted.row}, {name}"), *maps]
+
+
+def standing(bench: Bench, step: Step) -> Section:
+    """The recogniser on frames taken by time, with halts: with its gate for standing still, and without."""
+    rows: list[Sequence[Cell]] = []
+    for pair in bench.plan.pairs:
+        if pair.name in bench.plan.experiments.standing:
+            for gate in (Config().descriptor.standing_change, 0.0):
+                step(f"{pair.name}: standing gate {gate:g}")
+                rows.append([pair.name, gate, *_drive_with_halts(bench, pair, gate)])
+    columns = ("pair", "standing_change", "frames", "answered", "accuracy of answers")
+    note = "The query as recorded, every frame of it, through `lookback replay`'s own recogniser; 0 turns the gate off."
+    return Section("Standing still", note, [Table("standing", "With and without the gate", columns, rows)])
+
+
+def _drive_with_halts(bench: Bench, pair: Pair, gate: float) -> tuple[int, int, float]:
+    """Frames, answers, and the share of right ones."""
+    every = SamplingConfig(by="frames")
+    reference, query = bench.traverse(pair.reference), bench.traverse(pair.query, every)
+    network = bench.descriptions.network(next(iter(bench.plan.networks)), "fc6")
+    config = msgspec.structs.replace(
+        Config(),
+        camera=msgspec.structs.replace(Config().camera, view=query.feed.header.view),
+        descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate, model=str(network.path)),
+        sequence=msgspec.structs.replace(Config().sequence, length=bench.sequence_length(pair)),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "map"
+        build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
+        reference_map = open_map(path)
+        recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+        lines = list(replay(recognizer, query.feed, every, reference_map.places["row"].tolist()))
+    errors = true_errors(reference, query, pair)
+    answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
+    right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)
+    return len(lines), len(answered), right / len(answered) if answered else float("nan")
+
+
+def _f1_from(outcome: Outcome, length: int) -> float:
+    """Max-F1 on the frames that a sequence of `length` can end at."""
+    return max_f1_of_places(outcome.answers.take(np.flatnonzero(outcome.judged >= length - 1)))

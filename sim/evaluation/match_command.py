@@ -1,0 +1,101 @@
+"""`lookback eval match COSTS.npy`: the sequence search and the scores alone, on anybody's cost matrix."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import SequenceConfig, checked_option
+from edge.errors import ConfigError
+from sim.evaluation.bootstrap import Resampling, interval
+from sim.evaluation.descriptions import read_matrix
+from sim.evaluation.matching import Matches, judge, judged_queries, match_costs
+from sim.evaluation.metrics import max_f1_of_places, scores
+
+
+def add_command(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `match` to the commands of `lookback eval`."""
+    parser = actions.add_parser("match", help="search a cost matrix, and score the matches")
+    parser.add_argument("costs", type=Path, metavar="COSTS.npy", help="reference x query, lower is more alike")
+    parser.add_argument("--truth", type=Path, help=".csv or .npy: a query's true reference index a row, -1 off the map")
+    parser.add_argument("--tolerance", type=float, default=5.0, metavar="N", help="right within N places (default 5)")
+    parser.add_argument("--length", type=int, default=20, help="frames in a sequence (default 20)")
+    parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches there as CSV")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    costs = read_matrix(args.costs)
+    sequence = checked_option(SequenceConfig(), "--length", length=args.length)
+    sequence = msgspec.structs.replace(sequence, directions=args.directions, region_order="frame")
+    if not args.tolerance > 0:
+        raise ConfigError(f"--tolerance: {args.tolerance:g} is not above 0")
+    truth = _read_truth(args.truth, costs.shape) if args.truth else None
+    matches = match_costs(costs, sequence, max(1, round(2 * args.tolerance)))
+    if args.output:
+        with args.output.open("w", newline="", encoding="utf-8") as stream:
+            _write(matches, stream)
+    elif truth is None:
+        _write(matches, sys.stdout)
+    if truth is not None:
+        _score(matches, truth, args.tolerance, args.length)
+    return 0
+
+
+def _write(matches: Matches, stream: object) -> None:
+    writer = csv.writer(stream, lineterminator="\n")  # type: ignore[arg-type]
+    writer.writerow(["query", "place", "uniqueness", "direction"])
+    for query, place in enumerate(matches.place.tolist()):
+        if place >= 0:
+            direction = "reverse" if matches.reverse[query] else "forward"
+            writer.writerow([query, place, f"{matches.confidence[query]:.6f}", direction])
+
+
+def _score(matches: Matches, truth: NDArray[np.float64], tolerance: float, length: int) -> None:
+    errors = np.abs(truth[:, np.newaxis] - np.arange(matches.costs.shape[1]))
+    errors[truth < 0] = np.inf
+    answers = judge(matches, errors, tolerance, judged_queries(errors, length))
+    found = scores(answers)
+    sure = interval(max_f1_of_places, answers, Resampling(block=2 * length))
+    print(f"queries judged     {found.queries}, from number {length - 1} on; {found.on_map} of them on the map")
+    print(f"accuracy           {found.accuracy:.4f}")
+    print(f"max-F1 (places)    {found.max_f1_of_places:.4f}   {sure.low:.4f} to {sure.high:.4f} at {sure.level:.0%}")
+    print(f"max-F1 (correct)   {found.max_f1_of_correct:.4f}   its recall reaches 1 by construction")
+    print(f"average precision  {found.average_precision:.4f}")
+    print(f"recall at 100 %    {found.recall_at_100:.4f}")
+    print(f"recall at 99 %     {found.recall_at_99:.4f}")
+
+
+def _read_truth(path: Path, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """True reference index of each query, (Q,); ConfigError names the file and the line."""
+    truth = read_matrix(path, dimensions=1) if path.suffix == ".npy" else np.array(_read_column(path))
+    if len(truth) != shape[1]:
+        raise ConfigError(f"{path}: {len(truth)} rows for {shape[1]} queries; the matrix is reference x query")
+    if truth.max() >= shape[0]:
+        raise ConfigError(f"{path}: index {truth.max():g}, but the matrix has {shape[0]} places, from 0")
+    return truth
+
+
+def _read_column(path: Path) -> list[float]:
+    try:
+        lines = path.read_text(encoding="utf-8").split()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read it: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not UTF-8 text") from None
+    values = []
+    for number, line in enumerate(lines, 1):
+        try:
+            values.append(float(line))
+        except ValueError:
+            raise ConfigError(f"{path}: line {number}: {line[:40]!r} is not a reference index") from None
+    if not values or not np.isfinite(values).all():
+        raise ConfigError(f"{path}: needs a finite number a line; -1 for a query that is off the map")
+    return values

@@ -1,0 +1,63 @@
+"""One HTML page that needs nothing beside it, and its tables as CSV and its figures as PNG."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import jinja2
+
+from edge.errors import ConfigError
+from sim.evaluation.bootstrap import Interval
+from sim.evaluation.results import Cell, Section
+
+TEMPLATE = Path(__file__).parents[1] / "report.html.j2"
+
+
+def write_report(folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section]) -> Path:
+    """Write report.html, NAME.csv and NAME.png into `folder` and return the page's path. ConfigError if it cannot."""
+    page = folder / "report.html"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for section in sections:
+            _write_files(folder, section)
+        page.write_text(render_page(title, about, sections), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write the report: {error.strerror}") from None
+    return page
+
+
+def render_page(title: str, about: Mapping[str, str], sections: Sequence[Section]) -> str:
+    """The page: `about` is a list of terms (command, versions, hashes), pictures are inside it."""
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters.update(data=lambda data: base64.b64encode(data).decode(), cell=format_cell)
+    environment.tests["number"] = lambda cell: not isinstance(cell, str)
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(title=title, about=about, sections=sections)
+
+
+def format_cell(cell: Cell) -> str:
+    """A cell as people read it."""
+    if isinstance(cell, Interval):
+        return f"{format_cell(cell.value)} ({format_cell(cell.low)} to {format_cell(cell.high)})"
+    if isinstance(cell, float):
+        return "–" if math.isnan(cell) else f"{cell:.3f}"
+    return str(cell)
+
+
+def _write_files(folder: Path, section: Section) -> None:
+    for table in section.tables:
+        with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(table.columns)
+            # An interval is one cell for people; here, what it is followed by its ends.
+            writer.writerows([_plain(cell) for cell in row] for row in table.rows)
+    for figure in section.figures:
+        (folder / f"{figure.name}.png").write_bytes(figure.png)
+
+
+def _plain(cell: Cell) -> str | int | float:
+    return f"{cell.value!r} [{cell.low!r}, {cell.high!r}]" if isinstance(cell, Interval) else cell
