@@ -12,7 +12,7 @@ from sim.world.route import KINDS, LEAD_M, Route
 from sim.world.solids import Surface, Thing
 
 ROAD_HALF_M = 4.5
-PAVEMENT_M = 7.0
+PAVEMENT_M = 6.2
 GROUND_M = 36.0
 STEP_M = 4.0
 

@@ -70,7 +70,8 @@ def tree(rng: np.random.Generator, pictures: Pictures, at_m: NDArray[np.float64]
     """A tree of a kind and about a height."""
     picture, snow = pictures.trees[kind][rng.integers(2)]
     high = high_m * rng.uniform(0.8, 1.25)
-    share = 0.4 if kind == "poplar" else rng.uniform(0.6, 0.85)
+    # Spread against height: what grows leaves down to the ground must not reach into the lane.
+    share = rng.uniform(0.35, 0.5) if kind in ("poplar", "conifer") else rng.uniform(0.6, 0.85)
     return crossed_planes((float(at_m[0]), float(at_m[1])), (share * high, high), rng.uniform(0, np.pi), picture, snow)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sim.world.light import Light
 
 CAMERA_HIGH_M = 1.4
-STREET_HALF_M = 8.0
+STREET_HALF_M = 7.5
 WANTED_MEAN = 105.0
 
 

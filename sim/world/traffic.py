@@ -12,7 +12,7 @@ from sim.world.route import DistrictKind, Route
 from sim.world.solids import Plot, Thing
 
 PARKED_SHARE: dict[DistrictKind, float] = {"town": 0.45, "shops": 0.4, "suburb": 0.25, "wood": 0.02, "open": 0.02}
-PARKED_LEFT_M = 4.9
+PARKED_LEFT_M = 4.7
 ONCOMING_EVERY_S = 9.0
 
 
