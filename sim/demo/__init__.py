@@ -2,7 +2,6 @@
 
 command.py  the story, in order, and what is printed
 live.py     one drive: the real daemon as its own process, a simulated autopilot at the other end of a pty
-rig.py      the along-route offset of the two cameras, measured on drives with GPS
 review.py   what the daemon saw, once more, for the pictures
 report.py   one self-contained HTML page
 """

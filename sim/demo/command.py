@@ -16,10 +16,11 @@ from edge.config import DescriptorConfig, RigConfig, SamplingConfig
 from edge.errors import ConfigError, LookbackError
 from edge.map_command import build_map
 from edge.reference_map.store import ReferenceMap, open_map
+from sim.calibration.command import measure_rig
+from sim.calibration.offset import rig_config
 from sim.demo.live import LiveDrive, ReceivedFix, check_ended_well, start_drive
 from sim.demo.report import write_report
 from sim.demo.review import TOLERANCE_M, Review, review_drive
-from sim.demo.rig import measure_rig
 from sim.recording import times_by_distance, write_feed
 from sim.scenario import Scenario
 
@@ -55,7 +56,7 @@ def _run(args: argparse.Namespace) -> int:
     reference_map = _make_map(folder)
     print("2. Two short drives with GPS: how far ahead of the vehicle does the matched place lie?")
     rig = _measure_rig(folder, reference_map)
-    print(f"   {rig.ahead_forward_m:.0f} m driving the same way, {rig.ahead_reverse_m:.0f} m on the way home")
+    print(f"   {rig.ahead_forward_swapped_m:.0f} m driving the same way, {rig.ahead_reverse_same_m:.0f} m on the way home")
     print("3. Live, without GPS, with the front camera: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig)
     print("4. What they saw, held against the truth")
@@ -88,7 +89,8 @@ def _measure_rig(folder: Path, reference_map: ReferenceMap) -> RigConfig:
         path = folder / f"gps_{scenario.direction}"
         _record(scenario, path, MEASURED_M)
         drives.append(read_feed(path))
-    return measure_rig(reference_map, drives)
+    offsets, _ = measure_rig(reference_map, drives)
+    return rig_config(offsets)
 
 
 def _record(scenario: Scenario, path: Path, distance_m: float) -> None:

@@ -131,7 +131,7 @@ def _cost_matrix(reference_map: ReferenceMap, review: Review) -> str:
         step = match.slope if match.direction == "forward" else -match.slope
         axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
-    axes.legend(loc="upper left", fontsize=8)
+    axes.legend(loc="upper left", fontsize=8, facecolor=GREY)
     return _svg(figure)
 
 
