@@ -95,7 +95,7 @@ def _decode_info(path: Path, metadata: dict[str, bytes], sha256: str) -> ModelIn
         raise ModelError(f"{path}: no {METADATA_KEY!r} in its metadata; make it with `lookback model import`")
     try:
         info = msgspec.json.decode(metadata[METADATA_KEY], type=ModelInfo)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:  # ValidationError is a DecodeError
         raise ModelError(f"{path}: metadata {METADATA_KEY!r}: {error}") from None
     return msgspec.structs.replace(info, sha256=sha256)
 

@@ -32,15 +32,15 @@ IMAGE = "image"
 def open_session(model: bytes) -> onnxruntime.InferenceSession:
     """A session of the CPU that keeps to the calling thread."""
     options = onnxruntime.SessionOptions()
-    # A second thread gains a tenth and jitters; spinning would take a core from the rest of the vehicle.
+    # A second thread gains little and jitters a lot; spinning would take a core from the rest of the vehicle.
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3  # errors; they come as exceptions as well
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    # It keeps the 40 MB of bytes to start again with other providers, of which there are none.
-    session._model_bytes = None
+    # Falling back to other providers, of which there are none, would print several lines before it fails again.
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    session._model_bytes = None  # 40 MB, kept for that fallback alone
     return session
 
 
@@ -108,12 +108,12 @@ def _open_checked(file: ModelFile, name: str, dtype: str, shape: list[int]) -> o
     """Open a session whose one input and one output are what the metadata says; the first axis is the batch."""
     try:
         session = open_session(file.data)
+        tensors = [*session.get_inputs(), *session.get_outputs()]
+        found = [(tensor.name, tensor.type, tensor.shape[1:]) for tensor in tensors]
     except Exception as error:  # ONNX Runtime's own classes share only Exception
         reason = str(error).replace("\n", " ")
         raise ModelError(f"{file.path}: ONNX Runtime refuses it: {reason[:300]}") from None
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    found = [(tensor.name, tensor.type, tensor.shape[1:]) for tensor in (*inputs, *outputs)]
     wanted = [(name, dtype, shape), (file.info.tap, "tensor(float)", [file.info.dimensions])]
-    if found != wanted or isinstance(inputs[0].shape[0], int):
+    if found != wanted or isinstance(tensors[0].shape[0], int):
         raise ModelError(f"{file.path}: has inputs and outputs {found}, its metadata needs {wanted}")
     return session

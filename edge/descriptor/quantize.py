@@ -31,7 +31,7 @@ RANGE_SHARE = 0.8
 """Share of a layer's greatest value that int8 spans; what is above is clipped.
 
 The greatest value of many images is an outlier, and the finer step gains more than clipping it loses: cosine to
-float after NSD 0.9965 to 0.9970 (mean over the corridor and track feeds), 0.967 to 0.978 on darkened frames.
+float after NSD 0.9963 to 0.9970 (mean over the corridor and track feeds), 0.967 to 0.978 on darkened frames.
 """
 QUANTIZED_OPERATORS = ["Conv", "Relu", "MaxPool", "Flatten", "Gemm"]
 
@@ -49,7 +49,7 @@ def read_ranges(path: Path) -> dict[str, float]:
         given = msgspec.json.decode(path.read_bytes(), type=dict[str, msgspec.Raw])
     except OSError as error:
         raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: {error}") from None
     greatest = {}
     for layer in _LAYERS:

@@ -95,6 +95,22 @@ def test_every_cut_of_a_small_model_is_refused(model: Any, save: Save) -> None:
         assert_refused(save(data[:length]), "model.onnx")
 
 
+def test_damaged_bytes_load_or_are_refused(model: Any, save: Save) -> None:
+    data, random = model.SerializeToString(), np.random.default_rng(11)
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[random.integers(len(data))] = random.integers(256)
+        file = save(bytes(damaged))
+        try:
+            Network.load(file)
+        except ModelError as error:
+            assert str(error).startswith(str(file))
+            assert "\n" not in str(error)
+            refused += 1
+    assert refused > 100  # the others are in names, texts and numbers, where any byte is as good
+
+
 def test_claimed_weights_are_not_allocated(model: Any, save: Save) -> None:
     model.graph.initializer[0].dims[:] = [2**19, 2**19]
     assert_refused(save(model), "speaks of 274877906944 weights and holds")
