@@ -103,11 +103,13 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
     "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
     "$python" -m venv "$stage"
     spec=$(what_to_install)
-    "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location "$spec"
+    "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location \
+        "$spec"
     grep -rlIF -- "$stage" "$stage/bin" "$stage/pyvenv.cfg" | while IFS= read -r file; do
         sed -i "s|$stage|$prefix|g" "$file"
     done
-    # The service cannot write here, so the compiled modules have to be here already.
+    # The service cannot write here, so the compiled modules have to be here already. Packages also carry files for
+    # other Pythons, which do not compile.
     "$stage/bin/python" -m compileall -q -s "$stage" -p "$prefix" "$stage/lib" || true
 }
 
