@@ -133,11 +133,13 @@ def thumbnail(image: NDArray[np.uint8]) -> bytes:
 def _describe(pair: Pair, outcome: Outcome) -> str:
     unit = "m" if pair.truth in ("positions", "route_m") else "frames"
     on_map = int(outcome.answers.has_truth.sum())
+    known = outcome.errors[outcome.judged][outcome.answers.has_truth]
+    guess = float((known <= pair.tolerance).mean()) if on_map else 0.0
     return (
         f"{pair.query} against {pair.reference}: {len(outcome.query.rows)} frames and {len(outcome.reference.rows)}"
         f" places, sequences of {outcome.length} frames, tolerance {pair.tolerance:g} {unit}."
         f" {len(outcome.judged)} frames are judged: those with a known position, from the first whole sequence on."
-        f" {on_map} of them have a true place in the map."
+        f" {on_map} of them have a true place in the map. A guess is right in {guess:.1%} of them."
     )
 
 

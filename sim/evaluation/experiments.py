@@ -35,7 +35,9 @@ def sequence_lengths(bench: Bench, step: Step) -> Section:
     lengths = sorted(bench.plan.experiments.sequence_lengths)
     rows: list[Sequence[Cell]] = []
     plots = []
-    for number, pair in enumerate(bench.plan.pairs):
+    # Pairs that differ in the length only are one here.
+    pairs = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(bench.plan.pairs)}
+    for number, pair in enumerate(reversed(pairs.values())):
         lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
         for text in bench.plan.experiments.sweep_methods:
             values = []
@@ -182,11 +184,12 @@ def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Pict
 def standing(bench: Bench, step: Step) -> Section:
     """The recogniser on frames taken by time, with halts: with its gate for standing still, and without."""
     rows: list[Sequence[Cell]] = []
-    for pair in bench.plan.pairs:
-        if pair.name in bench.plan.experiments.standing:
-            for gate in (Config().descriptor.standing_change, 0.0):
-                step(f"{pair.name}: standing gate {gate:g}")
-                rows.append([pair.name, gate, *_drive_with_halts(bench, pair, gate)])
+    for drive in bench.plan.experiments.standing:
+        pair = next(pair for pair in bench.plan.pairs if pair.name == drive.pair)
+        pair = msgspec.structs.replace(pair, query=drive.query)
+        for gate in (Config().descriptor.standing_change, 0.0):
+            step(f"{drive.query}: standing gate {gate:g}")
+            rows.append([f"{pair.query} against {pair.reference}", gate, *_drive_with_halts(bench, pair, gate)])
     columns = ("pair", "standing_change", "frames", "answered", "accuracy of answers")
     note = "The query as recorded, every frame of it, through `lookback replay`'s own recogniser; 0 turns the gate off."
     return Section("Standing still", note, [Table("standing", "With and without the gate", columns, rows)])

@@ -70,6 +70,7 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
 
     fps: frames a second of a scenario, halts and all; without it there is one every spacing of the sampling.
+    first_row, last_row: of the feed, what is between counts.
 
     external: name -> .npy of descriptors (rows of the feed, D) that another program made; methods Raw-NAME, NSD-NAME.
     """
@@ -77,6 +78,8 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     feed: str = ""
     scenario: str = ""
     fps: Positive | None = None
+    first_row: Annotated[int, Meta(ge=0)] = 0
+    last_row: Annotated[int, Meta(ge=0)] | None = None
     external: dict[str, str] = {}
 
 
@@ -114,12 +117,19 @@ class ActivationMap(Struct, frozen=True, forbid_unknown_fields=True):
     row: Annotated[int, Meta(ge=0)] = 0
 
 
+class Standing(Struct, frozen=True, forbid_unknown_fields=True):
+    """[[experiments.standing]]: another query for a pair, a frame every so often, halts and all."""
+
+    pair: str
+    query: str
+
+
 class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     """[experiments]: what is done besides every method on every pair.
 
     sequence_lengths: frames (fig. 12), with sweep_methods; spacings_m: places this far apart, with sweep_methods.
     cold_start: right answers by thirds of the drive. int8: int8 against float for these methods.
-    standing: names of pairs whose query is also driven in frames as recorded, with halts, with and without the gate.
+    standing: drives with halts, recognised with and without the gate for standing still.
     pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
     whose difference is told from noise.
     """
@@ -129,7 +139,7 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
     cold_start: list[str] = []
     int8: list[str] = []
-    standing: list[str] = []
+    standing: list[Standing] = []
     pca: list[str] = []
     activation_maps: list[ActivationMap] = []
     better_than: list[tuple[str, str]] = []
@@ -185,9 +195,10 @@ def _check_names(path: Path, plan: Plan) -> None:
         if (pair.truth == "anchors") != (len(rows) >= 2) or rows != sorted(set(rows)):
             raise ConfigError(f'{where}: truth = "anchors" needs two or more anchors, the query\'s rows in order')
     experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
-    for name in experiments.standing:
-        named(f"{path}: experiments.standing", name, pairs)
-    for name in [*experiments.pca, *(item.traverse for item in experiments.activation_maps)]:
+    for item in experiments.standing:
+        named(f"{path}: experiments.standing", item.pair, pairs)
+    traverses = [item.traverse for item in experiments.activation_maps]
+    for name in [*experiments.pca, *traverses, *(item.query for item in experiments.standing)]:
         named(f"{path}: experiments", name, plan.traverses)
 
 

@@ -40,9 +40,11 @@ class Traverse:
 def load_traverse(name: str, plan: TraversePlan, path: Path, sampling: SamplingConfig) -> Traverse:
     """Read a feed and choose its frames; FeedError if fewer than 2 are left, or it has no distance to choose by."""
     feed = read_feed(path)
+    last = len(feed.rows) - 1 if plan.last_row is None else plan.last_row
     chosen = [
         (item.frame.index, describe(item.frame.image))
         for item in traverse(feed, sampling, must_have_distance=sampling.by == "distance")
+        if plan.first_row <= item.frame.index <= last
     ]
     if len(chosen) < 2:
         raise FeedError(f"{path}: the sampling leaves {len(chosen)} frame(s); a traverse needs at least 2")
