@@ -71,6 +71,8 @@ def test_geotagged_pictures_become_a_feed(tmp_path: Path, degrees_at: Degrees, s
     for index in range(10):  # two a second, whose clock has no fractions
         geotag(tmp_path / f"drive/{index}.jpg", f"2024:05:01 10:00:{index // 2:02d}", degrees_at(0.0, 1.5 * index))
     geotag(tmp_path / "drive/tunnel.jpg", "2024:05:01 10:00:04", None)
+    stamps_ns = [row.stamp_ns for row in open_dataset("geotagged", tmp_path / "drive").rows]
+    assert np.diff(stamps_ns).tolist() == [1, 999_999_999] * 4 + [1, 1]
     sim_import("geotagged", tmp_path / "drive", "-o", tmp_path / "feed", "--spacing-m", 3, "--view", "rear")
     feed = read_feed(tmp_path / "feed")
     assert [row.extra["source_file"] for row in feed.rows] == ["0.jpg", "2.jpg", "4.jpg", "6.jpg", "8.jpg"]

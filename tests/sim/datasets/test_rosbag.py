@@ -92,7 +92,9 @@ def write_drive(path: Path, degrees_at: Degrees) -> None:
             write("/rear/compressed", "sensor_msgs/msg/CompressedImage", stamp_ns, rear)
             if i % 2 == 0:
                 place = degrees_at(0.0, 0.4 * i)
-                fix = messages.fix(stamp_ns, *place) if i else messages.fix(stamp_ns, np.nan, np.nan, status=-1)
+                fix = (
+                    messages.fix(stamp_ns, *place) if i else messages.fix(stamp_ns, *degrees_at(900.0, 0.0), status=-1)
+                )
                 write("/gps", "sensor_msgs/msg/NavSatFix", stamp_ns, fix)
 
 
