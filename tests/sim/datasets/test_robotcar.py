@@ -70,7 +70,7 @@ def where(degrees_at: Degrees, after_us: int) -> tuple[float, float]:
 
 
 def write_ins(path: Path, degrees_at: Degrees, start_us: int, count: int) -> None:
-    lines = [f"{start_us + INS_US // 2},INS_ALIGNING,51.9,-1.3,0.0,0,0,0,30U,0,0,0,0,0,0"]
+    lines = [f"{start_us + PICTURE_US},INS_ALIGNING,51.9,-1.3,0.0,0,0,0,30U,0,0,0,0,0,0"]
     each_mps = SPEED_MPS * math.sqrt(0.5)
     for i in range(count):
         lat_deg, lon_deg = where(degrees_at, i * INS_US)
