@@ -11,11 +11,11 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 import edge
 from edge import check, daemon, map_command, model_command, record, replay
-from edge.errors import EXIT_SETUP, LookbackError, SetupError
+from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -26,8 +26,28 @@ def build_parser() -> argparse.ArgumentParser:
     for module in (daemon, record, map_command, replay, model_command, check):
         module.add_command(commands)
     for point in sorted(entry_points(group="lookback.commands"), key=lambda point: point.name):
-        point.load()(commands)
+        _add_plug_in(point, commands)
     return parser
+
+
+def _add_plug_in(point: EntryPoint, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add a plug-in's command; one whose packages are not installed here must not take `run` down with it."""
+    try:
+        add_command = point.load()
+    except ModuleNotFoundError as error:
+        missing = error.name
+
+        def refuse(args: argparse.Namespace) -> int:
+            raise ConfigError(f"{point.name}: needs the package {missing}: pip install 'lookback[sim]'")
+
+        # No option is known here, so a dash means nothing: all words are the missing command's.
+        parser = commands.add_parser(
+            point.name, help=f"not installed: needs {missing}", prefix_chars="\0", add_help=False
+        )
+        parser.add_argument("arguments", nargs="*")
+        parser.set_defaults(run=refuse)
+    else:
+        add_command(commands)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

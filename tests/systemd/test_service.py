@@ -131,6 +131,32 @@ def test_ready_then_watchdog_then_stopping(manager: Manager, config: Path) -> No
     assert [record["event"] for record in read_journal(config.with_name("events.jsonl"))][-1] == "stopped"
 
 
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys(sys.argv.pop(1).split(",")))  # None makes `import` say that there is no such module
+from edge.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "says"),
+    [
+        (["check", "--default"], 0, "[camera]"),
+        (["demo", "-o", "folder"], EXIT_SETUP, "lookback: demo: needs the package jinja2: pip install 'lookback[sim]'"),
+    ],
+)
+def test_a_vehicle_needs_no_desk_packages(command: list[str], code: int, says: str) -> None:
+    """Lookback as a vehicle has it, without its extras: what a desk needs must not keep the daemon from starting."""
+    desk = "depthai,onnx,torch,panda3d,direct,jinja2,matplotlib,scipy,hypothesis,mavsdk,pytest"
+    result = subprocess.run(
+        [sys.executable, "-c", WITHOUT, desk, *command], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == code, result.stderr
+    assert says in (result.stdout or result.stderr).splitlines()
+    assert "Traceback" not in result.stderr
+
+
 def test_never_ready_with_a_bad_config(manager: Manager, config: Path) -> None:
     config.write_text(config.read_text().replace("length = 4", "length = 1"))
     process = manager.start(config)
