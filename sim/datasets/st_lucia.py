@@ -10,10 +10,7 @@ repeats it, so positions are interpolated between the lines where they change.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-
-import numpy as np
 
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import frames_of
@@ -30,11 +27,12 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     names, stamps_ns, pictures = frames_of(frames, options.fps or NOMINAL_FPS)
     file = path / "fGPS.txt"
     degrees = read_numbers(file, 2, "it comes with the drive and has a position for each frame", separator=",")
-    count = min(len(degrees), len(names))
-    changes = np.flatnonzero(np.any(np.diff(degrees[:count], axis=0, prepend=math.nan) != 0, axis=1))
-    fixes = [Fix(stamps_ns[at], -abs(float(degrees[at, 0])), float(degrees[at, 1])) for at in {*changes, count - 1}]
-    # While the car stands no line changes: a gap is no loss of the receiver here.
-    track = Track(str(file), fixes, max_gap_s=math.inf)
+    # Where lines repeat, `Track` goes straight from each change to the next.
+    fixes = [
+        Fix(stamp_ns, -abs(lat_deg), lon_deg)
+        for stamp_ns, (lat_deg, lon_deg) in zip(stamps_ns, degrees.tolist(), strict=False)
+    ]
+    track = Track(str(file), fixes)
     return Traverse(
         name=path.name,
         view=options.view or "front",

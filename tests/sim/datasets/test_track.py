@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from edge.camera.feed import Feed, FeedHeader
 from edge.errors import FeedError
+from edge.traverse import driven_m
 from sim.datasets.track import Fix, Track
 
 SECOND = 1_000_000_000
@@ -53,3 +56,23 @@ def test_a_gap_ends_what_is_known_but_for_its_two_ends() -> None:
 def test_nanoseconds_since_1970_keep_their_precision() -> None:
     track = Track("log", [Fix(EPOCH, 51.0, -1.0), Fix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
     assert [fix.stamp_ns for fix in track.at(np.array([EPOCH + 1, EPOCH + 3]))] == [EPOCH + 1, EPOCH + 3]
+
+
+def test_a_car_at_a_red_light_drives_nowhere_though_its_receiver_wanders() -> None:
+    random = np.random.default_rng(2)
+    seconds = np.arange(0, 100, 0.2)
+    true_m = np.interp(seconds, [0, 10, 70, 80, 100], [0, 50, 50, 100, 100])
+    measured_m = true_m[:, None] * [0, 1] + random.uniform(-0.25, 0.25, (len(seconds), 2))
+    fixes = [
+        Fix(int(stamp), 51.0 + north / 111_250, -1.0 + east / 70_190)
+        for stamp, (east, north) in zip(stamps(*seconds), measured_m, strict=True)
+    ]
+    rows = Track("log", fixes).rows("pictures", [""] * len(seconds), stamps(*seconds).tolist())
+    driven = driven_m(Feed(Path("log"), FeedHeader("log", "front", 1, 1), rows))
+    assert driven is not None
+    assert driven[-1] == pytest.approx(100, abs=6)
+    standing = slice(55, 346)  # from 11 s to 69 s
+    assert np.hypot(*np.diff(measured_m[standing], axis=0).T).sum() > 70  # what the receiver says
+    assert driven[standing][-1] - driven[standing][0] < 2.0
+    north_m = (np.array([row.lat_deg for row in rows], dtype=np.float64) - 51.0) * 111_250
+    assert np.abs(north_m - true_m).max() < 1.5
