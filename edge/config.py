@@ -25,6 +25,7 @@ DEFAULT_TOML = Path(__file__).with_name("default.toml")
 ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+Ahead = Annotated[float, Meta(ge=-500, le=500)]
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -87,10 +88,16 @@ class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[rig]: how far along the route the matched place lies from where the vehicle is."""
+    """[rig]: how far ahead of the vehicle the matched place lies, for each direction and region order of a match."""
 
-    ahead_forward_m: Annotated[float, Meta(ge=-500, le=500)] = 0.0
-    ahead_reverse_m: Annotated[float, Meta(ge=-500, le=500)] = 0.0
+    ahead_forward_same_m: Ahead = 0.0
+    ahead_forward_swapped_m: Ahead = 0.0
+    ahead_reverse_same_m: Ahead = 0.0
+    ahead_reverse_swapped_m: Ahead = 0.0
+
+    def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
+        """The offset of matches of that kind, in metres in the direction of travel."""
+        return float(getattr(self, f"ahead_{direction}_{order}_m"))
 
 
 class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -74,17 +74,8 @@ class PlaceRecognizer:
         self._matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
         sequence = config.sequence
         self._per_frame_order = sequence.region_order == "frame"
-        planes, possible = _planes(header, config)
-        self._search = SequenceSearch(
-            [(segment.start, segment.end) for segment in header.segments],
-            planes,
-            sequence.length,
-            slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes),
-            possible,
-        )
-        self._neighbourhood = Neighbourhood(
-            self._route.east_north_m, self._route.route_m, self._route.segment_of, config.acceptance
-        )
+        self._search = open_search(header, config)
+        self._neighbourhood = neighbourhood(self._route, config)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
             sequence.length,
@@ -153,9 +144,9 @@ class PlaceRecognizer:
     def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
         order = ORDERS[int(self.newest_costs[:, match.place].argmin())] if self._per_frame_order else match.order
         forward = match.direction == "forward"
-        rig = self._config.rig
+        ahead_m = self._config.rig.ahead_m(match.direction, order)
         # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
-        position = self._route.position(match.place, -rig.ahead_forward_m if forward else rig.ahead_reverse_m)
+        position = self._route.position(match.place, -ahead_m if forward else ahead_m)
         event = match.accepted and self._hold_off.passes(stamp_ns)
         return PlaceMatch(
             place=match.place,
@@ -171,6 +162,24 @@ class PlaceRecognizer:
             event=event,
             category=self._head.categories(raw)[0] if event else None,
         )
+
+
+def open_search(header: MapHeader, config: Config) -> SequenceSearch:
+    """The search of a map's places that the config asks for, its ring still empty."""
+    sequence = config.sequence
+    planes, possible = _planes(header, config)
+    return SequenceSearch(
+        [(segment.start, segment.end) for segment in header.segments],
+        planes,
+        sequence.length,
+        slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes),
+        possible,
+    )
+
+
+def neighbourhood(route: Route, config: Config) -> Neighbourhood:
+    """Which places of a map count as one when a match is accepted."""
+    return Neighbourhood(route.east_north_m, route.route_m, route.segment_of, config.acceptance)
 
 
 def _planes(header: MapHeader, config: Config) -> tuple[list[Plane], NDArray[np.bool_]]:

@@ -66,6 +66,7 @@ class SimCamera:
             if asked != given
         )
         self._drive = scenario.drive()
+        self._camera_ahead_m = scenario.camera_ahead_m
         self._renderer: Renderer | None = open_renderer(scenario, self._drive)
         self._clock_ns = clock_ns
         self._sleep = sleep
@@ -90,7 +91,9 @@ class SimCamera:
         if stamp_ns > now_ns:
             self._sleep((stamp_ns - now_ns) / 1e9)
         self._next = index + 1
-        return Frame(self._renderer.render(self._drive.pose(time_s), time_s), stamp_ns, index)
+        return Frame(
+            self._renderer.render(self._drive.pose(time_s, self._camera_ahead_m), time_s), stamp_ns, index
+        )
 
     def close(self) -> None:
         """Release the renderer; a later read() returns None."""

@@ -57,10 +57,13 @@ class Drive:
         covered_m = self.distance_m(time_s)
         return covered_m if self.direction == "forward" else self.route.length_m - covered_m
 
-    def pose(self, time_s: float) -> Pose:
-        """Where the vehicle is and looks; standing before 0 and after `duration_s`."""
+    def pose(self, time_s: float, ahead_m: float = 0.0) -> Pose:
+        """Where the vehicle is and looks; standing before 0 and after `duration_s`.
+
+        ahead_m: of a part of the vehicle that is so much further along its way, and turns with the road there.
+        """
         sign = 1.0 if self.direction == "forward" else -1.0
-        route_m = self.route_m(time_s)
+        route_m = min(max(self.route_m(time_s) + sign * ahead_m, 0.0), self.route.length_m)
         left_m, slope = self._sway(route_m)
         east, north, heading = self.route.at(route_m, sign * self.lane_m + left_m)
         # The sway is to the left of the road; its slope turns the vehicle against the clock.

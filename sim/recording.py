@@ -44,7 +44,8 @@ def write_feed(scenario: Scenario, drive: Drive, path: Path, times_s: Iterable[f
         renderer = open_renderer(scenario, drive)
         try:
             for time_s in times_s:
-                _write_frame(writer, drive, renderer.render(drive.pose(time_s), time_s), time_s, scenario.epoch_ns or 0)
+                image = renderer.render(drive.pose(time_s, scenario.camera_ahead_m), time_s)
+                _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
                 count += 1
         finally:
             renderer.close()

@@ -12,6 +12,7 @@
     width = 320              # picture, pixels
     height = 240
     fov_deg = 80.0           # horizontal, 30 to 120
+    camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
     epoch_ns = 0             # CLOCK_MONOTONIC at the start; left out: when the camera opens
 
 Processes that share a scenario with `epoch_ns` agree on where the vehicle is at any moment.
@@ -55,6 +56,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     width: Annotated[int, Meta(ge=32, le=2048)] = 320
     height: Annotated[int, Meta(ge=24, le=2048)] = 240
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
+    camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
 
     def drive(self) -> Drive:

@@ -56,7 +56,8 @@ def _run(args: argparse.Namespace) -> int:
     reference_map = _make_map(folder)
     print("2. Two short drives with GPS: how far ahead of the vehicle does the matched place lie?")
     rig = _measure_rig(folder, reference_map)
-    print(f"   {rig.ahead_forward_swapped_m:.0f} m driving the same way, {rig.ahead_reverse_same_m:.0f} m on the way home")
+    again_m, home_m = rig.ahead_forward_swapped_m, rig.ahead_reverse_same_m
+    print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
     print("3. Live, without GPS, with the front camera: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig)
     print("4. What they saw, held against the truth")

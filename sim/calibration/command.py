@@ -1,0 +1,159 @@
+"""`lookback calibrate`: measures, prints the lines for the config, and writes them into it when asked to."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from edge.camera.feed import Feed, read_feed
+from edge.config import Config, RigConfig, load_config, parse_config
+from edge.descriptor.network import Network
+from edge.errors import ConfigError, LookbackError
+from edge.reference_map.store import ReferenceMap, open_map
+from edge.replay import config_for_map
+from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key
+from sim.calibration.sightings import Sighting, sightings
+from sim.calibration.threshold import TOLERANCE_M, Curve, curve_of_drive, curve_of_map
+
+Lines = Mapping[tuple[str, str], float]
+"""Values for the config, by section and key."""
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback calibrate` to the command line; an entry point of `lookback.commands`."""
+    parser = commands.add_parser(
+        "calibrate",
+        help="find the rig's offset and the acceptance threshold",
+        description="Find the rig's along-route offset from recorded drives with GPS, and the acceptance threshold for"
+        " the precision you want. Without a FEED the threshold is set from the map against itself.",
+    )
+    parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
+    parser.add_argument("--map", type=Path, required=True)
+    parser.add_argument("--config", type=Path, help="take the recogniser's settings from this file")
+    parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='such as 0.99 or "99 %%" (default)')
+    parser.add_argument(
+        "--tolerance-m", type=float, default=TOLERANCE_M, metavar="M", help="a match within it is right (default 40)"
+    )
+    parser.add_argument("--curve", type=Path, metavar="CSV", help="write the whole curve behind the threshold there")
+    parser.add_argument("--write", type=Path, metavar="CONFIG", help="put the lines into this file; comments stay")
+    parser.set_defaults(run=_run)
+
+
+def _share(text: str) -> float:
+    share = float(text.rstrip("% ")) / (100 if text.rstrip().endswith("%") else 1)
+    if not 0 < share <= 1:
+        raise argparse.ArgumentTypeError(f"{text}: not between 0 and 1, nor up to 100 %")
+    return share
+
+
+def measure_rig(
+    reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None
+) -> tuple[list[Offset], list[Sighting]]:
+    """The offsets that the drives show, and the sightings they come from. FeedError, MapError, ModelError."""
+    config = config or config_for_map(reference_map.header)
+    network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+    seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
+    return measure_offsets(seen), seen
+
+
+def _run(args: argparse.Namespace) -> int:
+    reference_map = open_map(args.map)
+    settings = args.config or args.write
+    config = load_config(settings) if settings else config_for_map(reference_map.header)
+    lines: dict[tuple[str, str], float] = {}
+    if args.feeds:
+        offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
+        _print_offsets(offsets, seen)
+        rig = rig_config(offsets)
+        lines |= {("rig", rig_key(offset)): getattr(rig, rig_key(offset)) for offset in offsets}
+        curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
+        print(f"threshold, from {curve.answers} answers ({curve.stretches} that share no frame):")
+    else:
+        curve = curve_of_map(reference_map, config)
+        print(f"threshold, from the map against itself: {curve.answers} matches of places that were taken out")
+        print("(an estimate: only a drive shows what other light, and the other camera, do to it):")
+    if not curve.answers:
+        raise LookbackError(f"{args.map}: no whole sequence of {config.sequence.length} places, so nothing to measure")
+    threshold = float(np.ceil(max(1.0, curve.lowest_for(args.precision)) * 1e4) / 1e4)
+    lines["acceptance", "uniqueness_min"] = threshold
+    _print_curve(curve, threshold, drive=bool(args.feeds))
+    if args.curve:
+        args.curve.write_text(_curve_as_csv(curve), encoding="utf-8")
+    print(_as_toml(lines))
+    if args.write:
+        write_lines(args.write, lines)
+        print(f"written to {args.write}")
+    return 0
+
+
+def _with_known(rig: RigConfig, offsets: Sequence[Offset]) -> RigConfig:
+    """What was measured, over what the config had."""
+    measured = rig_config(offsets)
+    return msgspec.structs.replace(rig, **{rig_key(offset): getattr(measured, rig_key(offset)) for offset in offsets})
+
+
+def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
+    believed = sum(one.accepted for one in seen)
+    print(f"offset, from {believed} believed matches of {len(seen)}:")
+    if not offsets:
+        print(f"  none: no direction has {FEWEST} believed matches on the map's route; drive further, or check the map")
+    for offset in offsets:
+        print(
+            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; left after it:"
+            f" sigma {offset.sigma_m:.1f} m, 95 % within {offset.left_95_m:.1f} m"
+            f"  ({offset.used} matches, {offset.set_aside} set aside)"
+        )
+
+
+def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
+    """Some thirteen points of the curve, and the chosen one."""
+    print(f"  uniqueness_min  accepted  {'precision' if drive else 'refused'}")
+    rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
+    for row in rows:
+        print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
+    last = int(np.flatnonzero(curve.thresholds >= threshold)[-1]) if (curve.thresholds >= threshold).any() else 0
+    print(f"  {threshold:14.4f}  {curve.accepted[last]:8d}  {curve.precision[last]:9.3f}  chosen")
+
+
+def _curve_as_csv(curve: Curve) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["uniqueness_min", "accepted", "precision"])
+    for threshold, accepted, precision in zip(curve.thresholds, curve.accepted, curve.precision, strict=True):
+        writer.writerow([f"{threshold:.6f}", accepted, f"{precision:.6f}"])
+    return text.getvalue()
+
+
+def _as_toml(lines: Lines) -> str:
+    sections = dict.fromkeys(section for section, _ in lines)
+    return "\n".join(
+        "\n".join([f"[{name}]", *(f"{key} = {value:g}" for (section, key), value in lines.items() if section == name)])
+        for name in sections
+    )
+
+
+def write_lines(path: Path, lines: Lines) -> None:
+    """Put values into a config file, by one rename; its comments, order and other keys stay. ConfigError."""
+    try:
+        import tomlkit
+    except ModuleNotFoundError:
+        raise ConfigError("--write needs tomlkit: pip install 'lookback[desk]', or copy the lines yourself") from None
+    text = path.read_text(encoding="utf-8")
+    document = tomlkit.parse(text)
+    for (section, key), value in lines.items():
+        document.setdefault(section, tomlkit.table())[key] = value
+    new = tomlkit.dumps(document)
+    parse_config(new, path)  # what was good before must not be bad now
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        beside.write_text(new, encoding="utf-8")
+        beside.chmod(path.stat().st_mode)
+        beside.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write it: {error.strerror}") from None

@@ -1,0 +1,100 @@
+"""What the recogniser answers on a drive whose positions are known, held against where the vehicle was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.feed import Feed
+from edge.config import Config, RigConfig
+from edge.descriptor.network import Head, Network
+from edge.errors import FeedError, MapError
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.route import Route, east_north
+from edge.reference_map.store import ReferenceMap
+from edge.sequence import Direction, Order
+from edge.traverse import traverse
+
+OFF_ROUTE_M = 30.0
+"""A vehicle further than this from the map's drive was not on it: two roads are hardly nearer, and GPS is better."""
+
+SAME_ROAD_M = 15.0
+"""Where a drive passes the same road twice, stretches this much further away are as near as the nearest."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One answer of the recogniser.
+
+    ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the matched place; NaN where
+    the vehicle was not on that drive.
+    """
+
+    direction: Direction
+    order: Order
+    ahead_m: float
+    uniqueness: float
+    accepted: bool
+
+
+def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
+    """Every answer on the drive, in order. FeedError and MapError where positions or metres are missing."""
+    places = reference_map.places
+    if np.isnan(places["lat_deg"]).any() or np.isnan(places["route_m"]).any():
+        raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
+    if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
+        raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
+    # Measured without any offset, and each feed knows where its camera looked.
+    camera = msgspec.structs.replace(config.camera, view=feed.header.view)
+    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
+    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    drives = MapDrives(reference_map, feed)
+    for item in traverse(feed, config.sampling):
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        if match is not None:
+            further_m = drives.further_m(item.frame.index, match.place)
+            ahead_m = further_m if match.direction == "forward" else -further_m
+            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted)
+
+
+class MapDrives:
+    """The drives of a map as lines on the ground, and a feed's positions projected onto them."""
+
+    def __init__(self, reference_map: ReferenceMap, feed: Feed) -> None:
+        places = reference_map.places
+        lat_deg = np.concatenate([places["lat_deg"], np.array([row.lat_deg for row in feed.rows], dtype=float)])
+        lon_deg = np.concatenate([places["lon_deg"], np.array([row.lon_deg for row in feed.rows], dtype=float)])
+        metres = east_north(lat_deg, lon_deg)
+        route = Route(reference_map)
+        self._places_m, self._vehicle_m = metres[: len(places)], metres[len(places) :]
+        self._route_m, self._segment_of = route.route_m, route.segment_of
+
+    def further_m(self, row: int, place: int) -> float:
+        """Metres along the place's drive from the vehicle at a row of the feed to the place; NaN off that drive."""
+        drive = self._segment_of == self._segment_of[place]
+        nearest_m, route_m = _project(self._vehicle_m[row], self._places_m[drive], self._route_m[drive])
+        if nearest_m.min() > OFF_ROUTE_M:
+            return float("nan")
+        # Each passing of the road is a run of pieces, and has one nearest point; of these the one at the place counts.
+        near = np.flatnonzero(nearest_m <= nearest_m.min() + SAME_ROAD_M)
+        passings = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+        further_m = [float(self._route_m[place] - route_m[run[nearest_m[run].argmin()]]) for run in passings]
+        return min(further_m, key=abs)
+
+
+def _project(
+    point: NDArray[np.float64], line: NDArray[np.float64], along_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """For each piece of a line (N, 2): distance of the point (2,) from it, and how far along the line it is nearest.
+
+    The nearest point of the whole line is exact; on the ends of the line it is the end.
+    """
+    start, step = line[:-1], np.diff(line, axis=0)
+    length_sq = np.maximum(np.square(step).sum(axis=1), 1e-9)
+    share = np.clip(((point - start) * step).sum(axis=1) / length_sq, 0.0, 1.0)
+    distance_m = np.linalg.norm(start + share[:, np.newaxis] * step - point, axis=1)
+    return distance_m, along_m[:-1] + share * np.diff(along_m)

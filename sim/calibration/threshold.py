@@ -1,0 +1,97 @@
+"""The uniqueness from which a match is believed, for the precision that the user names.
+
+From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
+From the map alone: each of its places is driven again in a map from which its surroundings are missing. Whatever is
+then matched is wrong, as for a vehicle off the map, and the threshold refuses all but the allowed share of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config, RigConfig
+from edge.errors import LookbackError
+from edge.recognizer import neighbourhood, open_search
+from edge.reference_map.costs import CostMatcher
+from edge.reference_map.route import Route
+from edge.reference_map.store import ReferenceMap
+from edge.sequence.acceptance import best_match
+from edge.sequence.search import NO_LINE
+from sim.calibration.sightings import Sighting
+from sim.evaluation.metrics import Answers, precision_recall
+
+TOLERANCE_M = 40.0
+"""The paper's, for a road (section IV-B)."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What each threshold would give, from the highest to the lowest; arrays (T,).
+
+    precision: of the accepted, the share that is right; or, from the map alone, of matches that are all wrong, the
+    share that is refused. accepted: how many are. answers: how many matches it rests on, and stretches: how many of
+    these share no frame with each other, which is what they prove.
+    """
+
+    thresholds: NDArray[np.float64]
+    precision: NDArray[np.float64]
+    accepted: NDArray[np.int64]
+    answers: int
+    stretches: int
+
+    def lowest_for(self, precision: float) -> float:
+        """The threshold with the most accepted matches that still has that precision; LookbackError if none has."""
+        good = np.flatnonzero(self.precision >= precision)
+        if not good.size:
+            raise LookbackError(
+                f"no threshold reaches a precision of {precision:.1%}: the best is {self.precision.max(initial=0):.1%};"
+                " drive the route again more like the map was, use longer sequences, or ask for less"
+            )
+        last = good[-1]
+        if last + 1 == len(self.thresholds):
+            return float(self.thresholds[last])
+        # Halfway to what must be refused, so that neither side sits on the edge.
+        return float(self.thresholds[last] + self.thresholds[last + 1]) / 2
+
+
+def curve_of_drive(seen: Sequence[Sighting], rig: RigConfig, tolerance_m: float, length: int) -> Curve:
+    """From sightings with known positions; a vehicle off the map's drives makes every match wrong."""
+    left_m = np.array([one.ahead_m - rig.ahead_m(one.direction, one.order) for one in seen])
+    uniqueness = np.array([one.uniqueness for one in seen])
+    correct = np.abs(left_m) <= tolerance_m  # NaN is not
+    curve = precision_recall(Answers(uniqueness, correct, np.ones(len(seen), dtype=bool)))
+    accepted = np.array([(uniqueness >= threshold).sum() for threshold in curve.thresholds])
+    return Curve(curve.thresholds, curve.precision, accepted, len(seen), len(seen) // length)
+
+
+def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
+    """From the map against itself without the surroundings of each place."""
+    wrong = -np.sort([-uniqueness for uniqueness in _strangers(reference_map, config)])
+    accepted = np.arange(1, len(wrong) + 1)
+    return Curve(wrong, 1 - accepted / max(len(wrong), 1), accepted, len(wrong), len(wrong) // config.sequence.length)
+
+
+def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
+    """Uniqueness of the best match of each place outside its own surroundings."""
+    header = reference_map.header
+    matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
+    around = neighbourhood(Route(reference_map), config)
+    search = open_search(header, config)
+    per_frame = config.sequence.region_order == "frame"
+    rows = reference_map.descriptors.reshape(header.places, header.regions.count, -1)
+    for segment in header.segments:
+        search.clear()
+        for place in range(segment.start, segment.end):
+            costs = matcher.costs(rows[place : place + 1].astype(np.float32))[0]
+            search.push(costs.min(axis=0, keepdims=True) if per_frame else costs)
+            lines = search.lines()
+            if lines is None:
+                continue
+            elsewhere = np.where(around.around(place), NO_LINE, lines.costs).astype(np.int32)
+            match = best_match(search, replace(lines, costs=elsewhere), around, config.acceptance)
+            if match is not None:
+                yield match.uniqueness

@@ -1,0 +1,119 @@
+"""The statistics of calibration, on numbers whose answer is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.camera.feed import Feed, FeedHeader
+from edge.camera.feed_rows import FeedRow
+from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
+from edge.descriptor.normalize import normalize
+from edge.errors import ConfigError, LookbackError
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
+from sim import Pose
+from sim.calibration.command import write_lines
+from sim.calibration.offset import measure_offsets, rig_config
+from sim.calibration.sightings import MapDrives, Sighting
+from sim.calibration.threshold import curve_of_drive, curve_of_map
+
+
+def sighting(ahead_m: float, uniqueness: float = 1.5, *, accepted: bool = True) -> Sighting:
+    return Sighting("forward", "swapped", ahead_m, uniqueness, accepted)
+
+
+def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
+    rng = np.random.default_rng(1)
+    seen = [sighting(value) for value in (*rng.normal(26, 3, 200), *rng.uniform(-400, 400, 100), *[np.nan] * 10)]
+    (offset,) = measure_offsets(seen)
+    assert offset.ahead_m == pytest.approx(26, abs=1)
+    assert offset.sigma_m == pytest.approx(3, abs=1)
+    assert 90 <= offset.set_aside <= 110
+    assert rig_config([offset]) == RigConfig(ahead_forward_swapped_m=round(offset.ahead_m, 1))
+
+
+def test_unbelieved_matches_and_a_handful_of_them_measure_nothing() -> None:
+    assert measure_offsets([sighting(26, accepted=False)] * 100 + [sighting(26)] * 9) == []
+
+
+def test_the_threshold_is_the_lowest_with_that_precision() -> None:
+    right = [sighting(20 + at % 3, 1.2 + at / 1000) for at in range(99)]
+    wrong = [sighting(200, 1.25), sighting(np.nan, 1.1), sighting(200, 1.0)]
+    curve = curve_of_drive([*right, *wrong], RigConfig(ahead_forward_swapped_m=21), tolerance_m=10, length=20)
+    assert curve.lowest_for(0.99) == pytest.approx((1.2 + 1.1) / 2)  # 99 right and one wrong above it
+    assert curve.lowest_for(1.0) == pytest.approx((1.251 + 1.25) / 2)
+    assert curve.stretches == 5
+
+
+def test_a_precision_that_nothing_reaches_is_one_line() -> None:
+    curve = curve_of_drive([sighting(200), sighting(20, 1.2)], RigConfig(), tolerance_m=40, length=2)
+    with pytest.raises(LookbackError, match=r"no threshold reaches a precision of 99\.0%: the best is 50\.0%"):
+        curve.lowest_for(0.99)
+
+
+@pytest.fixture
+def out_and_back(tmp_path: Path) -> ReferenceMap:
+    """A map of one drive 400 m north and back, a lane beside, of places with random descriptors."""
+    rng = np.random.default_rng(0)
+    north_m = np.concatenate([np.arange(0, 400, 2.0), np.arange(400, 0, -2.0)])
+    with MapBuilder(
+        tmp_path / "map", ModelKey("m", "0" * 64, "fc6", 64), RegionsKey("whole", 1.0, "set"), SamplingConfig()
+    ) as builder:
+        builder.begin_segment("drive", "front")
+        for row, metres in enumerate(north_m):
+            lat_deg, lon_deg = Pose(0.0 if row < 200 else 4.0, metres, 0, 0, 0).geodetic()
+            place = Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row)
+            builder.add(rng.normal(size=(1, 64)).astype(np.float32), place)
+        builder.finish(normalize, "0")
+    return open_map(tmp_path / "map")
+
+
+def feed_at(east_m: float, north_m: float) -> Feed:
+    lat_deg, lon_deg = Pose(east_m, north_m, 0, 0, 0).geodetic()
+    return Feed(Path("feed"), FeedHeader("feed", "front", 8, 8), (FeedRow("f", 0, lat_deg, lon_deg),))
+
+
+@pytest.mark.parametrize(("place", "further_m"), [(60, 19.0), (45, -11.0), (345, -9.0), (360, 21.0)])
+def test_the_vehicle_is_on_the_passing_of_the_road_that_was_matched(
+    out_and_back: ReferenceMap, place: int, further_m: float
+) -> None:
+    """At 101 m north the drive passes at 101 m and, on the way back, at 699 m."""
+    drives = MapDrives(out_and_back, feed_at(1.0, 101.0))
+    assert drives.further_m(0, place) == pytest.approx(further_m, abs=0.01)
+
+
+def test_a_vehicle_on_another_road_has_no_place(out_and_back: ReferenceMap) -> None:
+    assert np.isnan(MapDrives(out_and_back, feed_at(-60.0, 101.0)).further_m(0, 50))
+
+
+def test_the_map_against_itself_refuses_the_share_that_is_asked_for(out_and_back: ReferenceMap) -> None:
+    config = Config(sequence=SequenceConfig(length=10))
+    curve = curve_of_map(out_and_back, config)
+    assert curve.answers == 400 - 9
+    threshold = curve.lowest_for(0.95)
+    assert (curve.thresholds >= threshold).mean() == pytest.approx(0.05, abs=0.01)
+    assert curve.thresholds.min() >= 1.0
+
+
+def test_lines_go_into_the_config_and_comments_stay(tmp_path: Path) -> None:
+    file = tmp_path / "lookback.toml"
+    file.write_text("# ours\n[acceptance]\nuniqueness_min = 1.2  # guessed\nhold_off_s = 2.0\n")
+    write_lines(file, {("rig", "ahead_reverse_same_m"): 3.5, ("acceptance", "uniqueness_min"): 1.1042})
+    text = file.read_text()
+    assert "# ours" in text
+    assert "uniqueness_min = 1.1042  # guessed" in text
+    config = load_config(file)
+    assert config.rig.ahead_reverse_same_m == 3.5
+    assert config.acceptance.hold_off_s == 2.0
+    assert [path.name for path in tmp_path.iterdir()] == ["lookback.toml"]
+
+
+def test_a_value_that_no_config_may_have_is_not_written(tmp_path: Path) -> None:
+    file = tmp_path / "lookback.toml"
+    file.write_text("[rig]\n")
+    with pytest.raises(ConfigError, match="ahead_reverse_same_m"):
+        write_lines(file, {("rig", "ahead_reverse_same_m"): 600.0})
+    assert file.read_text() == "[rig]\n"

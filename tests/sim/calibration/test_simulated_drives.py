@@ -1,0 +1,108 @@
+"""`lookback calibrate` on drives of the simulator, whose camera is mounted a known way ahead of the antenna."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+pytest.importorskip("panda3d")
+
+from edge.camera.feed import Feed, read_feed
+from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
+from edge.errors import FeedError
+from edge.map_command import build_map
+from edge.reference_map.store import ReferenceMap, open_map
+from sim.calibration import command
+from sim.calibration.offset import Offset
+from sim.recording import times_by_distance, write_feed
+from sim.scenario import Scenario
+
+STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
+CONFIG = Config(sequence=SequenceConfig(length=20))
+
+
+def record(scenario: Scenario, path: Path) -> Feed:
+    drive = scenario.drive()
+    write_feed(scenario, drive, path, times_by_distance(drive, SamplingConfig().spacing_m))
+    return read_feed(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("drives")
+
+
+@pytest.fixture(scope="module")
+def maps(folder: Path) -> dict[str, ReferenceMap]:
+    """One map of the street with a front camera, and one with a rear camera."""
+    for view in ("front", "rear"):
+        feed = record(replace(STREET, view=view), folder / view)
+        build_map([feed], folder / f"{view}.map", DescriptorConfig(), SamplingConfig())
+    return {view: open_map(folder / f"{view}.map") for view in ("front", "rear")}
+
+
+@pytest.fixture(scope="module")
+def again(folder: Path) -> dict[float, Feed]:
+    """The same way again with a front camera, at the antenna and 8 m ahead of it."""
+    ahead = {0.0: "again", 8.0: "again_ahead"}
+    return {m: record(replace(STREET, drive_seed=2, camera_ahead_m=m), folder / name) for m, name in ahead.items()}
+
+
+def measure(reference_map: ReferenceMap, feed: Feed) -> Offset:
+    offsets, _ = command.measure_rig(reference_map, [feed], CONFIG)
+    return max(offsets, key=lambda offset: offset.used)
+
+
+def test_the_same_way_with_cameras_that_look_alike(maps: dict[str, ReferenceMap], again: dict[float, Feed]) -> None:
+    offset = measure(maps["front"], again[8.0])
+    assert (offset.direction, offset.order) == ("forward", "same")
+    assert offset.ahead_m == pytest.approx(8.0, abs=2.0)
+
+
+def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], folder: Path) -> None:
+    home = replace(STREET, direction="reverse", lane_m=-STREET.lane_m, drive_seed=3, camera_ahead_m=-6.0)
+    offset = measure(maps["rear"], record(home, folder / "home"))
+    assert (offset.direction, offset.order) == ("reverse", "same")
+    assert offset.ahead_m == pytest.approx(-6.0, abs=2.0)
+
+
+def test_a_front_camera_over_a_rear_camera_map(maps: dict[str, ReferenceMap], again: dict[float, Feed]) -> None:
+    """What the two see at different times depends on the street; what the mounting adds to it does not."""
+    at_antenna, ahead = (measure(maps["rear"], again[m]) for m in (0.0, 8.0))
+    assert {(one.direction, one.order) for one in (at_antenna, ahead)} == {("forward", "swapped")}
+    assert at_antenna.ahead_m > 15  # facts of the paper's Oxford pairing: 26 m
+    assert ahead.ahead_m - at_antenna.ahead_m == pytest.approx(8.0, abs=2.0)
+
+
+def test_the_command_prints_the_lines_and_writes_them(
+    maps: dict[str, ReferenceMap], again: dict[float, Feed], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "lookback.toml"
+    config.write_text("[sequence]\nlength = 20 # short\n")
+    parser = argparse.ArgumentParser()
+    command.add_command(parser.add_subparsers())
+    argv = ["calibrate", str(again[8.0].path), "--map", str(maps["front"].path), "--precision", "95 %"]
+    args = parser.parse_args([*argv, "--write", str(config), "--curve", str(tmp_path / "curve.csv")])
+    assert args.run(args) == 0
+    printed = capsys.readouterr().out
+    assert "forward, same     the place lies" in printed
+    assert "[rig]\nahead_forward_same_m = " in printed
+    loaded = load_config(config)
+    assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
+    assert f"uniqueness_min = {loaded.acceptance.uniqueness_min:g}" in printed
+    assert "# short" in config.read_text()
+    lines = (tmp_path / "curve.csv").read_text().splitlines()
+    assert lines[0] == "uniqueness_min,accepted,precision"
+    assert float(lines[-1].split(",")[0]) <= loaded.acceptance.uniqueness_min <= float(lines[1].split(",")[0])
+
+
+def test_a_feed_without_positions_is_refused_in_one_line(maps: dict[str, ReferenceMap], tmp_path: Path) -> None:
+    from edge.camera.feed import FeedHeader, FeedImages, FeedWriter
+
+    with FeedWriter(tmp_path / "blind", FeedHeader("blind", "front", 160, 120)) as writer:
+        writer.write(FeedImages(read_feed(maps["front"].path.with_suffix(""))).read(0), 0)
+    with pytest.raises(FeedError, match=r"not every row has lat_deg and lon_deg; calibrate with GPS on"):
+        command.measure_rig(maps["front"], [read_feed(tmp_path / "blind")], CONFIG)
