@@ -49,7 +49,7 @@ def run_plan(bench: Bench) -> Iterator[Section]:
     """Everything that a plan asks for, section by section."""
     plan, wanted = bench.plan, bench.plan.experiments
     total = sum(len(methods_for(bench, pair)) for pair in plan.pairs)
-    sweeps = len(plan.pairs) * len(wanted.sweep_methods)
+    sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + len(plan.pairs) * len(wanted.int8)
     total += len(wanted.pca) + 2 * len(wanted.standing)
     total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())

@@ -23,11 +23,19 @@ from sim.evaluation.bench import Bench, Outcome
 from sim.evaluation.comparison import Results, thumbnail
 from sim.evaluation.methods import METHODS, query_rows
 from sim.evaluation.metrics import max_f1_of_places, scores
-from sim.evaluation.plan import ActivationMap, Pair
+from sim.evaluation.plan import ActivationMap, Pair, Plan
 from sim.evaluation.results import Cell, Figure, Picture, Section, Table
 from sim.evaluation.traverses import true_errors
 
 Step = Callable[[str], None]
+
+
+def sweep_pairs(plan: Plan) -> list[Pair]:
+    """The pairs that the sweeps are about; those that differ in the length only are one."""
+    wanted = plan.experiments.sweep_pairs
+    chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
+    apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
+    return list(reversed(apart.values()))
 
 
 def sequence_lengths(bench: Bench, step: Step) -> Section:
@@ -35,9 +43,7 @@ def sequence_lengths(bench: Bench, step: Step) -> Section:
     lengths = sorted(bench.plan.experiments.sequence_lengths)
     rows: list[Sequence[Cell]] = []
     plots = []
-    # Pairs that differ in the length only are one here.
-    pairs = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(bench.plan.pairs)}
-    for number, pair in enumerate(reversed(pairs.values())):
+    for number, pair in enumerate(sweep_pairs(bench.plan)):
         lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
         for text in bench.plan.experiments.sweep_methods:
             values = []
@@ -59,7 +65,7 @@ def spacings(bench: Bench, step: Step) -> Section:
     """Max-F1 with places this far apart, the sequence as long in metres as the plan has it."""
     rows: list[Sequence[Cell]] = []
     distances = bench.plan.experiments.spacings_m
-    for pair in bench.plan.pairs:
+    for pair in sweep_pairs(bench.plan):
         for text in bench.plan.experiments.sweep_methods:
             values: list[Cell] = []
             for spacing_m in distances:

@@ -127,7 +127,7 @@ class Standing(Struct, frozen=True, forbid_unknown_fields=True):
 class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     """[experiments]: what is done besides every method on every pair.
 
-    sequence_lengths: frames (fig. 12), with sweep_methods; spacings_m: places this far apart, with sweep_methods.
+    sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
     cold_start: right answers by thirds of the drive. int8: int8 against float for these methods.
     standing: drives with halts, recognised with and without the gate for standing still.
     pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
@@ -137,6 +137,7 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     sequence_lengths: list[Length] = []
     spacings_m: list[Positive] = []
     sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
+    sweep_pairs: list[str] = []
     cold_start: list[str] = []
     int8: list[str] = []
     standing: list[Standing] = []
@@ -195,8 +196,8 @@ def _check_names(path: Path, plan: Plan) -> None:
         if (pair.truth == "anchors") != (len(rows) >= 2) or rows != sorted(set(rows)):
             raise ConfigError(f'{where}: truth = "anchors" needs two or more anchors, the query\'s rows in order')
     experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
-    for item in experiments.standing:
-        named(f"{path}: experiments.standing", item.pair, pairs)
+    for name in [*experiments.sweep_pairs, *(item.pair for item in experiments.standing)]:
+        named(f"{path}: experiments", name, pairs)
     traverses = [item.traverse for item in experiments.activation_maps]
     for name in [*experiments.pca, *traverses, *(item.query for item in experiments.standing)]:
         named(f"{path}: experiments", name, plan.traverses)

@@ -1,0 +1,49 @@
+"""Miniature feeds: a street of coloured stripes that two drives see in other light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.camera.feed import FeedHeader, FeedWriter
+
+WIDTH, HEIGHT = 64, 48
+METRE_DEG = 1 / 110_574  # of latitude at the equator
+WriteFeed = Callable[..., Path]
+
+
+def street(route_m: float, light: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """What is to be seen at one place: a window of a fixed random wall, in some light, with some noise."""
+    wall = np.random.default_rng(7).integers(0, 255, (HEIGHT // 8, 400, 3)).astype(np.float64)
+    left = round(route_m)
+    seen = wall[:, left : left + WIDTH // 4].repeat(8, axis=0).repeat(4, axis=1)
+    noisy = seen * light + rng.normal(0, 6, seen.shape)
+    return np.asarray(noisy.clip(0, 255), dtype=np.uint8)
+
+
+@pytest.fixture
+def write_feed(tmp_path: Path) -> WriteFeed:
+    """write(name, places in metres along the route, view, light) makes a feed in the test's folder."""
+
+    def write(name: str, route_m: list[float], view: Literal["front", "rear"] = "front", light: float = 1.0) -> Path:
+        rng = np.random.default_rng(len(name))
+        path = tmp_path / name
+        with FeedWriter(path, FeedHeader(name, view, WIDTH, HEIGHT), extra_columns=("route_m",)) as writer:
+            for index, at_m in enumerate(route_m):
+                covered_m = abs(at_m - route_m[0])
+                writer.write(
+                    street(at_m, light, rng),
+                    index * 500_000_000,
+                    lat_deg=at_m * METRE_DEG,
+                    lon_deg=0.0,
+                    distance_m=covered_m,
+                    extra={"route_m": str(at_m)},
+                )
+        return path
+
+    return write

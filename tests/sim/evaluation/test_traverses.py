@@ -1,0 +1,74 @@
+"""Truth from positions, a route, equal rows and anchors; and what a feed must have for each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edge.config import SamplingConfig
+from edge.errors import ConfigError, FeedError
+from sim.evaluation.plan import Pair, TraversePlan
+from sim.evaluation.traverses import Traverse, anchored_errors, load_traverse, place_coordinates, true_errors
+
+EVERY = SamplingConfig(by="frames")
+
+
+def pair(truth: Any, **changes: Any) -> Pair:
+    return Pair(name="p", reference="there", query="here", truth=truth, **changes)
+
+
+def load(path: Path, **changes: Any) -> Traverse:
+    return load_traverse(path.name, TraversePlan(feed=path.name, **changes), path, EVERY)
+
+
+def test_the_truth_is_the_distance_to_every_place(write_feed: Any) -> None:
+    there = load(write_feed("there", [0.0, 10.0, 20.0, 30.0]))
+    here = load(write_feed("here", [30.0, 12.0]))
+    expected = np.abs(np.array([[30.0], [12.0]]) - [0.0, 10.0, 20.0, 30.0])
+    np.testing.assert_allclose(true_errors(there, here, pair("positions")), expected, atol=0.1)
+    np.testing.assert_allclose(true_errors(there, here, pair("route_m")), expected)
+    np.testing.assert_array_equal(true_errors(there, here, pair("rows")), [[0, 1, 2, 3], [1, 0, 1, 2]])
+
+
+def test_the_sampling_and_the_rows_of_the_plan_choose_the_frames(write_feed: Any) -> None:
+    path = write_feed("there", [float(at) for at in range(12)])
+    two_metres = SamplingConfig(by="distance", spacing_m=2.0)
+    assert load_traverse("t", TraversePlan(feed="t"), path, two_metres).rows.tolist() == [0, 2, 4, 6, 8, 10]
+    part = load(path, first_row=3, last_row=6)
+    assert part.rows.tolist() == [3, 4, 5, 6] and part.pixels.shape == (4, 32, 64)
+    with pytest.raises(FeedError, match="at least 2"):
+        load(path, last_row=0)
+
+
+def test_anchors_are_interpolated_and_laps_wrap() -> None:
+    laps = pair("anchors", anchors=[(10.0, 90.0), (30.0, 110.0), (50.0, 70.0)], loop=100)
+    errors = anchored_errors(laps, np.array([9, 10, 20, 25, 40]), np.array([0, 50, 95]))
+    assert np.isnan(errors[0]).all()  # before the first anchor nothing is known
+    np.testing.assert_array_equal(errors[1:], [[10, 40, 5], [0, 50, 5], [5, 45, 10], [10, 40, 5]])
+
+
+def test_places_of_a_loop_are_near_across_its_seam(write_feed: Any) -> None:
+    there = load(write_feed("there", [float(at) for at in range(20)]))
+    ground, along = place_coordinates(there, pair("anchors", anchors=[(0.0, 0.0), (1.0, 1.0)], loop=20))
+    assert np.hypot(*(ground[19] - ground[0])) == pytest.approx(1.0, abs=0.01)
+    np.testing.assert_array_equal(along, np.arange(20))
+    ground, along = place_coordinates(there, pair("positions"))
+    np.testing.assert_allclose(np.hypot(*(ground[19] - ground[0])), 19.0, atol=0.2)
+    np.testing.assert_allclose(along, np.arange(20))
+
+
+def test_what_a_feed_has_not_got_is_named(write_feed: Any, tmp_path: Path) -> None:
+    path = write_feed("there", [0.0, 1.0, 2.0])
+    rows = (path / "frames.csv").read_text().splitlines()
+    blank = [rows[0], *(",".join([*row.split(",")[:2], *[""] * 7]) for row in rows[1:])]
+    (path / "frames.csv").write_text("\n".join(blank) + "\n")
+    there = load(path)
+    with pytest.raises(ConfigError, match=r"positions.*there"):
+        true_errors(there, there, pair("positions"))
+    assert np.isnan(true_errors(there, there, pair("route_m"))).all()
+    (path / "frames.csv").write_text("\n".join(row.rpartition(",")[0] for row in rows) + "\n")
+    with pytest.raises(ConfigError, match=r"route_m.*there"):
+        true_errors(load(path), load(path), pair("route_m"))
