@@ -18,9 +18,9 @@ Floats = NDArray[np.float64]
 MAX_GAP_S = 5.0
 """Between positions further apart in time than this, nobody knows where the vehicle was."""
 
-STANDING_M = 1.0
-"""A receiver wanders while the vehicle stands: smaller steps than this are no driving, or a red light would be a street
-of pictures."""
+STANDING_M, STANDING_S = 1.0, 2.0
+"""A receiver wanders while the vehicle stands: if it takes longer than STANDING_S to go STANDING_M, it stood. Otherwise
+a red light would be a street of pictures."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Track:
         self.fixes = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
         self._stamps_ns = np.array(sorted(by_stamp), dtype=np.int64)
         self._values: Floats = np.array([astuple(fix)[1:] for fix in self.fixes], dtype=np.float64)
-        self._moved = _moved(self._values[:, 0], self._values[:, 1])
+        self._when, self._where = _without_wandering(self._stamps_ns, self._values[:, 0], self._values[:, 1])
 
     def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(N,): which times lie between two positions that are not too far apart in time."""
@@ -66,12 +66,12 @@ class Track:
         return np.asarray(inside & (near | (stamps_ns == self._stamps_ns[after])))
 
     def at(self, stamps_ns: NDArray[np.int64]) -> list[Fix]:
-        """Positions at these times, linear between the fixes where the vehicle had moved; the ends hold beyond them."""
+        """Positions at these times, linear between the fixes; the ends hold beyond them."""
         # From the first fix, as nanoseconds since 1970 do not fit a float64.
         times = (stamps_ns - self._stamps_ns[0]).astype(np.float64)
         known = (self._stamps_ns - self._stamps_ns[0]).astype(np.float64)
-        values, moved = self._unwrapped(), self._moved
-        lat, lon = (np.interp(times, known[moved], values[moved, column]) for column in (0, 1))
+        values = self._unwrapped()
+        lat, lon = (np.interp(times, known[self._when], values[self._where, column]) for column in (0, 1))
         alt, heading, speed = (np.interp(times, known, values[:, column]) for column in (2, 3, 4))
         columns = (lat, lon, alt, np.degrees(heading) % 360.0, speed)
         return [Fix(int(stamp), *map(float, values)) for stamp, *values in zip(stamps_ns, *columns, strict=True)]
@@ -103,14 +103,24 @@ class Track:
         )
 
 
-def _moved(lat_deg: Floats, lon_deg: Floats) -> NDArray[np.intp]:
-    """The fixes at least STANDING_M from the last of these before them, the first, and the last."""
-    moved = [0]
-    metres = east_north(lat_deg, lon_deg).tolist()
+def _without_wandering(
+    stamps_ns: NDArray[np.int64], lat_deg: Floats, lon_deg: Floats
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The fixes whose stamps count, and for each the fix that says where the vehicle was then."""
+    metres, stamps = east_north(lat_deg, lon_deg).tolist(), stamps_ns.tolist()
+    when, where = [0], [0]
     for index, place in enumerate(metres):
-        if math.dist(place, metres[moved[-1]]) >= STANDING_M:
-            moved.append(index)
-    return np.unique([*moved, len(metres) - 1])
+        stood = stamps[index] - stamps[when[-1]] > STANDING_S * 1e9
+        if math.dist(place, metres[where[-1]]) >= STANDING_M:
+            if stood and index - 1 > when[-1]:
+                when.append(index - 1)
+                where.append(where[-1])
+            when.append(index)
+            where.append(index)
+        elif index == len(metres) - 1 and index > when[-1]:
+            when.append(index)
+            where.append(where[-1] if stood else index)
+    return np.array(when), np.array(where)
 
 
 def row_at(file: str, fix: Fix) -> FeedRow:
