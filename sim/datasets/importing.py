@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -96,47 +97,49 @@ def write_feed(
     """
     if output.exists():
         raise FeedError(f"{output}: there is something here already; name another folder")
+    pictures = _pictures(traverse, chosen, width, skip_unreadable)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{output.name}-", dir=output.parent) as folder:
-            count = _write(traverse, Path(folder) / "feed", chosen, width, skip_unreadable)
+            count = _write(traverse, Path(folder) / "feed", pictures)
             (Path(folder) / "feed").rename(output)
     except OSError as error:
         raise FeedError(f"{output}: cannot write a feed here: {error.strerror}") from None
+    finally:
+        traverse.pictures.close()
     return count
 
 
-def _write(
-    traverse: Traverse, path: Path, chosen: Iterable[ChosenRow], width: int | None, skip_unreadable: bool
-) -> int:
-    columns = (*SOURCE_COLUMNS, *dict.fromkeys(key for row in traverse.rows for key in row.extra))
-    writer: FeedWriter | None = None
-    size, count = (0, 0), 0
-    try:
-        for row in chosen:
-            try:
-                image = _resized(traverse.pictures.read(row.index), width)
-            except FrameError as error:
-                if not skip_unreadable:
-                    raise FeedError(f"{error}; --skip-unreadable leaves such pictures out") from None
-                log.warning("%s; left out", error)
-                continue
-            if writer is None:
-                size = image.shape[:2]
-                writer = FeedWriter(path, _header(traverse, size), tuple(dict.fromkeys(columns)))
-            if image.shape[:2] != size:
-                which = traverse.rows[row.index].file
-                raise FeedError(
-                    f"{traverse.source}: {which}: {_text(image.shape)}, and the first has {_text(size)} pixels"
-                )
+def _pictures(
+    traverse: Traverse, chosen: Iterable[ChosenRow], width: int | None, skip_unreadable: bool
+) -> Iterator[tuple[ChosenRow, NDArray[np.uint8]]]:
+    """The chosen pictures, all of one size."""
+    size: tuple[int, ...] | None = None
+    for row in chosen:
+        try:
+            image = _resized(traverse.pictures.read(row.index), width)
+        except FrameError as error:
+            if not skip_unreadable:
+                raise FeedError(f"{error}; --skip-unreadable leaves such pictures out") from None
+            log.warning("%s; left out", error)
+            continue
+        size = size or image.shape
+        if image.shape != size:
+            which = traverse.rows[row.index].file
+            raise FeedError(f"{traverse.source}: {which}: {_text(image.shape)}, and the first has {_text(size)} pixels")
+        yield row, image
+
+
+def _write(traverse: Traverse, path: Path, pictures: Iterator[tuple[ChosenRow, NDArray[np.uint8]]]) -> int:
+    first = next(pictures, None)
+    if first is None:
+        raise FeedError(f"{traverse.source}: no picture in it can be used")
+    columns = dict.fromkeys([*SOURCE_COLUMNS, *(key for row in traverse.rows for key in row.extra)])
+    count = 0
+    with FeedWriter(path, _header(traverse, first[1].shape), tuple(columns)) as writer:
+        for row, image in chain([first], pictures):
             _write_row(writer, image, traverse.rows[row.index], row)
             count += 1
-    finally:
-        if writer is not None:
-            writer.close()
-        traverse.pictures.close()
-    if writer is None:
-        raise FeedError(f"{traverse.source}: no picture in it can be used")
     return count
 
 
