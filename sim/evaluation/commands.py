@@ -19,13 +19,14 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError
 from sim.evaluation import experiments
 from sim.evaluation.bench import Bench
-from sim.evaluation.comparison import compare, methods_for, overview, pair_section
+from sim.evaluation.comparison import compare, methods_for, overview, pair_section, shown_outcome, slug_of
 from sim.evaluation.descriptions import Descriptions
 from sim.evaluation.match_command import add_command as add_match_command
 from sim.evaluation.plan import Plan, load_plan
 from sim.evaluation.report import write_report
 from sim.evaluation.results import Section
 from sim.evaluation.scenarios import feed_of
+from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
 
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
@@ -45,8 +46,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_match_command(actions)
 
 
-def run_plan(bench: Bench) -> Iterator[Section]:
-    """Everything that a plan asks for, section by section."""
+def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
+    """Everything that a plan asks for, section by section; trajectories go into `folder`."""
     plan, wanted = bench.plan, bench.plan.experiments
     total = sum(len(methods_for(bench, pair)) for pair in plan.pairs)
     sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
@@ -61,7 +62,9 @@ def run_plan(bench: Bench) -> Iterator[Section]:
 
         results = compare(bench, step)
         yield overview(bench, results)
-        yield from (pair_section(bench, pair, results) for pair in plan.pairs)
+        for pair in plan.pairs:
+            write_trajectories(folder, slug_of(pair), shown_outcome(bench, pair, results))
+            yield pair_section(bench, pair, results)
         if wanted.sequence_lengths:
             yield experiments.sequence_lengths(bench, step)
         if wanted.spacings_m:
@@ -99,7 +102,7 @@ def _run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
-    sections = list(run_plan(bench))
+    sections = list(run_plan(bench, args.output))
     page = write_report(args.output, plan.title, _about(args.plan, plan, bench), sections)
     _print_overview(sections[0])
     print(page)

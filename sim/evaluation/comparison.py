@@ -51,8 +51,8 @@ def methods_for(bench: Bench, pair: Pair) -> list[str]:
 def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
     """All scores of one pair, its curves, its matches, and pictures of one method's best and worst."""
     outcomes = [results[pair.name, text] for text in methods_for(bench, pair)]
-    shown = next((outcome for outcome in outcomes if outcome.method.name == "Lookback"), outcomes[-1])
-    slug = "".join(letter if letter.isalnum() else "_" for letter in pair.name)
+    shown = shown_outcome(bench, pair, results)
+    slug = slug_of(pair)
     wrong = ~(shown.error_of_best() <= pair.tolerance)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
     plot = figures.match_plot(shown.errors, shown.matches.costs, shown.matches.place, wrong, pair.tolerance)
@@ -68,6 +68,17 @@ def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
         ],
         pictures=match_pictures(shown, wrong),
     )
+
+
+def shown_outcome(bench: Bench, pair: Pair, results: Results) -> Outcome:
+    """The outcome whose matches are drawn and written down: that of Lookback, or of the last method."""
+    texts = methods_for(bench, pair)
+    return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
+
+
+def slug_of(pair: Pair) -> str:
+    """The pair's name as part of a file name."""
+    return "".join(letter if letter.isalnum() else "_" for letter in pair.name)
 
 
 def overview(bench: Bench, results: Results) -> Section:
