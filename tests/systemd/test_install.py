@@ -10,24 +10,30 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 import edge
-from edge.config import DEFAULT_TOML
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 INSTALL = SYSTEMD / "install.sh"
 BUILD_DEB = SYSTEMD / "build-deb.sh"
+DEFAULT_TOML = Path("edge/default.toml")
 CONFIG = Path("etc/lookback/lookback.toml")
 UNIT = Path("etc/systemd/system/lookback.service")
 
 
-def run(script: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PIP_NO_DEPS": "1"}
-    command = [str(script), *map(str, arguments)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+def run(script: Path, *arguments: str | Path, systemd: int = 252) -> subprocess.CompletedProcess[str]:
+    """Run a script on a system whose systemd has this version; below a folder it asks for nothing else of it."""
+    with tempfile.TemporaryDirectory() as programs:
+        systemctl = Path(programs, "systemctl")
+        systemctl.write_text(f'#!/bin/sh\n[ "$*" = --version ] && echo "systemd {systemd} ({systemd}.1-1)"\n')
+        systemctl.chmod(0o755)
+        environment = {**os.environ, "PIP_NO_DEPS": "1", "PATH": f"{programs}:{os.environ['PATH']}"}
+        command = [str(script), *map(str, arguments)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +79,7 @@ def files_under(root: Path) -> dict[str, tuple[int, bytes]]:
     return {str(path.relative_to(root)): (path.stat().st_mode, path.read_bytes()) for path in paths}
 
 
-def test_puts_every_file_in_its_place(root: Path) -> None:
+def test_puts_every_file_in_its_place(root: Path, checkout: Path) -> None:
     found = set(files_under(root))
     assert {
         str(CONFIG),
@@ -83,7 +89,8 @@ def test_puts_every_file_in_its_place(root: Path) -> None:
         "etc/udev/rules.d/70-lookback.rules",
         "opt/lookback/bin/lookback",
     } <= found
-    assert (root / CONFIG).read_bytes() == DEFAULT_TOML.read_bytes()
+    assert not (root / "etc/systemd/system/lookback.service.d").exists()  # systemd 252 knows no RestartSteps=
+    assert (root / CONFIG).read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
     assert (root / CONFIG).stat().st_mode & 0o777 == 0o640
 
 
@@ -113,7 +120,7 @@ def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> 
     install(root, script=checkout / "systemd" / INSTALL.name)
     assert files_under(root) == before
     assert set(checkout.rglob("*")) == before_there
-    shutil.copy(DEFAULT_TOML, root / CONFIG)
+    shutil.copy(checkout / DEFAULT_TOML, root / CONFIG)
 
 
 def test_a_failed_update_leaves_the_old_version(root: Path, tmp_path: Path) -> None:
@@ -154,10 +161,10 @@ def test_bad_arguments(arguments: list[str], message: str, tmp_path: Path, monke
     assert (result.returncode, result.stderr) == (1, f"install.sh: {message}\n")
 
 
-def test_deb_carries_it_all(wheel: Path, tmp_path: Path) -> None:
+def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None:
     if shutil.which("dpkg-deb") is None:
         pytest.skip("needs dpkg-deb")
-    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", sys.executable)
+    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", sys.executable, systemd=255)
     assert result.returncode == 0, result.stderr
     (package,) = tmp_path.glob("*.deb")
     unpacked = tmp_path / "unpacked"
@@ -167,10 +174,11 @@ def test_deb_carries_it_all(wheel: Path, tmp_path: Path) -> None:
     assert f"Version: {edge.__version__}\n" in control
     assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
     assert (unpacked / "DEBIAN/conffiles").read_text() == f"/{CONFIG}\n"
-    assert (unpacked / CONFIG).read_bytes() == DEFAULT_TOML.read_bytes()
+    assert (unpacked / CONFIG).read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
     for file in (
         "opt/lookback/bin/lookback",
         "usr/lib/systemd/system/lookback.service",
+        "usr/lib/systemd/system/lookback.service.d/backoff.conf",
         "usr/lib/sysusers.d/lookback.conf",
         "usr/lib/tmpfiles.d/lookback.conf",
         "usr/lib/udev/rules.d/70-lookback.rules",

@@ -90,6 +90,12 @@ def test_restarts_for_ever() -> None:
     assert unit_values("StartLimitIntervalSec") == ["0"]
 
 
+def test_nothing_phones_home_and_one_thread_each() -> None:
+    words = unit_values("Environment")
+    assert {"ORT_DISABLE_TELEMETRY=1", "DEPTHAI_TELEMETRY=0"} <= set(words)
+    assert {"OMP_NUM_THREADS=1", "OPENBLAS_NUM_THREADS=1"} <= set(words)
+
+
 def test_all_of_proc_stays_readable() -> None:
     """ONNX Runtime finds an ARM processor's instructions in /proc/cpuinfo."""
     assert unit_values("ProcSubset") == []
