@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import msgspec
@@ -86,6 +87,24 @@ class Bench:
     def resampling(self, length: int) -> Resampling:
         """Blocks of two sequences: what one sequence saw, the next but one did not."""
         return Resampling(block=2 * length, resamples=self.plan.resamples)
+
+    def describe_all(self, executor: Executor) -> None:
+        """Have all that the comparison needs described by `executor`, a traverse a task."""
+        wanted = []
+        for pair in self.plan.pairs:
+            for text in self.methods_for(pair):
+                method = self.method(text)
+                warm = [pair.warm_start] if method.warm else []
+                for name in [pair.reference, pair.query, *warm]:
+                    if method.layer in ("conv3", "fc6"):
+                        wanted.append(
+                            self.descriptions.task(self.traverse(name), method.network, method.layer, method.regions)
+                        )
+        self.descriptions.describe_all(wanted, executor)
+
+    def methods_for(self, pair: Pair) -> list[str]:
+        """The plan's methods, less those that start warm where the pair has no earlier drive."""
+        return [text for text in self.plan.methods if pair.warm_start or not self.method(text).warm]
 
     def run(
         self,

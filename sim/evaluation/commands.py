@@ -19,7 +19,7 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError
 from sim.evaluation import experiments
 from sim.evaluation.bench import Bench
-from sim.evaluation.comparison import compare, methods_for, overview, pair_section, shown_outcome, slug_of
+from sim.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
 from sim.evaluation.descriptions import Descriptions
 from sim.evaluation.match_command import add_command as add_match_command
 from sim.evaluation.plan import Plan, load_plan
@@ -28,6 +28,7 @@ from sim.evaluation.results import Section
 from sim.evaluation.scenarios import feed_of
 from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
+from sim.evaluation.workers import open_executor
 
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
@@ -42,6 +43,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="HTML, CSV and PNG go there")
     run.add_argument("--feeds", type=Path, metavar="FOLDER", help="where the plan's feeds are (default: beside it)")
     run.add_argument("--models", type=Path, metavar="FOLDER", help="where the plan's models are (default: beside it)")
+    elsewhere = run.add_mutually_exclusive_group()
+    elsewhere.add_argument("--workers", type=int, default=1, metavar="N", help="describe traverses in N processes")
+    elsewhere.add_argument("--cluster", default="", metavar="ADDRESS", help="describe them on a Dask cluster instead")
     run.set_defaults(run=_run)
     add_match_command(actions)
 
@@ -49,7 +53,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
     """Everything that a plan asks for, section by section; trajectories go into `folder`."""
     plan, wanted = bench.plan, bench.plan.experiments
-    total = sum(len(methods_for(bench, pair)) for pair in plan.pairs)
+    total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
     sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + len(plan.pairs) * len(wanted.int8)
     total += len(wanted.pca) + 2 * len(wanted.standing)
@@ -102,6 +106,9 @@ def _run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
+    with open_executor(args.workers, args.cluster) as executor:
+        if executor is not None:
+            bench.describe_all(executor)
     sections = list(run_plan(bench, args.output))
     page = write_report(args.output, plan.title, _about(args.plan, plan, bench), sections)
     _print_overview(sections[0])

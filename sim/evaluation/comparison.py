@@ -37,20 +37,15 @@ def compare(bench: Bench, step: Callable[[str], None]) -> Results:
     """Run every method on every pair; `step` is called before each with what is next."""
     found: Results = {}
     for pair in bench.plan.pairs:
-        for text in methods_for(bench, pair):
+        for text in bench.methods_for(pair):
             step(f"{pair.name}: {text}")
             found[pair.name, text] = bench.run(pair, text)
     return found
 
 
-def methods_for(bench: Bench, pair: Pair) -> list[str]:
-    """The plan's methods, less those that start warm where the pair has no earlier drive."""
-    return [text for text in bench.plan.methods if pair.warm_start or not bench.method(text).warm]
-
-
 def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
     """All scores of one pair, its curves, its matches, and pictures of one method's best and worst."""
-    outcomes = [results[pair.name, text] for text in methods_for(bench, pair)]
+    outcomes = [results[pair.name, text] for text in bench.methods_for(pair)]
     shown = shown_outcome(bench, pair, results)
     slug = slug_of(pair)
     wrong = ~(shown.error_of_best() <= pair.tolerance)
@@ -72,7 +67,7 @@ def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
 
 def shown_outcome(bench: Bench, pair: Pair, results: Results) -> Outcome:
     """The outcome whose matches are drawn and written down: that of Lookback, or of the last method."""
-    texts = methods_for(bench, pair)
+    texts = bench.methods_for(pair)
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from edge.camera.feed import FeedImages
 from edge.descriptor.network import Head, Network
-from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
+from edge.descriptor.regions import Regions
 from edge.descriptor.weights import Weights
-from edge.errors import ConfigError, FrameError
+from edge.errors import ConfigError
 from sim.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
 from sim.evaluation.plan import Plan
 from sim.evaluation.segments import likeliest_states, runs
 from sim.evaluation.traverses import Traverse
+from sim.evaluation.workers import DescribeTask, describe
 
 Raw = NDArray[np.float32]
 
@@ -27,15 +29,14 @@ class Descriptions:
     def __init__(self, plan: Plan, folder: Path) -> None:
         self._plan = plan
         self._folder = folder
-        self._networks: dict[tuple[str, Tap, Precision | None], Network] = {}
-        self._raw: dict[tuple[object, ...], Raw] = {}
+        self._opened: dict[str, Network] = {}
+        self._raw: dict[DescribeTask, Raw] = {}
 
     def network(self, name: str, tap: Tap, precision: Precision | None = None) -> Network:
         """A layer of a network, opened once."""
-        key = (name, tap, precision)
-        if key not in self._networks:
-            self._networks[key] = open_network(name, self._plan.networks[name], self._folder, tap, precision)
-        return self._networks[key]
+        network = open_network(name, self._plan.networks[name], self._folder, tap, precision)
+        self._opened[network.info.sha256] = network
+        return network
 
     def head(self, name: str) -> Head:
         """The categories of a network's fc6."""
@@ -47,15 +48,30 @@ class Descriptions:
 
     def opened(self) -> list[Network]:
         """Every network that was used so far."""
-        return list(self._networks.values())
+        return list(self._opened.values())
+
+    def task(
+        self, traverse: Traverse, name: str, tap: Tap, regions: Regions, precision: Precision | None = None
+    ) -> DescribeTask:
+        """What is to be done to have a traverse described."""
+        rows = tuple(traverse.rows.tolist())
+        plan, width = self._plan.networks[name], self._plan.region_width
+        path = traverse.path
+        return DescribeTask(traverse.name, path, rows, name, plan, self._folder, tap, precision, regions, width)
+
+    def describe_all(self, tasks: Iterable[DescribeTask], executor: Executor) -> None:
+        """Run tasks elsewhere and keep what they give."""
+        wanted = [task for task in dict.fromkeys(tasks) if task not in self._raw]
+        found = executor.map(describe, wanted)
+        self._raw.update(zip(wanted, tqdm(found, total=len(wanted), desc="describing", unit="traverse"), strict=True))
 
     def raw(self, traverse: Traverse, name: str, tap: Tap, regions: Regions, precision: Precision | None = None) -> Raw:
         """Descriptors (n, R, D) float32 of a traverse as the layer gives them."""
-        key = (traverse.name, traverse.sampling, name, tap, regions, precision)
-        if key not in self._raw:
-            network = self.network(name, tap, precision)
-            self._raw[key] = _describe(traverse, network, regions, self._plan.region_width)
-        return self._raw[key]
+        self.network(name, tap, precision)
+        task = self.task(traverse, name, tap, regions, precision)
+        if task not in self._raw:
+            self._raw[task] = describe(task, progress=True)
+        return self._raw[task]
 
     def external(self, traverse: Traverse, name: str) -> Raw:
         """Descriptors (n, 1, D) that another program made of a whole feed; ConfigError names the file."""
@@ -86,24 +102,9 @@ def read_matrix(path: Path, dimensions: int = 2) -> NDArray[np.float64]:
     except (ValueError, EOFError) as error:
         raise ConfigError(f"{path}: not a whole .npy file of numbers: {error}") from None
     if array.ndim != dimensions or array.dtype.kind not in "fiu" or not array.size:
-        raise ConfigError(
-            f"{path}: holds {array.dtype} of shape {array.shape}; needs numbers in {dimensions} dimensions"
-        )
+        shape = array.shape
+        raise ConfigError(f"{path}: holds {array.dtype} of shape {shape}; needs numbers in {dimensions} dimensions")
     out = np.asarray(array, dtype=np.float64)
     if not np.isfinite(out).all():
         raise ConfigError(f"{path}: has values that are not finite")
-    return out
-
-
-def _describe(traverse: Traverse, network: Network, regions: Regions, width: float) -> Raw:
-    out = np.empty((len(traverse.rows), REGION_COUNT[regions], network.info.dimensions), dtype=np.float32)
-    images = FeedImages(traverse.feed)
-    title = f"{traverse.name}: {network.info.tap} {network.info.precision}, {regions}"
-    try:
-        for target, row in zip(out, tqdm(traverse.rows, desc=title, unit="frame", leave=False), strict=True):
-            target[:] = network.describe(cut_regions(images.read(int(row)), regions, width))
-    except FrameError as error:
-        raise ConfigError(f"traverses.{traverse.name}: {error}") from None
-    finally:
-        images.close()
     return out

@@ -20,8 +20,12 @@ Tap = Literal["fc6", "conv3"]
 Precision = Literal["int8", "float32"]
 
 
+@lru_cache(maxsize=16)
 def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision | None) -> Network:
-    """A layer of a network in int8 or float32; in None, int8 if that can be had. ConfigError says what is missing."""
+    """A layer of a network in int8 or float32; in None, int8 if that can be had. Opened once in a process.
+
+    ConfigError says what is missing.
+    """
     wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
     for one in wanted:
         file = resolve_model(folder / plan.model if plan.model else None, f"{tap}_{one}.onnx")

@@ -19,13 +19,14 @@ from sim.evaluation.seqslam import describe
 
 @dataclass(frozen=True)
 class Traverse:
-    """The frames of a feed that the sampling chose.
+    """The frames of a feed that the sampling chose; `path` is what it was read from.
 
     rows: (n,) of the feed. pixels: (n, 32, 64) float32, as SeqSLAM sees them (taken here, since every picture is
     decoded here once to find out which are readable).
     """
 
     name: str
+    path: Path
     feed: Feed
     sampling: SamplingConfig
     rows: NDArray[np.intp]
@@ -49,7 +50,7 @@ def load_traverse(name: str, plan: TraversePlan, path: Path, sampling: SamplingC
     if len(chosen) < 2:
         raise FeedError(f"{path}: the sampling leaves {len(chosen)} frame(s); a traverse needs at least 2")
     rows, pixels = zip(*chosen, strict=True)
-    return Traverse(name, feed, sampling, np.array(rows), np.stack(pixels), plan.external)
+    return Traverse(name, path, feed, sampling, np.array(rows), np.stack(pixels), plan.external)
 
 
 def true_errors(reference: Traverse, query: Traverse, pair: Pair) -> NDArray[np.float64]:
