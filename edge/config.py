@@ -7,6 +7,7 @@ structs. Paths are relative to the folder of the config file that names them.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -26,6 +27,7 @@ ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
+Left = Annotated[float, Meta(ge=-50, le=50)]
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,6 +67,7 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[map]: the reference map to recognise places of."""
 
     path: str = "/var/lib/lookback/map"
+    places_per_frame: Annotated[int, Meta(ge=100, le=1_000_000)] = 20_000
 
 
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -94,21 +97,72 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ahead_forward_swapped_m: Ahead = 0.0
     ahead_reverse_same_m: Ahead = 0.0
     ahead_reverse_swapped_m: Ahead = 0.0
+    left_forward_m: Left = 0.0
+    left_reverse_m: Left = 0.0
+    sigma_along_m: Positive = 3.0
+    sigma_across_m: Positive = 2.0
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The offset of matches of that kind, in metres in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
 
 
+class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[tracking]: a position that follows the vehicle along the map's drive, from matches and the odometer."""
+
+    matches: Annotated[int, Meta(ge=1, le=500)] = 30
+    lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
+    lost_after_s: Annotated[float, Meta(gt=0, le=60)] = 5.0
+    drift_percent: Annotated[float, Meta(ge=0, le=100)] = 3.0
+
+
+class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[gates]: what must hold before a position goes to the autopilot, which has no such rules."""
+
+    with_gps: bool = False
+    min_speed_mps: Annotated[float, Meta(ge=0, le=100)] = 0.3
+    min_interval_s: Annotated[float, Meta(ge=0.1, le=600)] = 1.0
+    near_matches: Annotated[int, Meta(ge=1, le=500)] = 3
+    far_matches: Annotated[int, Meta(ge=1, le=500)] = 12
+    near_sigmas: Positive = 3.0
+    far_sigmas: Positive = 10.0
+    drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
+
+
+class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[[telemetry.links]]: one more MAVLink connection, on which events are told and never a position."""
+
+    connection: str
+    signing_key: str = ""
+
+
 class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[telemetry]: the MAVLink connection, what is sent on it, and the journal."""
+    """[telemetry]: the MAVLink connections, what is sent on them, and the journal."""
 
     connection: str = "serial:/dev/serial0:921600"
-    emit: Literal["report", "external_position"] = "report"
+    emit: Literal["report", "external_position", "global_position_sensor", "vision_position", "auto"] = "report"
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
-    sigma_m: Positive = 10.0
+    sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    switch_sources: bool = True
+    origin: tuple[float, ...] = ()
+    signing_key: str = ""
+    signing_clock: str = "/var/lib/lookback/signing"
+    links: tuple[LinkConfig, ...] = ()
     journal: str = "/var/lib/lookback/events.jsonl"
     journal_frames: bool = False
+
+    def __post_init__(self) -> None:
+        limits = zip(self.origin, (90, 180, 20000), strict=False)
+        if len(self.origin) not in (0, 3) or any(not abs(value) <= limit for value, limit in limits):
+            raise ValueError("origin: expected [latitude deg, longitude deg, metres above sea level], or []")
+
+
+class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[page]: the live page, read-only."""
+
+    bind: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8642
+    hosts: tuple[str, ...] = ()
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
@@ -121,7 +175,10 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     sequence: SequenceConfig = SequenceConfig()
     acceptance: AcceptanceConfig = AcceptanceConfig()
     rig: RigConfig = RigConfig()
+    tracking: TrackingConfig = TrackingConfig()
+    gates: GatesConfig = GatesConfig()
     telemetry: TelemetryConfig = TelemetryConfig()
+    page: PageConfig = PageConfig()
 
 
 def load_config(path: Path) -> Config:
@@ -174,12 +231,26 @@ def _resolve_paths(config: Config, folder: Path) -> Config:
         return str(folder / value) if value else value
 
     camera = config.camera
-    if camera.kind == "feed":
+    if camera.kind in ("feed", "sim"):
         camera = msgspec.structs.replace(camera, device=resolve(camera.device))
     return msgspec.structs.replace(
         config,
         camera=camera,
         descriptor=msgspec.structs.replace(config.descriptor, model=resolve(config.descriptor.model)),
         map=msgspec.structs.replace(config.map, path=resolve(config.map.path)),
-        telemetry=msgspec.structs.replace(config.telemetry, journal=resolve(config.telemetry.journal)),
+        telemetry=_resolve_telemetry(config.telemetry, resolve),
+    )
+
+
+def _resolve_telemetry(telemetry: TelemetryConfig, resolve: Callable[[str], str]) -> TelemetryConfig:
+    def resolve_key(name: str) -> str:
+        return name if name.startswith("credential:") else resolve(name)
+
+    links = tuple(msgspec.structs.replace(link, signing_key=resolve_key(link.signing_key)) for link in telemetry.links)
+    return msgspec.structs.replace(
+        telemetry,
+        journal=resolve(telemetry.journal),
+        signing_key=resolve_key(telemetry.signing_key),
+        signing_clock=resolve(telemetry.signing_clock),
+        links=links,
     )

@@ -17,14 +17,14 @@ from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.descriptor.regions import cut_regions
 from edge.errors import MapError
-from edge.reference_map.costs import COST_ONE, CostMatcher
+from edge.place_search import Near, PlaceSearch
+from edge.reference_map.costs import COST_ONE
 from edge.reference_map.route import Route
-from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Order, Plane, SequenceMatch
-from edge.sequence.acceptance import HoldOff, Neighbourhood, best_match
-from edge.sequence.search import SequenceSearch, slopes_around_diagonal
+from edge.reference_map.store import ModelKey, ReferenceMap
+from edge.sequence import Direction, Order, SequenceMatch
+from edge.sequence.acceptance import HoldOff
 
-State = Literal["warming up", "on the map", "off the map", "standing"]
+State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,11 @@ class PlaceMatch:
 
     place: row of the map that looks most like here, even where it is not believed.
     lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
-    slope: places passed a frame. distance: mean cosine distance along the line. uniqueness: 1 is ambiguous, see `edge.sequence`.
+    slope: places passed a frame. distance: mean cosine distance along the line.
+    uniqueness: 1 is ambiguous, see `edge.sequence`.
     accepted: the place is believed; False is the answer "off the map". event: accepted, and not held off.
     category: what kind of place the frame shows, told for events only.
+    beyond, width: places by which the line ends beyond `place`, and half of how many are nearly as good.
     """
 
     place: int
@@ -50,6 +52,8 @@ class PlaceMatch:
     accepted: bool
     event: bool
     category: str | None
+    beyond: float = 0.0
+    width: float = 0.5
 
 
 class PlaceRecognizer:
@@ -70,28 +74,22 @@ class PlaceRecognizer:
         self._config = config
         self._stopwatch = stopwatch
         self._route = Route(reference_map)
-        header = reference_map.header
-        self._matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
-        sequence = config.sequence
-        self._per_frame_order = sequence.region_order == "frame"
-        self._search = open_search(header, config)
-        self._neighbourhood = neighbourhood(self._route, config)
+        self.places = PlaceSearch(reference_map, self._route, config)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
-            sequence.length,
+            config.sequence.length,
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
         self._last_raw: NDArray[np.float32] | None = None
         self._last_ns: int | None = None
         self.state: State = "warming up"
-        self.newest_costs: NDArray[np.int32] = np.zeros((self._matcher.orders, header.places), dtype=np.int32)
-        """Cost row (orders, N) of the last used frame, in units of COST_ONE, for those who draw it."""
 
-    def observe(self, image: NDArray[np.uint8], stamp_ns: int) -> PlaceMatch | None:
-        """Take in one frame (H, W, 3) uint8 BGR; None while warming up and while the vehicle stands.
+    def observe(self, image: NDArray[np.uint8], stamp_ns: int, near: Near | None = None) -> PlaceMatch | None:
+        """Take in one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
-        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off.
+        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near: where the
+        autopilot says that the vehicle is; only maps too large to be searched whole make use of it.
         """
         descriptor = self._config.descriptor
         regions = cut_regions(image, descriptor.regions, descriptor.region_width)
@@ -102,13 +100,12 @@ class PlaceRecognizer:
             self.state = "standing"
             return None
         self._forget_across_gap(stamp_ns)
-        self._push(raw)
+        normalized = self._normalizer.push(raw)
+        self._stopwatch("normalization")
+        match = self.places.push(normalized, self._normalizer.rows, near)
         self._stopwatch("matching")
-        lines = self._search.lines()
-        match = best_match(self._search, lines, self._neighbourhood, self._config.acceptance) if lines else None
-        self._stopwatch("search")
         if match is None:
-            self.state = "warming up"
+            self.state = "searching" if self.places.part is None and self._normalizer.is_full else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
         return self._report(match, raw, stamp_ns)
@@ -127,24 +124,12 @@ class PlaceRecognizer:
         """A line needs frames that follow each other: start a new one after a gap, or when time went back."""
         if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self._config.sequence.max_gap_s * 1e9:
             self._normalizer.clear_ring()
-            self._search.clear()
+            self.places.clear()
         self._last_ns = stamp_ns
 
-    def _push(self, raw: NDArray[np.float32]) -> None:
-        """Normalise and match the frame; its cost row (orders, N) goes into the search, or a whole new ring does."""
-        normalized = self._normalizer.push(raw)
-        costs = self._matcher.costs(normalized.rows)
-        searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
-        if normalized.replaces_ring:
-            self._search.refill(searched)
-        else:
-            self._search.push(searched[-1])
-        self.newest_costs = costs[-1]
-
     def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
-        order = ORDERS[int(self.newest_costs[:, match.place].argmin())] if self._per_frame_order else match.order
         forward = match.direction == "forward"
-        ahead_m = self._config.rig.ahead_m(match.direction, order)
+        ahead_m = self._config.rig.ahead_m(match.direction, match.order)
         # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
         position = self._route.position(match.place, -ahead_m if forward else ahead_m)
         event = match.accepted and self._hold_off.passes(stamp_ns)
@@ -154,50 +139,16 @@ class PlaceRecognizer:
             lon_deg=position.lon_deg if position else None,
             heading_deg=(position.heading_deg + (0 if forward else 180)) % 360 if position else None,
             direction=match.direction,
-            order=order,
+            order=match.order,
             slope=match.slope,
             distance=match.cost / COST_ONE,
             uniqueness=match.uniqueness,
             accepted=match.accepted,
             event=event,
             category=self._head.categories(raw)[0] if event else None,
+            beyond=match.beyond,
+            width=match.width,
         )
-
-
-def open_search(header: MapHeader, config: Config) -> SequenceSearch:
-    """The search of a map's places that the config asks for, its ring still empty."""
-    sequence = config.sequence
-    planes, possible = _planes(header, config)
-    return SequenceSearch(
-        [(segment.start, segment.end) for segment in header.segments],
-        planes,
-        sequence.length,
-        slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes),
-        possible,
-    )
-
-
-def neighbourhood(route: Route, config: Config) -> Neighbourhood:
-    """Which places of a map count as one when a match is accepted."""
-    return Neighbourhood(route.east_north_m, route.route_m, route.segment_of, config.acceptance)
-
-
-def _planes(header: MapHeader, config: Config) -> tuple[list[Plane], NDArray[np.bool_]]:
-    """The directions and region orders to search in, and where in the map (planes, N) each of them is possible."""
-    sequence = config.sequence
-    # One region has no order; and where the better order of each frame counts, the search sees but one.
-    orders = ORDERS if header.regions.count == 2 and sequence.region_order != "frame" else ORDERS[:1]
-    directions: tuple[Direction, ...] = ("forward", "reverse")
-    planes = [
-        (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
-    ]
-    possible = np.ones((len(planes), header.places), dtype=bool)
-    if sequence.region_order == "rig" and len(orders) == 2:
-        for segment in header.segments:
-            allowed = VIEWS_ALIKE if segment.view == config.camera.view else VIEWS_OPPOSED
-            possible[:, segment.start : segment.end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
-    used = np.flatnonzero(possible.any(axis=1))
-    return [planes[index] for index in used], possible[used]
 
 
 def model_key(network: Network) -> ModelKey:

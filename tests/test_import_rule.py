@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[1]
 STAGES = {"camera", "descriptor", "reference_map", "sequence", "telemetry"}
 BELOW = {"edge.errors", "edge.config"}
 PURE = {"descriptor", "reference_map", "sequence"}
+JOINED = ("place_search", "map_scan")
 
 
 def imports(file: Path) -> set[str]:
@@ -39,10 +40,11 @@ def test_errors_and_config_are_at_the_bottom() -> None:
     assert ours(ROOT / "edge/config.py") == {"edge.errors"}
 
 
-def test_the_recognizer_joins_pure_stages_only() -> None:
-    allowed = tuple(f"edge.{stage}" for stage in PURE)
-    strangers = {name for name in ours(ROOT / "edge/recognizer.py") - BELOW if not name.startswith(allowed)}
-    assert not strangers
+def test_the_recognizer_and_its_search_join_pure_stages_only() -> None:
+    allowed = (*(f"edge.{stage}" for stage in PURE), *(f"edge.{name}" for name in JOINED))
+    for name in ("recognizer", *JOINED):
+        strangers = {name for name in ours(ROOT / f"edge/{name}.py") - BELOW if not name.startswith(allowed)}
+        assert not strangers, f"edge/{name}.py imports {strangers}"
 
 
 def test_edge_never_imports_sim() -> None:

@@ -81,7 +81,7 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
 
 def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
     # The camera looks back and drives home: the same view, the map in reverse.
-    rear = msgspec.structs.replace(CONFIG, camera=CameraConfig(view="rear"), rig=RigConfig(ahead_reverse_m=4.0))
+    rear = msgspec.structs.replace(CONFIG, camera=CameraConfig(view="rear"), rig=RigConfig(ahead_reverse_same_m=4.0))
     matches = drive(recognizer(network, street_map, rear), frames[59:0:-1])
     last = matches[-1]
     assert last and last.accepted
@@ -145,7 +145,7 @@ def test_every_kind_of_descriptor(
 
 def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_path: Path) -> None:
     build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling)
-    with pytest.raises(MapError, match="regions left-right of width 0.5"):
+    with pytest.raises(MapError, match=r"regions left-right of width 0\.5"):
         recognizer(network, open_map(tmp_path / "m"))
 
 

@@ -68,12 +68,19 @@ class OnlineNormalizer:
         self._renormalize_ring = renormalize_ring and enabled
         self._enabled = enabled
         self._ring: list[NDArray[np.float32]] = []
+        self._normalized: list[NDArray[np.float32]] = []
         self._statistics: RunningStatistics | None = None
         self._count_at_renormalization = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
         """Take in one raw descriptor (R, D) and give back the rows it changes."""
         self._ring = [*self._ring[1 - self._length :], raw]
+        change = self._change(raw)
+        self._normalized = list(change.rows) if change.replaces_ring else [*self._normalized, change.rows[0]]
+        self._normalized = self._normalized[-self._length :]
+        return change
+
+    def _change(self, raw: NDArray[np.float32]) -> NormalizedRows:
         if not self._enabled:
             return NormalizedRows(raw[np.newaxis], replaces_ring=False)
         if self._statistics is None:
@@ -87,6 +94,15 @@ class OnlineNormalizer:
             return NormalizedRows(rows, replaces_ring=True)
         return NormalizedRows(normalize(raw[np.newaxis], statistics.mean, statistics.deviation), replaces_ring=False)
 
+    def rows(self) -> NDArray[np.float32]:
+        """The whole ring as it was last normalised, (n, R, D), oldest first."""
+        return np.stack(self._normalized)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many frames as a sequence needs."""
+        return len(self._ring) == self._length
+
     def clear_ring(self) -> None:
         """Forget the recent frames (after a gap); the statistics stay."""
-        self._ring = []
+        self._ring, self._normalized = [], []

@@ -7,6 +7,8 @@ every machine, and sums of them can be kept running without drift.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numkong
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +46,32 @@ class CostMatcher:
         self._regions = regions
         self.orders = regions
 
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
+    def costs(self, query: NDArray[np.float32], ranges: Sequence[tuple[int, int]] | None = None) -> NDArray[np.int32]:
         """Normalised query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".
 
-        A query that is all zero has no direction: its cost is COST_ONE to every place, as if unrelated.
+        With `ranges`, [start, end) of places, only those are read and N is their number together. A query that is
+        all zero has no direction: its cost is COST_ONE to every place, as if unrelated.
         """
         quantized = quantize(query)
         # The map keeps left-right; the query is tried left-right and right-left. The norm is the same for both.
         orders = [quantized, quantized[:, ::-1]] if self._regions == 2 else [quantized]
         stacked = np.stack(orders, axis=1).reshape(len(query) * self.orders, -1)
         packed = numkong.dots_pack(np.ascontiguousarray(stacked), "int8")
-        dots = np.asarray(numkong.dots_packed(self._descriptors, packed))
-        lengths = np.sqrt(squared_norms(quantized).astype(np.float64))
-        product = self._norms[:, np.newaxis] * np.repeat(lengths, self.orders)
-        cosine = np.divide(dots, product, out=np.zeros(dots.shape), where=product > 0)
-        costs = np.rint((1.0 - cosine) * COST_ONE).astype(np.int32)
+        lengths = np.repeat(np.sqrt(squared_norms(quantized).astype(np.float64)), self.orders)
+        parts = [
+            _cosine_costs(np.asarray(numkong.dots_packed(self._descriptors[start:end], packed)), norms, lengths)
+            for start, end in ranges or [(0, len(self._norms))]
+            for norms in (self._norms[start:end],)
+        ]
+        costs = parts[0] if len(parts) == 1 else np.concatenate(parts)
         return np.ascontiguousarray(costs.T).reshape(len(query), self.orders, -1)
+
+
+def _cosine_costs(
+    dots: NDArray[np.int32], norms: NDArray[np.float64], lengths: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Integer costs (N, q) of dot products (N, q) and the lengths of places (N,) and queries (q,)."""
+    product = norms[:, np.newaxis] * lengths
+    cosine = np.divide(dots, product, out=np.zeros(dots.shape), where=product > 0)
+    costs: NDArray[np.int32] = np.rint((1.0 - cosine) * COST_ONE).astype(np.int32)
+    return costs

@@ -33,6 +33,19 @@ class Route:
             [segment.end - segment.start for segment in reference_map.header.segments],
         )
         self.east_north_m = east_north(places["lat_deg"], places["lon_deg"])
+        self._origin = first_known(places["lat_deg"], places["lon_deg"])
+
+    def east_north(self, lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
+        """A position in the metres of `east_north_m`, (2,); NaN where no place of the map has a position."""
+        if self._origin is None:
+            return np.full(2, np.nan)
+        east, north, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *self._origin, 0.0)
+        return np.array([east, north])
+
+    def reaches(self, place: int, along_m: float) -> bool:
+        """Whether the drive of `place` goes as far, and begins as early, as `along_m` of its route_m."""
+        drive_m = self.route_m[self.segment_of == self.segment_of[place]]
+        return bool(np.nanmin(drive_m) <= along_m <= np.nanmax(drive_m))
 
     def position(self, place: int, offset_m: float) -> Position | None:
         """The position `offset_m` further along the drive than `place` (negative: before it), None where unknown.
@@ -56,11 +69,16 @@ class Route:
         )
 
 
+def first_known(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> tuple[float, float] | None:
+    """The first position of (N,) degrees, None if all are NaN."""
+    known = np.flatnonzero(~np.isnan(lat_deg))
+    return (float(lat_deg[known[0]]), float(lon_deg[known[0]])) if known.size else None
+
+
 def east_north(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     """Metres east and north of the first known position: (N,) degrees -> (N, 2), NaN where unknown."""
-    known = np.flatnonzero(~np.isnan(lat_deg))
-    if not known.size:
+    origin = first_known(lat_deg, lon_deg)
+    if origin is None:
         return np.full((len(lat_deg), 2), np.nan)
-    lat0, lon0 = float(lat_deg[known[0]]), float(lon_deg[known[0]])
-    east, north, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, lat0, lon0, 0.0)
+    east, north, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin, 0.0)
     return np.column_stack([east, north])

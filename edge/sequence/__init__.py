@@ -34,6 +34,8 @@ class SequenceMatch:
     cost: mean cost along the line, in the units of the cost rows.
     uniqueness: lowest cost outside the window around `place` over the lowest cost; 1 is ambiguous.
     accepted: whether this is a place fix; False means that the vehicle is off the map, or cannot be told apart.
+    beyond: places by which the line ends beyond `place` in the map's order, between places.
+    width: half the number of places around it that are nearly as good.
     """
 
     place: int
@@ -43,3 +45,5 @@ class SequenceMatch:
     cost: float
     uniqueness: float
     accepted: bool
+    beyond: float = 0.0
+    width: float = 0.5

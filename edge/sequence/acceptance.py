@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.sequence import SequenceMatch
+from edge.sequence.interpolation import end_between_places, places_nearly_as_good
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 
@@ -47,6 +48,11 @@ class Neighbourhood:
         around: NDArray[np.bool_] = near | (same_drive & along)
         return around
 
+    def segment(self, place: int) -> slice:
+        """The places of the same drive."""
+        first, end = np.searchsorted(self._segment_of, [self._segment_of[place], self._segment_of[place] + 1])
+        return slice(int(first), int(end))
+
 
 def best_match(
     search: SequenceSearch, lines: Lines, neighbourhood: Neighbourhood, config: AcceptanceConfig
@@ -62,6 +68,8 @@ def best_match(
     uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
     plane = int(lines.planes[place])
     direction, order = search.planes[plane]
+    segment = neighbourhood.segment(place)
+    along, at = lines.costs[segment], place - segment.start
     return SequenceMatch(
         place=place,
         direction=direction,
@@ -70,6 +78,8 @@ def best_match(
         cost=best / lines.length,
         uniqueness=uniqueness,
         accepted=uniqueness >= config.uniqueness_min,
+        beyond=end_between_places(along, at),
+        width=places_nearly_as_good(along, at, min(second, 2 * best)),
     )
 
 

@@ -56,10 +56,12 @@ class SequenceSearch:
         length: int,
         slopes: Sequence[float],
         possible: NDArray[np.bool_] | None = None,
+        frame: int = 0,
     ) -> None:
         """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
 
-        possible: (planes, N), whether a line of that plane may end at that place; everywhere if None.
+        possible: (planes, N), whether a line of that plane may end at that place; everywhere if None. frame: how many
+        frames came before, so that searches begun at different times round their slopes alike.
         """
         self.length = length
         self.planes = tuple(planes)
@@ -72,7 +74,7 @@ class SequenceSearch:
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
         self._sums = np.zeros((len(self._slopes), len(self.planes), self._places), dtype=np.int32)
         self._spare = np.empty_like(self._sums)
-        self._frame = 0
+        self._frame = frame
         self._rows = 0
 
     def clear(self) -> None:
@@ -128,6 +130,11 @@ class SequenceSearch:
         which = in_map_order.argmin(axis=0)
         return Lines(np.take_along_axis(in_map_order, which[np.newaxis], axis=0)[0], which, self.length)
 
+    def recent(self, plane: Plane) -> NDArray[np.int32]:
+        """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
+        slots = [frame % self.length for frame in range(self._frame - self._rows + 1, self._frame + 1)]
+        return np.ascontiguousarray(self._mirror(plane, self._ring[slots, self.planes.index(plane)]))
+
     def slope(self, plane: int, place: int) -> float:
         """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
         at = place if self.planes[plane][0] == "forward" else self._places - 1 - place
@@ -145,7 +152,7 @@ class SequenceSearch:
 
     @staticmethod
     def _mirror(plane: Plane, row: NDArray[Any]) -> NDArray[Any]:
-        return row[::-1] if plane[0] == "reverse" else row
+        return row[..., ::-1] if plane[0] == "reverse" else row
 
 
 def _rounded(slope: float, frame: int) -> int:

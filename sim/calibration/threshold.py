@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.errors import LookbackError
-from edge.recognizer import neighbourhood, open_search
+from edge.place_search import MapPart
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap
@@ -79,8 +79,8 @@ def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
     """Uniqueness of the best match of each place outside its own surroundings."""
     header = reference_map.header
     matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
-    around = neighbourhood(Route(reference_map), config)
-    search = open_search(header, config)
+    part = MapPart([(0, header.places)], header, Route(reference_map), config)
+    around, search = part.neighbourhood, part.search
     per_frame = config.sequence.region_order == "frame"
     rows = reference_map.descriptors.reshape(header.places, header.regions.count, -1)
     for segment in header.segments:

@@ -94,9 +94,8 @@ def test_running_sums_are_the_direct_sums(
 def test_still_exact_after_a_billion_frames() -> None:
     rng = np.random.default_rng(1)
     slopes = slopes_around_diagonal(0.2, 5)
-    search = SequenceSearch([(0, 40)], ONE_REGION, 6, slopes)
-    start = 10**9
-    search._frame = start - 1  # months of driving
+    start = 10**9  # years of driving
+    search = SequenceSearch([(0, 40)], ONE_REGION, 6, slopes, frame=start - 1)
     rows = [rng.integers(0, 2**15, (1, 40), dtype=np.int32) for _ in range(50)]
     for row in rows:
         search.push(row)
