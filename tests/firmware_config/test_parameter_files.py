@@ -18,14 +18,17 @@ from edge.config import Config, TelemetryConfig
 FILES = Path(__file__).parents[2] / "firmware_config"
 ARDUPILOT = sorted(FILES.glob("*.param"))
 PX4 = sorted(FILES.glob("*.params"))
-INT32, FLOAT = 6, 9  # MAV_PARAM_TYPE
+LISTS = {
+    "ardupilot_vision_position": ["ardupilot_rover", "ardupilot_copter"],
+    "px4_global_position_sensor": ["px4"],
+}  # of each file that is for another firmware than its name says
 BAUD = int(TelemetryConfig().connection.rpartition(":")[2])
 
 
 class Known(msgspec.Struct, forbid_unknown_fields=True):
     """What a firmware says of a parameter: nothing, or one of values, range (null is no limit) and bits."""
 
-    type: int | None = None
+    type: int | None = None  # MAV_PARAM_TYPE: 6 int32, 9 float
     values: list[float] | None = None
     range: tuple[float | None, float | None] | None = None
     bits: list[int] | None = None
@@ -46,8 +49,12 @@ class Listing(msgspec.Struct, forbid_unknown_fields=True):
     parameters: dict[str, Known]
 
 
-def listing_of(file: Path) -> Listing:
-    name = "px4" if file in PX4 else file.stem
+def listings_of(file: Path) -> list[Listing]:
+    """The lists of the firmwares that a file is for."""
+    return [read_listing(name) for name in LISTS.get(file.stem, [file.stem])]
+
+
+def read_listing(name: str) -> Listing:
     return msgspec.json.decode(Path(__file__).with_name(f"{name}.json").read_bytes(), type=Listing)
 
 
@@ -78,6 +85,7 @@ def test_every_firmware_has_its_file() -> None:
         "ardupilot_copter.param",
         "ardupilot_plane.param",
         "ardupilot_rover.param",
+        "ardupilot_vision_position.param",
         "px4.params",
         "px4_global_position_sensor.params",
     }
@@ -85,11 +93,12 @@ def test_every_firmware_has_its_file() -> None:
 
 @all_files
 def test_parameters_exist_and_take_their_values(file: Path) -> None:
-    known = listing_of(file).parameters
-    for name, value, kind in rows(file):
-        assert name in known, f"{file.name}: no parameter {name}"
-        assert known[name].takes(value), f"{file.name}: {name} does not take {value:g}"
-        assert kind == known[name].type, f"{file.name}: {name} is of another type"
+    for listing in listings_of(file):
+        known = listing.parameters
+        for name, value, kind in rows(file):
+            assert name in known, f"{file.name}: no parameter {name}"
+            assert known[name].takes(value), f"{file.name}: {name} does not take {value:g}"
+            assert kind == known[name].type, f"{file.name}: {name} is of another type"
 
 
 @all_files
@@ -112,9 +121,9 @@ def test_each_line_says_why(file: Path) -> None:
 @all_files
 def test_lists_are_more_than_a_copy_of_our_files(file: Path) -> None:
     """A list of only our own names would accept whatever we write."""
-    listing = listing_of(file)
-    assert len(listing.parameters) >= 3 * len(rows(file))
-    assert any("https://github.com/" in source for source in listing.source)
+    for listing in listings_of(file):
+        assert len(listing.parameters) >= 3 * len(rows(file))
+        assert any("https://github.com/" in source for source in listing.source)
 
 
 @pytest.mark.parametrize("file", ARDUPILOT, ids=lambda path: path.name)
@@ -130,21 +139,14 @@ def test_baud_rates_are_the_configs() -> None:
     assert by_name(FILES / "px4.params")["SER_TEL2_BAUD"] == BAUD
 
 
-@pytest.mark.parametrize(
-    "file",
-    [
-        *ARDUPILOT,
-        FILES / "px4.params",
-        pytest.param(
-            FILES / "px4_global_position_sensor.params",
-            marks=pytest.mark.xfail(strict=True, reason="[telemetry] emit does not know this message yet"),
-        ),
-    ],
-    ids=lambda path: path.name,
-)
+@all_files
 def test_the_config_knows_the_way_that_the_file_is_for(file: Path) -> None:
     (emit,) = re.findall(r'emit = "(\w+)"', file.read_text())
     assert emit in get_args(get_type_hints(TelemetryConfig)["emit"])
+
+
+def test_the_sensors_id_is_the_configs() -> None:
+    assert by_name(FILES / "px4_global_position_sensor.params")["EKF2_AGP0_ID"] == TelemetryConfig().sensor_id
 
 
 def test_no_gps_set_ups_have_a_speed_and_no_position_source() -> None:
