@@ -56,7 +56,7 @@ def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
     total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
     sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + len(plan.pairs) * len(wanted.int8)
-    total += len(wanted.pca) + 2 * len(wanted.standing)
+    total += len(wanted.pca) + 3 * len(wanted.standing)
     total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())
     with tqdm(total=total, unit="step", desc="plan") as progress:
 

@@ -188,23 +188,27 @@ def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Pict
 
 
 def standing(bench: Bench, step: Step) -> Section:
-    """The recogniser on frames taken by time, with halts: with its gate for standing still, and without."""
+    """The recogniser on a drive with halts and changing speed: frames by distance and by time, with the gate or not."""
     rows: list[Sequence[Cell]] = []
+    by_time = SamplingConfig(by="frames")
+    default = Config().descriptor.standing_change
     for drive in bench.plan.experiments.standing:
         pair = next(pair for pair in bench.plan.pairs if pair.name == drive.pair)
         pair = msgspec.structs.replace(pair, query=drive.query)
-        for gate in (Config().descriptor.standing_change, 0.0):
-            step(f"{drive.query}: standing gate {gate:g}")
-            rows.append([f"{pair.query} against {pair.reference}", gate, *_drive_with_halts(bench, pair, gate)])
-    columns = ("pair", "standing_change", "frames", "answered", "accuracy of answers")
-    note = "The query as recorded, every frame of it, through `lookback replay`'s own recogniser; 0 turns the gate off."
-    return Section("Standing still", note, [Table("standing", "With and without the gate", columns, rows)])
+        for sampling, gate in ((bench.plan.sampling, default), (by_time, default), (by_time, 0.0)):
+            by = f"{sampling.spacing_m:g} m" if sampling.by == "distance" else "every frame"
+            step(f"{drive.query}: {by}, standing gate {gate:g}")
+            rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(bench, pair, sampling, gate)])
+    columns = ("pair", "frames taken", "standing_change", "frames", "answered", "accuracy of answers")
+    note = (
+        "The query through `lookback replay`'s own recogniser; standing_change 0 turns its gate for standing still off."
+    )
+    return Section("Standing still, speed changes", note, [Table("standing", "With and without", columns, rows)])
 
 
-def _drive_with_halts(bench: Bench, pair: Pair, gate: float) -> tuple[int, int, float]:
+def _halting(bench: Bench, pair: Pair, sampling: SamplingConfig, gate: float) -> tuple[int, int, float]:
     """Frames, answers, and the share of right ones."""
-    every = SamplingConfig(by="frames")
-    reference, query = bench.traverse(pair.reference), bench.traverse(pair.query, every)
+    reference, query = bench.traverse(pair.reference), bench.traverse(pair.query, sampling)
     network = bench.descriptions.network(next(iter(bench.plan.networks)), "fc6")
     config = msgspec.structs.replace(
         Config(),
@@ -217,7 +221,7 @@ def _drive_with_halts(bench: Bench, pair: Pair, gate: float) -> tuple[int, int, 
         build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
         reference_map = open_map(path)
         recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
-        lines = list(replay(recognizer, query.feed, every, reference_map.places["row"].tolist()))
+        lines = list(replay(recognizer, query.feed, sampling, reference_map.places["row"].tolist()))
     errors = true_errors(reference, query, pair)
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)
