@@ -1,6 +1,7 @@
 """`lookback run`: opens the parts that the config names and moves frames through them until told to stop.
 
-newest camera frame -> is it a place? -> recognizer -> event -> journal, autopilot
+newest camera frame -> is it a place? -> recognizer -> event -> journal, people
+                                                    -> tracker -> position -> autopilot
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from edge.config import Config, load_config
 from edge.descriptor.network import Head, Network
 from edge.observation import observation
 from edge.recognizer import PlaceMatch, PlaceRecognizer, State
+from edge.reference_map.route import Route
 from edge.reference_map.store import open_map
 from edge.sampling import Sampler
 from edge.service import notify
@@ -29,6 +31,7 @@ from edge.stage_times import StageTimes
 from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
+from edge.tracking import RouteTracker, TrackedPosition
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
 log = logging.getLogger(__name__)
@@ -75,8 +78,11 @@ class Daemon:
             self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
             self._record = self._journal.write
         self._autopilot = parts.enter_context(
-            closing(AutopilotConnection(config.telemetry, clock_ns, record=self._record))
+            closing(AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates))
         )
+        self._tracker = RouteTracker(Route(reference_map), config.tracking, config.rig)
+        self._newest: PlaceMatch | None = None
+        self._clock_ns = clock_ns
         self._camera = parts.enter_context(closing(NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns)))
         self._state: State | str = ""
         self._frames_used = 0
@@ -89,41 +95,65 @@ class Daemon:
         if frame is not None:
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if self._sampler.take(frame.stamp_ns, distance_m):
-                self._use(frame)
+                self._use(frame, distance_m)
+        self._tell_position()
         health = self._camera.health
         if health.state == "lost":
             self._tell_state("camera lost", health.reason)
         notify("WATCHDOG=1")
         return not self._camera.ended
 
-    def _use(self, frame: Frame) -> None:
+    def _use(self, frame: Frame, distance_m: float | None) -> None:
         self._times.start()
         self._frames_used += 1
         match = self._recognizer.observe(frame.image, frame.stamp_ns)
         self._tell_state(self._recognizer.state)
+        self._tracker.see(match, frame.stamp_ns, distance_m)
         if self._journal and self._config.telemetry.journal_frames:
             seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
-        if match is not None and match.event:
-            self._events += 1
-            self._tell_place(match, frame.stamp_ns)
+        if match is not None and match.accepted:
+            self._newest = match
+            if match.event:
+                self._events += 1
+                self._tell_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
 
     def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
-        fix = PlaceFix(
-            stamp_ns=stamp_ns,
-            place=match.place,
-            lat_deg=match.lat_deg,
-            lon_deg=match.lon_deg,
-            heading_deg=match.heading_deg,
-            sigma_m=self._config.telemetry.sigma_m,
-            direction=match.direction,
-            order=match.order,
-            uniqueness=round(match.uniqueness, 4),
-            category=match.category or "",
-        )
+        """An event, for people and the journal: with the tracked position, or with the place's own."""
+        tracked = self._tracker.at_exposure()
+        if tracked is not None and tracked.stamp_ns == stamp_ns:
+            fix = _fix(match, tracked)
+        else:
+            rig = self._config.rig
+            fix = PlaceFix(
+                stamp_ns=stamp_ns,
+                place=match.place,
+                lat_deg=match.lat_deg,
+                lon_deg=match.lon_deg,
+                heading_deg=match.heading_deg,
+                sigma_along_m=rig.sigma_along_m,
+                sigma_across_m=rig.sigma_across_m,
+                direction=match.direction,
+                order=match.order,
+                uniqueness=round(match.uniqueness, 4),
+                category=match.category or "",
+            )
         self._record(fix)
-        self._autopilot.send_fix(fix)
+        self._autopilot.tell_place(fix)
+
+    def _tell_position(self) -> None:
+        """A fix for the autopilot, while the vehicle is on the map and if one is due."""
+        moment = self._autopilot.position_wanted()
+        if moment is None or self._newest is None:
+            return
+        if moment == "exposure":
+            tracked = self._tracker.at_exposure()
+        else:
+            now_ns = self._clock_ns()
+            tracked = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
+        if tracked is not None:
+            self._autopilot.send_position(_fix(self._newest, tracked))
 
     def _tell_state(self, state: str, why: str = "") -> None:
         if state == self._state:
@@ -140,6 +170,24 @@ class Daemon:
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
         return stopped
+
+
+def _fix(match: PlaceMatch, tracked: TrackedPosition) -> PlaceFix:
+    """What is told of a tracked position; `match` is the newest that was accepted."""
+    return PlaceFix(
+        stamp_ns=tracked.stamp_ns,
+        place=tracked.place,
+        lat_deg=tracked.lat_deg,
+        lon_deg=tracked.lon_deg,
+        heading_deg=tracked.heading_deg,
+        sigma_along_m=round(tracked.sigma_along_m, 2),
+        sigma_across_m=tracked.sigma_across_m,
+        direction=tracked.direction,
+        order=match.order,
+        uniqueness=round(match.uniqueness, 4),
+        category=match.category or "",
+        matches=tracked.matches,
+    )
 
 
 def run(config: Config, stop: threading.Event) -> Stopped:

@@ -1,8 +1,8 @@
 """A simulated autopilot at the other end of a MAVLink link, for a pose that somebody else moves.
 
 It speaks as the real ones were seen to: heartbeats always, streams when they are asked for, answers to TIMESYNC and
-to position estimates; and it records all that it receives. Its position estimate follows fixes, so that what a
-companion computer sends can be judged by where the vehicle then believes to be.
+to positions; and it records all that it receives. Its position estimate follows fixes, so that what a companion
+computer sends can be judged by where the vehicle then believes to be. `sim.firmware` is the table of differences.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
-import pymap3d
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.fixes import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
-from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim import Pose
+from sim.autopilot_messages import ENCODERS, Knowledge
 from sim.dead_reckoning import DeadReckoning
+from sim.firmware import FIRMWARES
+from sim.position_inputs import Moment, PositionInputs, Reset, east_north_m
 
-Firmware: TypeAlias = Literal["ardupilot", "px4"]
+__all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
 
 HEARTBEAT_S = 1.0
 STEP_S = 0.01
-EXTERNAL_POSITION_ESTIMATE = 43003
 COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
 SILENT = -1
-LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,6 @@ class Received:
 
     time_s: float
     message: Message
-
-
-@dataclass(frozen=True)
-class Reset:
-    """An accepted position fix, and the estimate's distance from the truth before and after it."""
-
-    time_s: float
-    error_before_m: float
-    error_after_m: float
 
 
 class SimulatedAutopilot:
@@ -60,42 +51,49 @@ class SimulatedAutopilot:
         pose_at: Callable[[float], Pose],
         clock_ns: Callable[[], int] = time.monotonic_ns,
         *,
-        firmware: Firmware = "ardupilot",
+        firmware: str = "ardupilot",
         system_id: int = 1,
         gps: bool = True,
+        has_origin: bool = True,
         drift_percent: float = 0.0,
+        drift_sideways_percent: float = 0.0,
+        codec: MavlinkCodec | None = None,
     ) -> None:
-        """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree."""
+        """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree.
+
+        firmware: a row of `sim.firmware.FIRMWARES`. has_origin: whether it knows at boot where on earth it is, as
+        after a start with GPS; else, where the firmware needs one, an origin has to be set. codec: one that signs.
+        """
         self.gps = gps
         self.received: list[Received] = []
-        self.resets: list[Reset] = []
         self.refuse_fixes_with: int | None = None
         """A MAV_RESULT to answer every position estimate with, or SILENT as PX4 1.15 is, instead of heeding it."""
         self._link = link
         self._pose_at = pose_at
         self._clock_ns = clock_ns
-        self._firmware = firmware
-        self._codec = MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._firmware = FIRMWARES[firmware]
+        self._codec = codec or MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)
-        self.estimate = DeadReckoning(self._pose, now_s, drift_percent)
-        self._streams: dict[int, Callable[[], Message]] = {
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
-            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
-        }
+        self._starts_with_origin = has_origin or not self._firmware.needs_origin
+        self.estimate = DeadReckoning(self._pose, now_s, drift_percent, drift_sideways_percent)
+        self.inputs = PositionInputs(self._firmware, self.estimate)
         self.reboot()
+
+    @property
+    def resets(self) -> list[Reset]:
+        """Positions that moved the estimate at once."""
+        return self.inputs.resets
 
     def reboot(self) -> None:
         """Start again: the boot clock at zero, and no streams but the heartbeat and TIMESYNC."""
         self._boot_ns = self._clock_ns()
         self._gps_lost_s = -math.inf
-        timesync_s = 10.0 if self._firmware == "ardupilot" else 0.1
-        self._period_s = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: HEARTBEAT_S, mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync_s}
+        self._origin_m = (0.0, 0.0) if self._starts_with_origin or self.gps else None
+        self._period_s = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: HEARTBEAT_S,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._firmware.timesync_s,
+        }
         self._due_s = dict.fromkeys(self._period_s, self._boot_ns / 1e9)
 
     def run(self, stop: threading.Event) -> None:
@@ -114,18 +112,26 @@ class SimulatedAutopilot:
         self.estimate.update(self._pose, now_s, gps=self.gps)
         if self.gps:
             self._gps_lost_s = now_s
+            self._origin_m = self._origin_m or (0.0, 0.0)
         for message in self._codec.decode(self._link.receive()):
             self.received.append(Received(now_s, message))
             self._obey(message)
         for message_id, due_s in list(self._due_s.items()):
             if now_s >= due_s:
                 self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
-                self._send(self._streams[message_id]())
+                self._say(message_id)
 
     @property
     def boot_s(self) -> float:
         """Seconds since boot, now."""
         return (self._clock_ns() - self._boot_ns) / 1e9
+
+    def _say(self, message_id: int) -> bool:
+        """Send one message of that kind, if it has anything to tell."""
+        message = ENCODERS[message_id](self._knowledge())
+        if message is not None:
+            self._send(message)
+        return message is not None
 
     def _send(self, message: Message) -> None:
         self._link.send(self._codec.encode(message))
@@ -134,6 +140,12 @@ class SimulatedAutopilot:
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
             self._send(mavlink.MAVLink_timesync_message(self._clock_ns() - self._boot_ns, message.ts1))
+        elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
+            self.inputs.sensor(message, self._moment())
+        elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
+            self.inputs.vision(message, self._moment())
+        elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+            self._set_origin(message)
         elif kind in COMMANDS and message.target_system in (0, self._codec.system_id):
             self._acknowledge(message, self._execute(message))
 
@@ -150,14 +162,21 @@ class SimulatedAutopilot:
         """Do what a command says; its MAV_RESULT."""
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             return self._set_interval(int(command.param1), command.param2 / 1e6)
-        if command.command != EXTERNAL_POSITION_ESTIMATE:
-            return int(mavlink.MAV_RESULT_UNSUPPORTED)
-        if command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-            return int(mavlink.MAV_RESULT_UNSUPPORTED)
-        return self._accept_fix(command) if self.refuse_fixes_with is None else self.refuse_fixes_with
+        if command.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            said = self._offers(int(command.param1)) and self._say(int(command.param1))
+            return int(mavlink.MAV_RESULT_ACCEPTED if said else mavlink.MAV_RESULT_FAILED)
+        is_fix = command.command == EXTERNAL_POSITION_ESTIMATE
+        if is_fix and command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT and self.refuse_fixes_with is not None:
+            return self.refuse_fixes_with
+        result = self.inputs.command(command, self._moment())
+        return SILENT if is_fix and not self._firmware.acknowledges else result
+
+    def _offers(self, message_id: int) -> bool:
+        accuracy = message_id == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+        return message_id in ENCODERS and (self._firmware.reports_accuracy or not accuracy)
 
     def _set_interval(self, message_id: int, period_s: float) -> int:
-        if message_id not in self._streams:
+        if not self._offers(message_id):
             return int(mavlink.MAV_RESULT_FAILED)
         if period_s > 0:
             self._period_s[message_id] = period_s
@@ -166,91 +185,30 @@ class SimulatedAutopilot:
             self._due_s.pop(message_id, None)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
-    def _accept_fix(self, command: Message) -> int:
-        """COMMAND_INT 43003: a hard horizontal reset to where the vehicle was, unless a rule is against it."""
-        if self._firmware == "ardupilot":
-            if command.frame != mavlink.MAV_FRAME_GLOBAL or not math.isnan(command.z):
-                return int(mavlink.MAV_RESULT_DENIED)
-            if self._clock_ns() / 1e9 - self._gps_lost_s < 1.0:
-                return int(mavlink.MAV_RESULT_FAILED)
-        now_s = self._clock_ns() / 1e9
-        late_s = self.boot_s - command.param1
-        exposure_s = now_s - command.param2 - (late_s if 0 <= late_s < LAG_S else LAG_S)
-        east_m, north_m, _ = pymap3d.geodetic2enu(
-            command.x / 1e7, command.y / 1e7, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
-        )
-        before_m = self.estimate.error_m
-        self.estimate.reset(float(east_m), float(north_m), exposure_s)
-        self.resets.append(Reset(now_s, before_m, self.estimate.error_m))
-        return int(mavlink.MAV_RESULT_ACCEPTED)
+    def _set_origin(self, message: Message) -> None:
+        """An origin is taken once; the vehicle then believes to be there, and says so to all."""
+        if self._origin_m is not None:
+            return
+        self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7)
+        self.estimate.reset(*self._origin_m, self._clock_ns() / 1e9)
+        self._say(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
-    def _boot_ms(self) -> int:
-        return (self._clock_ns() - self._boot_ns) // 1_000_000
+    def _moment(self) -> Moment:
+        gps_lost_s = math.inf if self.gps else self._gps_lost_s
+        return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self._origin_m)
 
-    def _velocity(self) -> tuple[float, float]:
-        """Metres a second, north and east."""
+    def _knowledge(self) -> Knowledge:
         heading_rad = math.radians(self._pose.heading_deg)
-        return self._pose.speed_mps * math.cos(heading_rad), self._pose.speed_mps * math.sin(heading_rad)
-
-    def _geodetic(self) -> tuple[int, int]:
-        """The estimate in degrees x 1e7."""
-        lat_deg, lon_deg, _ = pymap3d.enu2geodetic(
-            self.estimate.east_m, self.estimate.north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
-        )
-        return round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7)
-
-    def _heartbeat(self) -> Message:
-        autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA if self._firmware == "ardupilot" else mavlink.MAV_AUTOPILOT_PX4
-        return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_GROUND_ROVER, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-        )
-
-    def _timesync(self) -> Message:
-        return mavlink.MAVLink_timesync_message(0, self._clock_ns() - self._boot_ns)
-
-    def _global_position(self) -> Message:
-        lat, lon = self._geodetic()
-        north_mps, east_mps = self._velocity()
-        return mavlink.MAVLink_global_position_int_message(
-            self._boot_ms(),
-            lat,
-            lon,
-            round(ORIGIN_ALT_M * 1000),
-            0,
-            round(north_mps * 100),
-            round(east_mps * 100),
-            0,
-            round(self._pose.heading_deg * 100) % 36000,
-        )
-
-    def _local_position(self) -> Message:
-        north_mps, east_mps = self._velocity()
-        return mavlink.MAVLink_local_position_ned_message(
-            self._boot_ms(), self.estimate.north_m, self.estimate.east_m, 0.0, north_mps, east_mps, 0.0
-        )
-
-    def _vfr_hud(self) -> Message:
         speed_mps = self._pose.speed_mps
-        return mavlink.MAVLink_vfr_hud_message(
-            speed_mps, speed_mps, round(self._pose.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0
+        return Knowledge(
+            firmware=self._firmware,
+            boot_ns=self._clock_ns() - self._boot_ns,
+            pose=self._pose,
+            gps=self.gps,
+            east_m=self.estimate.east_m,
+            north_m=self.estimate.north_m,
+            sigma_m=self.estimate.sigma_m,
+            origin_m=self._origin_m,
+            velocity_mps=self.estimate.drifted(speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)),
+            driven_m=self._pose.distance_m * math.hypot(*self.estimate.drifted(1.0, 0.0)),
         )
-
-    def _gps_raw(self) -> Message:
-        if not self.gps:
-            return mavlink.MAVLink_gps_raw_int_message(0, mavlink.GPS_FIX_TYPE_NO_GPS, 0, 0, 0, 65535, 65535, 0, 0, 0)
-        lat_deg, lon_deg = self._pose.geodetic()
-        return mavlink.MAVLink_gps_raw_int_message(
-            self._boot_ms() * 1000,
-            mavlink.GPS_FIX_TYPE_3D_FIX,
-            round(lat_deg * 1e7),
-            round(lon_deg * 1e7),
-            round(ORIGIN_ALT_M * 1000),
-            70,
-            110,
-            round(self._pose.speed_mps * 100),
-            round(self._pose.heading_deg * 100) % 36000,
-            10,
-        )
-
-    def _system_time(self) -> Message:
-        return mavlink.MAVLink_system_time_message(0, self._boot_ms())

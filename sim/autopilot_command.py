@@ -16,6 +16,7 @@ from edge.errors import ConfigError
 from edge.telemetry import open_link
 from sim import Pose
 from sim.autopilot import SimulatedAutopilot
+from sim.firmware import FIRMWARES
 from sim.pty_link import PtyLink, open_pty
 
 if TYPE_CHECKING:
@@ -30,10 +31,11 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal, whose path is printed (default)")
     where.add_argument("--udp", metavar="HOST:PORT", help="speak to HOST:PORT, where a daemon listens with udpin:")
-    parser.add_argument("--firmware", choices=["ardupilot", "px4"], default="ardupilot")
+    parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="drive straight on, default 0: stand")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north, default 0")
     parser.add_argument("--no-gps", action="store_true", help="odometry only")
+    parser.add_argument("--no-origin", action="store_true", help="no origin at boot: it has to be set, or GPS be there")
     parser.add_argument(
         "--drift", metavar="PERCENT", type=float, default=0.0, help="odometry's error in %% of distance"
     )
@@ -49,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         straight_line(arguments.speed, arguments.heading, time.monotonic()),
         firmware=arguments.firmware,
         gps=not arguments.no_gps,
+        has_origin=not arguments.no_origin,
         drift_percent=arguments.drift,
     )
     stop = threading.Event()

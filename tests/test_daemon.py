@@ -18,8 +18,8 @@ from edge.camera.feed import read_feed
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.map_command import build_map
 from edge.telemetry.journal import read_journal
-from sim import Pose
 from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.autopilot_command import straight_line
 from sim.pty_link import PtyLink, open_pty
 
 FRAMES, PERIOD_MS = 80, 60
@@ -48,6 +48,7 @@ def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
         "map": {"path": str(street / "map")},
         "sequence": {"length": 10},
         "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
+        "gates": {"far_matches": 3},
         "telemetry": {"connection": connection, "emit": "external_position", "journal": "events.jsonl"},
     }
     (folder / "lookback.toml").write_text(tomli_w.dumps(config))
@@ -67,12 +68,9 @@ def wait_for(condition: Callable[[], object], what: str, timeout_s: float = 30.0
         time.sleep(0.02)
 
 
-def standing(_: float) -> Pose:
-    return Pose(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) -> None:
-    autopilot = SimulatedAutopilot(cable, standing, gps=False)
+    driving = straight_line(2.0 / PERIOD_MS * 1000, 0.0, time.monotonic())
+    autopilot = SimulatedAutopilot(cable, driving, gps=False)
     stop = threading.Event()
     flying = threading.Thread(target=autopilot.run, args=(stop,))
     flying.start()
@@ -92,8 +90,10 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
         if item.message.get_type() == "COMMAND_INT" and item.message.command == EXTERNAL_POSITION_ESTIMATE
     ]
     assert fixes
-    sent = {round(place["lat_deg"] * 1e7) for place in places}
-    assert {fix.x for fix in fixes} <= sent
+    # Between places, as the journal has them: one every 2 m, due north.
+    assert {fix.x for fix in fixes} == {round(sent["lat_deg"] * 1e7) for sent in journal(tmp_path, "fix_sent")}
+    assert all(-270000000 <= fix.x <= -270000000 + FRAMES * 2 * 90.3 for fix in fixes)
+    assert "ACCEPTED" in {answer["result"] for answer in journal(tmp_path, "fix_answered")}
     assert all(0 < fix.param2 < 1 for fix in fixes)
     texts = [item.message.text for item in autopilot.received if item.message.get_type() == "STATUSTEXT"]
     assert texts

@@ -1,8 +1,11 @@
 """Telemetry: what the robot says about itself comes in, place fixes go out, over MAVLink 2.
 
-`link` is the serial port or the socket, `codec` turns its bytes into messages, `vehicle` reads them (with
-`boot_clock` for the autopilot's time and `odometer` for metres driven), `fixes` writes ours, `autopilot` joins
-them into the one object that the daemon polls, and `journal` keeps what happened.
+`link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` keeps it
+open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time and `odometer` for metres driven.
+`fixes` writes what we send, `ways` says which message carries a position to which firmware, `gates` when it may go,
+`answers` what an acknowledgement means, and `positions` joins those. `manners` keeps the link as others expect it,
+`texts` and `reports` tell people. `autopilot` joins all into the one object that the daemon polls, and `journal`
+keeps what happened.
 """
 
 from __future__ import annotations
@@ -17,10 +20,12 @@ from edge.telemetry.link import Link, parse_connection
 class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):
     """A recognised place, as the robot is told of it and as the journal keeps it.
 
-    stamp_ns: exposure of the frame, on CLOCK_MONOTONIC. place: row of the reference map. Latitude and longitude in
-    degrees (WGS 84) and heading in degrees clockwise from north, each None where the map does not know it.
-    sigma_m: one standard deviation, horizontal. direction: of travel against the map's. order: whether left and
-    right regions matched their own side or the other. uniqueness: second-best cost over the best, outside a window.
+    stamp_ns: the moment that the position is of, on CLOCK_MONOTONIC: an exposure, or one that the position was moved
+    on to. place: row of the reference map. Latitude and longitude in degrees (WGS 84) and heading of travel in degrees
+    clockwise from north, each None where the map does not know it. sigma_along_m, sigma_across_m: one standard
+    deviation along and across the route. direction: of travel against the map's. order: whether left and right
+    regions matched their own side or the other. uniqueness: second-best cost over the best, outside a window.
+    category: what kind of place, "" where nobody asked. matches: how many in a row agree with the distance driven.
     """
 
     stamp_ns: int
@@ -28,11 +33,18 @@ class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):
     lat_deg: float | None
     lon_deg: float | None
     heading_deg: float | None
-    sigma_m: float
+    sigma_along_m: float
+    sigma_across_m: float
     direction: Literal["forward", "reverse"]
     order: Literal["same", "swapped"]
     uniqueness: float
-    category: str
+    category: str = ""
+    matches: int = 1
+
+    @property
+    def sigma_m(self) -> float:
+        """The larger of both: autopilots take one number for every direction."""
+        return max(self.sigma_along_m, self.sigma_across_m)
 
 
 def open_link(connection: str) -> Link:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from pymavlink.dialects.v20 import common as mavlink
+from edge.telemetry.signing import MavlinkCodecState, Signer
 
 # pymavlink's messages have no static types; `Message` says where one is meant.
 Message: TypeAlias = Any
@@ -18,10 +18,14 @@ TRIM_BYTES = 16_384
 class MavlinkCodec:
     """One end of one link: its identity, its sequence counter and its half-read frame."""
 
-    def __init__(self, system_id: int, component_id: int) -> None:
+    def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
+        """With a `signer` all that goes out is signed, and nothing unsigned is decoded."""
         self.component_id = component_id
-        self._mavlink = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._mavlink = MavlinkCodecState(None, srcSystem=system_id, srcComponent=component_id)
         self._mavlink.robust_parsing = True  # noise becomes BAD_DATA instead of an exception
+        self._signer = signer
+        if signer is not None:
+            signer.attach(self._mavlink)
 
     @property
     def system_id(self) -> int:
@@ -32,8 +36,20 @@ class MavlinkCodec:
     def system_id(self, system_id: int) -> None:
         self._mavlink.srcSystem = system_id
 
+    @property
+    def signs(self) -> bool:
+        """Whether frames are signed."""
+        return self._signer is not None
+
+    @property
+    def has_heard_signed(self) -> bool:
+        """Whether a frame with a good signature has arrived."""
+        return int(self._mavlink.signing.goodsig_count) > 0
+
     def encode(self, message: Message) -> bytes:
         """One MAVLink 2 frame with the next sequence number."""
+        if self._signer is not None:
+            self._signer.advance(self._mavlink)
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame

@@ -39,6 +39,11 @@ class Odometer:
         if len(self._stamps_ns) > 2 * KEPT:
             del self._stamps_ns[:KEPT], self._distances_m[:KEPT]
 
+    @property
+    def total_m(self) -> float | None:
+        """All metres driven up to the newest report, None before the first."""
+        return self._distances_m[-1] if self._distances_m else None
+
     def distance_m(self, stamp_ns: int) -> float | None:
         """Metres driven at `stamp_ns`; None when no speed was known around then. Never less than it was before."""
         index = bisect_right(self._stamps_ns, stamp_ns)

@@ -19,6 +19,8 @@ from edge.telemetry.odometer import Odometer
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
 GPS_FRESH_NS = 3_000_000_000
+ACCURACY_FRESH_NS = 3_000_000_000
+WHEELS_APART_NS = 2_500_000_000
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 HEADING_UNKNOWN = 65535
 
@@ -35,6 +37,17 @@ class VehiclePosition:
     alt_m: float
     heading_deg: float | None
     speed_mps: float
+    north_mps: float = 0.0
+    east_mps: float = 0.0
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the autopilot's filter has its local zero: degrees (WGS 84), metres above mean sea level."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
 
 
 class Vehicle:
@@ -50,6 +63,10 @@ class Vehicle:
         self.connected = False
         self.session = 0
         """Counts up when the link comes up and when the autopilot reboots: ask for streams again."""
+        self.version: tuple[int, int] | None = None
+        """Major and minor of the firmware, once it has told them (AUTOPILOT_VERSION)."""
+        self.origin: Origin | None = None
+        """None until the autopilot has told one (GPS_GLOBAL_ORIGIN): it may have none."""
         self._heard_ns: dict[int, int] = {}
         self._clock = BootClock()
         self._newest_boot_ms = -1
@@ -57,13 +74,20 @@ class Vehicle:
         self._odometer = Odometer()
         self._position: VehiclePosition | None = None
         self._gps_healthy_ns: int | None = None
+        self._accuracy: tuple[int, float] | None = None
+        self._wheels: tuple[int, float] | None = None
         self._readers: dict[int, Callable[[Message, int], None]] = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._read_global_position,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._read_local_position,
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
+            mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: self._read_wheels,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: self._read_vfr_hud,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._read_system_time,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._read_timesync,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._read_estimator,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._read_origin,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._read_version,
         }
 
     def handle(self, message: Message, now_ns: int) -> bool:
@@ -103,6 +127,10 @@ class Vehicle:
         """Metres driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._odometer.distance_m(stamp_ns)
 
+    def driven_m(self, now_ns: int) -> float | None:
+        """Metres driven up to the newest report; None when no speed has come for a second."""
+        return None if self._odometer.speed_mps(now_ns) is None else self._odometer.total_m
+
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""
         return self._odometer.speed_mps(now_ns)
@@ -116,6 +144,12 @@ class Vehicle:
     def gps_healthy(self, now_ns: int) -> bool:
         """Whether a GPS reported a 3-D fix within the last three seconds."""
         return self._gps_healthy_ns is not None and now_ns - self._gps_healthy_ns <= GPS_FRESH_NS
+
+    def accuracy_m(self, now_ns: int) -> float | None:
+        """What the autopilot says its horizontal position is good for, None where it says nothing (ArduPilot)."""
+        if self._accuracy is None or now_ns - self._accuracy[0] > ACCURACY_FRESH_NS:
+            return None
+        return self._accuracy[1]
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
         sender = message.get_srcSystem()
@@ -133,6 +167,8 @@ class Vehicle:
         self._clock = BootClock()
         self._newest_boot_ms = -1
         self._gps_healthy_ns = None
+        self._accuracy = self._wheels = None
+        self.origin = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
         """Take a message's stamp into the boot clock; returns the same moment on CLOCK_MONOTONIC."""
@@ -153,15 +189,45 @@ class Vehicle:
         self._odometer.add(stamp_ns, speed_mps, source=1)
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
         self._position = VehiclePosition(
-            stamp_ns, message.lat / 1e7, message.lon / 1e7, message.alt / 1000, heading_deg, speed_mps
+            stamp_ns,
+            message.lat / 1e7,
+            message.lon / 1e7,
+            message.alt / 1000,
+            heading_deg,
+            speed_mps,
+            message.vx / 100,
+            message.vy / 100,
         )
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         self._odometer.add(stamp_ns, math.hypot(message.vx, message.vy), source=0)
 
+    def _read_odometry(self, message: Message, now_ns: int) -> None:
+        # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.
+        self._odometer.add(now_ns, math.hypot(message.vx, message.vy), source=2)
+
+    def _read_wheels(self, message: Message, now_ns: int) -> None:
+        """Cumulative metres of up to 16 wheels; both sides turn against each other on the spot, so take the mean."""
+        stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
+        driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
+        before, self._wheels = self._wheels, (stamp_ns, driven_m)
+        if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
+            self._odometer.add(stamp_ns, abs(driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
+
     def _read_vfr_hud(self, message: Message, now_ns: int) -> None:
-        self._odometer.add(now_ns, message.groundspeed, source=2)
+        self._odometer.add(now_ns, message.groundspeed, source=4)
+
+    def _read_estimator(self, message: Message, now_ns: int) -> None:
+        if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:
+            self._accuracy = now_ns, message.pos_horiz_accuracy
+
+    def _read_origin(self, message: Message, now_ns: int) -> None:
+        if message.latitude or message.longitude:
+            self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
+
+    def _read_version(self, message: Message, now_ns: int) -> None:
+        self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
     def _read_gps(self, message: Message, now_ns: int) -> None:
         if mavlink.GPS_FIX_TYPE_3D_FIX <= message.fix_type <= mavlink.GPS_FIX_TYPE_RTK_FIXED:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import TelemetryConfig
+from edge.config import GatesConfig, TelemetryConfig
 from edge.errors import ConfigError
 from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
@@ -21,20 +21,26 @@ from sim.pty_link import PtyLink, open_pty
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
+LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1)
+STREAMS = {33, 32, 74, 9000, 24, 2, 230}
 
 
 class Rig:
     """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
 
-    def __init__(self, folder: Path, emit: Any = "report", **autopilot: Any) -> None:
+    def __init__(
+        self, folder: Path, emit: Any = "report", gates: GatesConfig = LENIENT, config: Any = None, **autopilot: Any
+    ) -> None:
         self.now_ns = START_NS
         self.port = folder / "autopilot"
         self.journal = Journal(folder / "events.jsonl")
         self.options = autopilot
         self.pty: PtyLink | None = None
         self.plug()
-        config = TelemetryConfig(connection=f"serial:{self.port}:921600", emit=emit)
-        self.connection = AutopilotConnection(config, lambda: self.now_ns, self.journal.write)
+        options = {"connection": f"serial:{self.port}:921600", "emit": emit, **(config or {})}
+        self.connection = AutopilotConnection(
+            TelemetryConfig(**options), lambda: self.now_ns, self.journal.write, gates
+        )
 
     def plug(self) -> None:
         self.pty = open_pty()
@@ -75,11 +81,13 @@ class Rig:
             "lat_deg": lat_deg,
             "lon_deg": lon_deg,
             "heading_deg": 60.0,
-            "sigma_m": 6.0,
+            "sigma_along_m": 6.0,
+            "sigma_across_m": 2.0,
             "direction": "reverse",
             "order": "same",
             "uniqueness": 1.31,
             "category": "street",
+            "matches": 20,
         }
         return PlaceFix(**{**fields, **changes})
 
@@ -106,7 +114,8 @@ def test_heartbeats_go_out_and_the_link_comes_up_with_streams(rig: Rig) -> None:
     heartbeats = rig.received("HEARTBEAT")
     assert len(heartbeats) == pytest.approx(7, abs=2)
     assert {(m.get_srcSystem(), m.get_srcComponent(), m.type, m.autopilot) for m in heartbeats} == {(1, 191, 18, 8)}
-    assert {int(m.param1) for m in rig.received("COMMAND_LONG")} == {33, 32, 74, 24, 2}
+    assert {int(m.param1) for m in rig.received("COMMAND_LONG") if m.command == 511} == STREAMS
+    assert {int(m.param1) for m in rig.received("COMMAND_LONG") if m.command == 512} == {148, 49}
     assert [record["state"] for record in rig.journalled("link")] == ["waiting", "up"]
 
 
@@ -135,17 +144,21 @@ def test_the_autopilots_own_system_id_is_taken(tmp_path: Path) -> None:
 
 def test_report_sends_text_and_no_position(rig: Rig) -> None:
     rig.run(4.0)
-    assert not rig.connection.send_fix(rig.fix())
+    rig.connection.tell_place(rig.fix())
+    assert rig.connection.position_wanted() is None
+    assert not rig.connection.send_position(rig.fix())
     rig.run(2.0)
     assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, street, 1.31"]
-    assert rig.received("NAMED_VALUE_FLOAT")[0].value == pytest.approx(1.31)
+    values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}
+    assert values == {"uniqueness": pytest.approx(1.31), "fix_sigma": pytest.approx(6.0)}
+    assert [(message.name, message.value) for message in rig.received("NAMED_VALUE_INT")] == [("place", 42)]
     assert not rig.received("COMMAND_INT")
 
 
 @external
 def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None:
     rig.run(4.0)
-    assert rig.connection.send_fix(rig.fix(age_s=1.5))
+    assert rig.connection.send_position(rig.fix(age_s=1.5))
     rig.run(1.0)
     command = rig.received("COMMAND_INT")[0]
     assert (command.command, command.frame, command.target_system, command.target_component) == (43003, 0, 1, 1)
@@ -160,14 +173,15 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
 @pytest.mark.parametrize("fix", [{"lat_deg": None, "lon_deg": None}, {"age_s": 6.0}, {"age_s": -0.2}])
 def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, fix: dict[str, Any]) -> None:
     rig.run(4.0)
-    assert not rig.connection.send_fix(rig.fix(**fix))
+    assert not rig.connection.send_position(rig.fix(**fix))
     rig.run(1.0)
     assert not rig.received("COMMAND_INT")
 
 
 @external
 def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> None:
-    assert not rig.connection.send_fix(rig.fix())
+    assert not rig.connection.send_position(rig.fix())
+    rig.connection.tell_place(rig.fix())
     rig.run(6.0)
     assert not rig.received("COMMAND_INT")
     assert not rig.received("STATUSTEXT")
@@ -177,17 +191,17 @@ def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> 
 def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -> None:
     rig.run(4.0)
     rig.unplug()
-    assert not rig.connection.send_fix(rig.fix())
+    rig.connection.send_position(rig.fix())
     assert rig.connection.state == "closed"
     assert not rig.connection.vehicle.connected
-    assert not rig.journalled("fix_sent")
+    assert not rig.connection.send_position(rig.fix())
 
 
 @external
 def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -> None:
     rig.run(4.0)
     rig.autopilot.refuse_fixes_with = SILENT
-    assert rig.connection.send_fix(rig.fix())
+    assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
     assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
     assert rig.connection.positions_enabled
@@ -197,7 +211,7 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
 def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     rig.run(4.0)
     rig.autopilot.refuse_fixes_with = SILENT
-    assert rig.connection.send_fix(rig.fix())
+    assert rig.connection.send_position(rig.fix())
     denied = mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 197)
     assert rig.pty is not None
     rig.pty.send(MavlinkCodec(1, 1).encode(denied))
@@ -210,15 +224,15 @@ def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
 def test_a_denied_position_is_the_last_until_the_autopilot_reboots(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.run(4.0)
     rig.autopilot.refuse_fixes_with = 2  # MAV_RESULT_DENIED
-    assert rig.connection.send_fix(rig.fix())
+    assert rig.connection.send_position(rig.fix())
     rig.run(1.0)
-    assert not rig.connection.send_fix(rig.fix())
+    assert not rig.connection.send_position(rig.fix())
     assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [
         "the autopilot answered DENIED: no more positions until it reboots"
     ]
     rig.autopilot.reboot()
     rig.run(7.0)
-    assert rig.connection.send_fix(rig.fix())
+    assert rig.connection.send_position(rig.fix())
 
 
 def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> None:
@@ -296,11 +310,13 @@ def test_recorded_autopilots_played_into_the_port(
         sent += codec.decode(rig.pty.receive())
         if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
             next_fix_ns = rig.now_ns + 1_000_000_000
-            assert not rig.connection.send_fix(rig.fix())
+            rig.connection.tell_place(rig.fix())
+            assert not rig.connection.send_position(rig.fix())
     assert rig.connection.state == "up"
     assert rig.connection.vehicle.boot_time_s(rig.now_ns) is not None
     names = {message.get_type() for message in sent}
-    assert names == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", "NAMED_VALUE_FLOAT"}
-    assert {message.command for message in sent if message.get_type() == "COMMAND_LONG"} == {511}
+    values = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
+    assert names == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *values}
+    assert {message.command for message in sent if message.get_type() == "COMMAND_LONG"} == {511, 512}
     assert any(message.tc1 for message in sent if message.get_type() == "TIMESYNC")
     rig.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tracemalloc
 from typing import Any
@@ -12,8 +13,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry import PlaceFix, fixes
 from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.fixes import Sending
+from edge.telemetry.vehicle import Origin
 
-FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.5, "reverse", "swapped", 1.234, "residential_street")
+FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.5, 2.0, "reverse", "swapped", 1.234, "residential_street", 5)
+ORIGIN = Origin(-27.478, 153.028, 20.0)
+SENDING = Sending(5, 12345.678, 0.42, 3, ORIGIN, -1.5, 7)
 
 
 def carried(message: Any) -> Any:
@@ -29,7 +34,7 @@ def test_heartbeat() -> None:
 
 
 def test_external_position() -> None:
-    message = carried(fixes.external_position(FIX, 5, 12345.678, 0.42))
+    message = carried(fixes.external_position(FIX, SENDING))
     assert message.get_type() == "COMMAND_INT"
     assert (message.target_system, message.target_component) == (5, 1)
     assert (message.command, message.frame) == (43003, 0)
@@ -38,10 +43,13 @@ def test_external_position() -> None:
     assert (message.param1, message.param2, message.param3) == pytest.approx((12345.678, 0.42, 7.5), rel=1e-6)
 
 
-@pytest.mark.parametrize("change", [{"lat_deg": None}, {"lon_deg": None}, {"sigma_m": math.inf}, {"sigma_m": math.nan}])
-def test_a_fix_that_must_not_become_a_position(change: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "change", [{"lat_deg": None}, {"lon_deg": None}, {"sigma_along_m": math.inf}, {"sigma_along_m": math.nan}]
+)
+@pytest.mark.parametrize("encode", [fixes.external_position, fixes.global_position_sensor, fixes.vision_position])
+def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="finite sigma"):
-        fixes.external_position(replace(FIX, **change), 1, 1.0, 0.1)
+        encode(replace(FIX, **change), SENDING)
 
 
 def test_a_fix_fits_into_one_status_text() -> None:
@@ -63,10 +71,46 @@ def test_status_text_of_any_length(size: int) -> None:
         assert len(chunks[-1].text) < 50, "the last chunk ends with a null byte"
 
 
-def test_named_value() -> None:
-    message = carried(fixes.uniqueness_value(FIX, 2**32 + 5))
-    assert (message.name, message.time_boot_ms) == ("uniqueness", 5)
-    assert message.value == pytest.approx(1.234)
+def test_plotted_values() -> None:
+    messages = [carried(message) for message in fixes.plotted_values(FIX, 2**32 + 5)]
+    assert {message.time_boot_ms for message in messages} == {5}
+    values = {message.name: message.value for message in messages}
+    assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": 7.5, "place": 1207}
+
+
+def test_global_position_sensor() -> None:
+    message = carried(fixes.global_position_sensor(FIX, SENDING))
+    assert message.get_msgId() == 296
+    assert (message.target_system, message.target_component, message.id, message.source) == (5, 1, 3, 2)
+    assert (message.lat, message.lon, message.eph, message.flags) == (-274772001, 1530283002, 7.5, 0)
+    assert message.time_usec == 12_345_678_000
+    assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
+
+
+def test_vision_position_is_in_metres_from_the_origin_and_has_no_height_of_its_own() -> None:
+    message = carried(fixes.vision_position(FIX, SENDING))
+    assert message.get_msgId() == 102
+    assert (message.x, message.y, message.z) == pytest.approx((88.62, 29.67, -1.5), abs=0.05)
+    assert message.yaw == pytest.approx(math.radians(182.5 - 360))
+    assert (message.usec, message.reset_counter) == (12_345_678_000, 7)
+    assert [message.covariance[index] for index in (0, 6, 11)] == [7.5**2] * 3
+    assert not any(map(math.isnan, message.covariance))
+    with pytest.raises(ValueError, match="origin"):
+        fixes.vision_position(FIX, replace_sending(origin=None))
+
+
+def replace_sending(**changes: Any) -> Sending:
+    return dataclasses.replace(SENDING, **changes)
+
+
+def test_origin_source_set_and_requests() -> None:
+    origin = carried(fixes.set_origin(5, ORIGIN))
+    assert (origin.target_system, origin.latitude, origin.longitude) == (5, -274780000, 1530280000)
+    assert origin.altitude == 20_000
+    chosen = carried(fixes.source_set(5, 2))
+    assert (chosen.command, chosen.param1, chosen.target_component) == (42007, 2, 1)
+    asked = carried(fixes.message_request(5, 148))
+    assert (asked.command, asked.param1) == (512, 148)
 
 
 def test_stream_request_and_timesync() -> None:
@@ -86,7 +130,7 @@ def test_sequence_numbers_count_up_and_wrap() -> None:
 
 def test_frames_cut_anywhere_arrive_whole() -> None:
     sender, receiver = MavlinkCodec(1, 191), MavlinkCodec(1, 1)
-    frames = b"".join(sender.encode(fixes.external_position(FIX, 1, 1.0, 0.1)) for _ in range(20))
+    frames = b"".join(sender.encode(fixes.external_position(FIX, SENDING)) for _ in range(20))
     cut = [message for start in range(0, len(frames), 7) for message in receiver.decode(frames[start : start + 7])]
     assert len(cut) == 20
 

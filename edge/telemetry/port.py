@@ -1,0 +1,90 @@
+"""A link that is kept: opened, and when it is lost opened again, with growing pauses. Nothing blocks."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from edge.errors import LinkLost
+from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.link import Connection, Link
+
+RETRY_FIRST_NS = 500_000_000
+RETRY_LAST_NS = 8_000_000_000
+SIGNED_SILENCE_NS = 3_000_000_000
+"""With signing, listen first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
+
+log = logging.getLogger(__name__)
+
+
+class Port:
+    """Messages in and out over a link that may come and go; LinkLost never leaves this class."""
+
+    def __init__(self, connection: Connection, codec: MavlinkCodec, clock_ns: Callable[[], int]) -> None:
+        self.connection = connection
+        self.codec = codec
+        self.why_closed = ""
+        self._clock_ns = clock_ns
+        self._link: Link | None = None
+        self._opened_ns = 0
+        self._next_try_ns = 0
+        self._pause_ns = RETRY_FIRST_NS
+        self._told = ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a link; it may still be silent."""
+        return self._link is not None
+
+    def open_if_due(self, now_ns: int) -> bool:
+        """Open a closed port once its pause is over; True when it is open."""
+        if self._link is None and now_ns >= self._next_try_ns:
+            log.debug("opening %s", self.connection)
+            try:
+                self._link, self._opened_ns = self.connection.open(), now_ns
+            except LinkLost as error:
+                self._lose(str(error))
+        return self._link is not None
+
+    def receive(self) -> list[Message]:
+        """The messages that have arrived since the last call."""
+        if self._link is None:
+            return []
+        try:
+            return self.codec.decode(self._link.receive())
+        except LinkLost as error:
+            self._lose(str(error))
+            return []
+
+    def send(self, message: Message) -> bool:
+        """Send one message; False when it was dropped: no port, no room, or signing and still listening."""
+        if self._link is None or self._still_listening():
+            return False
+        try:
+            return self._link.send(self.codec.encode(message))
+        except LinkLost as error:
+            self._lose(str(error))
+            return False
+
+    def proved(self) -> None:
+        """A peer has answered: the next loss begins with short pauses again, and is told again."""
+        self._told, self._pause_ns = "", RETRY_FIRST_NS
+
+    def close(self) -> None:
+        """Release the port; more than once is harmless, and `open_if_due` would open it again."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def _still_listening(self) -> bool:
+        codec = self.codec
+        return codec.signs and not codec.has_heard_signed and self._clock_ns() - self._opened_ns < SIGNED_SILENCE_NS
+
+    def _lose(self, why: str) -> None:
+        self.close()
+        self.why_closed = why
+        self._next_try_ns = self._clock_ns() + self._pause_ns
+        self._pause_ns = min(2 * self._pause_ns, RETRY_LAST_NS)
+        if why != self._told:  # one line for each new reason, not one for each try
+            self._told = why
+            log.warning("%s; trying again", why)

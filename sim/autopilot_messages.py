@@ -1,0 +1,179 @@
+"""What the simulated autopilot says: one encoder for each message, of a snapshot of what it knows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pymap3d
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.codec import Message
+from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.firmware import Firmware
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the autopilot knows at one moment.
+
+    pose: the truth, which only GPS and compass may tell. east_m, north_m, sigma_m: the filter's estimate in the
+    simulation's frame. origin_m: the filter's local zero there, None while it has none. velocity_mps: east and north,
+    as the filter has it. driven_m: what the wheels have counted.
+    """
+
+    firmware: Firmware
+    boot_ns: int
+    pose: Pose
+    gps: bool
+    east_m: float
+    north_m: float
+    sigma_m: float
+    origin_m: tuple[float, float] | None
+    velocity_mps: tuple[float, float]
+    driven_m: float
+
+    @property
+    def boot_ms(self) -> int:
+        """Milliseconds since boot."""
+        return self.boot_ns // 1_000_000
+
+    @property
+    def speed_mps(self) -> float:
+        """Ground speed as the filter has it."""
+        return math.hypot(*self.velocity_mps)
+
+    @property
+    def heading_cdeg(self) -> int:
+        """Hundredths of a degree clockwise from north."""
+        return round(self.pose.heading_deg * 100) % 36000
+
+
+def _degrees(east_m: float, north_m: float) -> tuple[int, int]:
+    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
+    return round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7)
+
+
+def _heartbeat(know: Knowledge) -> Message:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_GROUND_ROVER, know.firmware.autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+
+
+def _timesync(know: Knowledge) -> Message:
+    return mavlink.MAVLink_timesync_message(0, know.boot_ns)
+
+
+def _global_position(know: Knowledge) -> Message:
+    east_mps, north_mps = know.velocity_mps
+    # Without an origin the position is that of nowhere, and so is the velocity.
+    lat, lon = _degrees(know.east_m, know.north_m) if know.origin_m is not None else (0, 0)
+    return mavlink.MAVLink_global_position_int_message(
+        know.boot_ms,
+        lat,
+        lon,
+        round(ORIGIN_ALT_M * 1000),
+        0,
+        round(north_mps * 100),
+        round(east_mps * 100),
+        0,
+        know.heading_cdeg,
+    )
+
+
+def _local_position(know: Knowledge) -> Message:
+    east_mps, north_mps = know.velocity_mps
+    origin_east_m, origin_north_m = know.origin_m or (0.0, 0.0)
+    return mavlink.MAVLink_local_position_ned_message(
+        know.boot_ms, know.north_m - origin_north_m, know.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
+    )
+
+
+def _vfr_hud(know: Knowledge) -> Message:
+    speed_mps = know.speed_mps
+    return mavlink.MAVLink_vfr_hud_message(
+        speed_mps, speed_mps, round(know.pose.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0
+    )
+
+
+def _gps_raw(know: Knowledge) -> Message:
+    if not know.gps:
+        return mavlink.MAVLink_gps_raw_int_message(0, mavlink.GPS_FIX_TYPE_NO_GPS, 0, 0, 0, 65535, 65535, 0, 0, 0)
+    lat, lon = _degrees(know.pose.east_m, know.pose.north_m)
+    return mavlink.MAVLink_gps_raw_int_message(
+        know.boot_ms * 1000,
+        mavlink.GPS_FIX_TYPE_3D_FIX,
+        lat,
+        lon,
+        round(ORIGIN_ALT_M * 1000),
+        70,
+        110,
+        round(know.pose.speed_mps * 100),
+        know.heading_cdeg,
+        10,
+    )
+
+
+def _system_time(know: Knowledge) -> Message:
+    return mavlink.MAVLink_system_time_message(0, know.boot_ms)
+
+
+def _wheel_distance(know: Knowledge) -> Message:
+    return mavlink.MAVLink_wheel_distance_message(know.boot_ns // 1000, 2, [know.driven_m] * 2 + [0.0] * 14)
+
+
+def _odometry(know: Knowledge) -> Message:
+    half_rad = math.radians(know.pose.heading_deg) / 2
+    return mavlink.MAVLink_odometry_message(
+        know.boot_ns // 1000,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_BODY_FRD,
+        know.north_m,
+        know.east_m,
+        0.0,
+        [math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)],
+        know.speed_mps,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        [math.nan] * 21,
+        [math.nan] * 21,
+    )
+
+
+def _estimator_status(know: Knowledge) -> Message:
+    return mavlink.MAVLink_estimator_status_message(know.boot_ns // 1000, 0, 0, 0, 0, 0, 0, 0, know.sigma_m, 1.0)
+
+
+def _origin(know: Knowledge) -> Message | None:
+    if know.origin_m is None:
+        return None
+    return mavlink.MAVLink_gps_global_origin_message(
+        *_degrees(*know.origin_m), round(ORIGIN_ALT_M * 1000), know.boot_ns // 1000
+    )
+
+
+def _version(know: Knowledge) -> Message:
+    major, minor, patch = know.firmware.version
+    software = major << 24 | minor << 16 | patch << 8 | 255
+    return mavlink.MAVLink_autopilot_version_message(0, software, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+
+
+ENCODERS: dict[int, Callable[[Knowledge], Message | None]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: _wheel_distance,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
+}
+"""What can be asked for; ESTIMATOR_STATUS only of firmware that reports its accuracy."""

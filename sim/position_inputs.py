@@ -1,0 +1,128 @@
+"""The simulated autopilot's ear for positions: which it takes, when, and what they do to its estimate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pymap3d
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.codec import Message
+from edge.telemetry.fixes import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
+from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
+from sim.dead_reckoning import DeadReckoning
+from sim.firmware import Firmware
+
+LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
+OTHER_POSITION_S = 1.0
+VISION_SET = 2
+
+
+@dataclass(frozen=True)
+class Reset:
+    """A position that was taken, and the estimate's distance from the truth before and after it."""
+
+    time_s: float
+    error_before_m: float
+    error_after_m: float
+
+
+@dataclass
+class Moment:
+    """What the ear has to know besides the message: seconds on two clocks, and what the vehicle has.
+
+    gps_lost_s: since when there is no GPS, infinity while there is. origin_m: the filter's local zero, metres east and
+    north of the simulation's; None while it has none.
+    """
+
+    now_s: float
+    boot_s: float
+    gps_lost_s: float
+    origin_m: tuple[float, float] | None
+
+
+class PositionInputs:
+    """Takes positions as one firmware does."""
+
+    def __init__(self, firmware: Firmware, estimate: DeadReckoning) -> None:
+        self._firmware = firmware
+        self._estimate = estimate
+        self.resets: list[Reset] = []
+        """Hard resets by 43003, and jumps that vision asked for."""
+        self.fused: list[Reset] = []
+        """Gated corrections by a stream."""
+        self.source_set = 1
+        self._jump_counter: int | None = None
+
+    def command(self, command: Message, moment: Moment) -> int:
+        """Answer 43003 or 42007 with a MAV_RESULT."""
+        firmware = self._firmware
+        if command.command == SET_EKF_SOURCE_SET:
+            if not firmware.takes_vision:
+                return int(mavlink.MAV_RESULT_UNSUPPORTED)
+            self.source_set = int(command.param1)
+            return int(mavlink.MAV_RESULT_ACCEPTED)
+        as_long = command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG
+        if command.command != EXTERNAL_POSITION_ESTIMATE or (as_long and not firmware.takes_fix_as_long):
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        if as_long:
+            return self._take_fix(command, command.param5, command.param6, moment)
+        if firmware.denies_height and (command.frame != mavlink.MAV_FRAME_GLOBAL or not math.isnan(command.z)):
+            return int(mavlink.MAV_RESULT_DENIED)
+        return self._take_fix(command, command.x / 1e7, command.y / 1e7, moment)
+
+    def _take_fix(self, command: Message, lat_deg: float, lon_deg: float, moment: Moment) -> int:
+        """A hard horizontal reset to where the vehicle was, unless a rule is against it."""
+        without_gps_s = moment.now_s - moment.gps_lost_s
+        if not self._would_take(without_gps_s, moment):
+            return self._firmware.fix_refused
+        age_s = min(command.param2, self._firmware.oldest_fix_s)
+        if self._firmware.corrects_lag:
+            late_s = moment.boot_s - command.param1
+            age_s += late_s if 0 <= late_s < LAG_S else LAG_S
+        if without_gps_s <= self._firmware.uses_filter_for_s:
+            self._reset(*east_north_m(lat_deg, lon_deg), moment, age_s, command.param3)
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _would_take(self, without_gps_s: float, moment: Moment) -> bool:
+        if self._firmware.takes_fix == "aiding":
+            return moment.origin_m is not None and OTHER_POSITION_S <= without_gps_s <= self._firmware.aids_for_s
+        return self._firmware.takes_fix == "always" or without_gps_s > 0
+
+    def sensor(self, message: Message, moment: Moment) -> None:
+        """GLOBAL_POSITION_SENSOR: gated, its times ignored."""
+        if self._firmware.takes_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
+            self._fuse(*east_north_m(message.lat / 1e7, message.lon / 1e7), moment, message.eph)
+
+    def vision(self, message: Message, moment: Moment) -> None:
+        """VISION_POSITION_ESTIMATE: metres from the origin, gated but for a changed reset_counter."""
+        if not self._firmware.takes_vision or self.source_set != VISION_SET or moment.origin_m is None:
+            return
+        east_m, north_m = message.y + moment.origin_m[0], message.x + moment.origin_m[1]
+        # ArduPilot's own reading of the covariance.
+        sigma_m = sum(message.covariance[index] ** 2 for index in (0, 6, 11)) ** (1 / 3)
+        jumped = self._jump_counter not in (None, message.reset_counter)
+        self._jump_counter = message.reset_counter
+        if jumped:
+            self._reset(east_m, north_m, moment, 0.0, sigma_m)
+        else:
+            self._fuse(east_m, north_m, moment, sigma_m)
+
+    def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
+        before_m = self._estimate.error_m
+        self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
+        self.resets.append(Reset(moment.now_s, before_m, self._estimate.error_m))
+
+    def _fuse(self, east_m: float, north_m: float, moment: Moment, sigma_m: float) -> None:
+        before_m = self._estimate.error_m
+        if self._estimate.fuse(east_m, north_m, moment.now_s, sigma_m):
+            self.fused.append(Reset(moment.now_s, before_m, self._estimate.error_m))
+
+
+def east_north_m(lat_deg: float, lon_deg: float) -> tuple[float, float]:
+    """Metres east and north of the simulation's origin."""
+    east_m, north_m, _ = pymap3d.geodetic2enu(
+        lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
+    )
+    return float(east_m), float(north_m)
