@@ -1,7 +1,7 @@
 """Cameras: recorded feed, V4L2, OAK, or an installed plug-in (the simulator); all hand on a `Frame`.
 
 `feed` is the file format (`feed_rows` its table) and `recorded` plays it. `v4l2` and `oak` are devices, which say in
-`settings` what they did not accept. `newest` is the one thread, which keeps only the newest frame of any of them and
+`settings` what they did not accept. `picture` finds blank and frozen pictures. `newest` is the one thread, which keeps only the newest frame of any of them and
 opens a lost camera again. A further camera is a module with a class that has the two methods of `Camera`, and a line in
 `open_camera`; or, outside this package, an entry point `lookback.cameras`.
 """
@@ -42,6 +42,8 @@ class Camera(Protocol):
 
     differences: tuple[str, ...]
     """What the device did not accept, read back after opening: "fps: asked for 30, device gives 25"."""
+    read_timeout_s: float
+    """read() comes back within this time, with a frame or an error, unless the driver hangs."""
 
     def read(self) -> Frame | None:
         """Block until the next frame, at most `stall_timeout_s` for a device; None at the end of a feed.

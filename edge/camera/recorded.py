@@ -6,6 +6,7 @@ the feed's own stamps (maps, replays).
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,8 @@ from pathlib import Path
 from edge.camera import Frame
 from edge.camera.feed import Feed, FeedImages, read_feed
 from edge.config import CameraConfig
+
+DECODE_S = 2.0  # a picture from a slow disk
 
 
 class RecordedCamera:
@@ -39,6 +42,9 @@ class RecordedCamera:
         self._clock_ns = clock_ns
         self._sleep = sleep
         self._next = 0
+        stamps_ns = [row.stamp_ns for row in feed.rows]
+        longest_ns = max((after - before for before, after in itertools.pairwise(stamps_ns)), default=0)
+        self.read_timeout_s = DECODE_S + longest_ns / 1e9
         self._offset_ns: int | None = None if real_time else 0  # from the feed's time to `clock_ns`
 
     @classmethod

@@ -12,6 +12,7 @@ import os
 import struct
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, Protocol
 
 import cv2
@@ -52,6 +53,7 @@ class V4l2Camera:
         self._capture = (open_capture or open_device)(config)
         apply_settings(config, self._capture)
         self.differences = settings_differences(config, self._capture)
+        self.read_timeout_s = float(math.ceil(config.stall_timeout_s))
         self._index = 0
 
     def read(self) -> Frame | None:
@@ -94,7 +96,7 @@ def check_is_camera(device: str) -> None:
     try:
         descriptor = os.open(device, os.O_RDWR | os.O_NONBLOCK)
     except OSError as error:
-        raise _open_error(device, error) from None
+        raise open_error(device, error) from None
     try:
         answer = fcntl.ioctl(descriptor, _VIDIOC_QUERYCAP, bytes(_CAPABILITY.size))
     except OSError as error:
@@ -109,8 +111,12 @@ def check_is_camera(device: str) -> None:
         raise ConfigError(f"[camera] device: {device} ({name}) gives no pictures; use the camera's other node")
 
 
-def _open_error(device: str, error: OSError) -> ConfigError | CameraLost:
+def open_error(device: str, error: OSError) -> ConfigError | CameraLost:
+    """Whether a node that cannot be opened is a wrong config, or a camera that may come (back)."""
     if error.errno in {errno.EACCES, errno.EPERM}:
+        # At boot the node is there a moment before udev gives it to its group: that is worth another try.
+        if Path(device).exists() and Path(device).stat().st_gid == 0:
+            return CameraLost(f"{device}: no permission, it belongs to the group root; waiting for udev")
         return ConfigError(f"[camera] device: {device}: no permission; add the user to the group `video`")
     if error.errno in {errno.EISDIR, errno.ENOTDIR, errno.EROFS}:
         return ConfigError(f"[camera] device: {device} is not a V4L2 camera; see `ls /dev/v4l/by-id`")

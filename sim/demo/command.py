@@ -19,7 +19,6 @@ from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
 from sim.demo.live import LiveDrive, ReceivedFix, check_ended_well, start_drive
-from sim.demo.report import write_report
 from sim.demo.review import TOLERANCE_M, Review, review_drive
 from sim.recording import times_by_distance, write_feed
 from sim.scenario import Scenario
@@ -64,6 +63,8 @@ def _run(args: argparse.Namespace) -> int:
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
     for live, review in zip(lives, reviews, strict=True):
         _print_table(live, review)
+    from sim.demo.report import write_report  # matplotlib takes a third of a second, of every command's start
+
     report = write_report(folder / "report.html", reference_map, rig, lives, reviews)
     print(f"\nreport: {report}   ({time.monotonic() - started_s:.0f} s in all)")
     return 0 if not args.require_good or all(map(_is_good, lives, reviews)) else 1

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import time
 from pathlib import Path
@@ -8,7 +9,7 @@ import cv2
 import pytest
 
 from edge.camera import open_camera
-from edge.camera.v4l2 import V4l2Camera, apply_settings, monotonic_stamp_ns, settings_differences
+from edge.camera.v4l2 import V4l2Camera, apply_settings, monotonic_stamp_ns, open_error, settings_differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
 
@@ -74,3 +75,12 @@ def test_frames_are_stamped_and_counted_until_no_more_come_and_the_camera_is_los
 )
 def test_a_buffers_time_comes_out_on_the_monotonic_clock(position_ms: float, stamp_ns: int) -> None:
     assert monotonic_stamp_ns(position_ms, 5000_200_000_000, 1_800_000_000 * S) == pytest.approx(stamp_ns, abs=1000)
+
+
+def test_a_node_that_udev_has_not_handed_over_yet_is_tried_again(tmp_path: Path) -> None:
+    node = tmp_path / "video0"
+    node.touch()
+    refused = PermissionError(errno.EACCES, "Permission denied")
+    of_root = node.stat().st_gid == 0
+    assert isinstance(open_error(str(node), refused), CameraLost if of_root else ConfigError)
+    assert isinstance(open_error(str(tmp_path / "gone"), refused), ConfigError)
