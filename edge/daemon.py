@@ -14,11 +14,12 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
 from edge.camera import Frame, open_camera
-from edge.camera.newest import NewestFrame
+from edge.camera.newest import CameraHealth, NewestFrame
 from edge.config import Config, load_config
 from edge.descriptor.network import Head, Network
 from edge.observation import observation
@@ -60,14 +61,43 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.set_defaults(run=_run)
 
 
+class Frames(Protocol):
+    """Where the frames come from: `NewestFrame`, or the trial's, whose time is simulated."""
+
+    @property
+    def health(self) -> CameraHealth:
+        """State and counts."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no frame any more."""
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The newest frame that nobody took yet; waits for one up to `timeout_s`."""
+
+    def close(self) -> None:
+        """Release the camera."""
+
+
 class Daemon:
     """The running parts; `turn` moves at most one frame from the camera to the autopilot."""
 
-    def __init__(self, config: Config, parts: ExitStack, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order."""
+    def __init__(
+        self,
+        config: Config,
+        parts: ExitStack,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        frames: Frames | None = None,
+        network: Network | None = None,
+    ) -> None:
+        """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order.
+
+        frames, network: instead of those that the config names.
+        """
         self._config = config
         self._times = StageTimes()
-        network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+        network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
         reference_map = open_map(Path(config.map.path))
         self._map_rows: list[int] = reference_map.places["row"].tolist()
         self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
@@ -83,7 +113,9 @@ class Daemon:
         self._tracker = RouteTracker(Route(reference_map), config.tracking, config.rig)
         self._newest: PlaceMatch | None = None
         self._clock_ns = clock_ns
-        self._camera = parts.enter_context(closing(NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns)))
+        self._camera: Frames = parts.enter_context(
+            closing(frames or NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns))
+        )
         self._state: State | str = ""
         self._frames_used = 0
         self._events = 0
