@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.map_part import MapPart
 from edge.reference_map.areas import Ranges, widened
 from edge.sequence import SequenceMatch
-
-if TYPE_CHECKING:
-    from edge.place_search import MapPart
 
 SLICE_SHARE = 4
 """A slice is matched with the whole ring in one product, which takes this many times as long as with one row."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 STAGES = {"camera", "descriptor", "reference_map", "sequence", "telemetry"}
 BELOW = {"edge.errors", "edge.config"}
 PURE = {"descriptor", "reference_map", "sequence"}
-JOINED = ("place_search", "map_scan")
+JOINED = ("place_search", "map_scan", "map_part")
 
 
 def imports(file: Path) -> set[str]:
@@ -63,3 +65,13 @@ def test_the_vehicle_never_loads_what_is_for_the_desk() -> None:
         }
         assert not {name.split(".")[0] for name in top} & {"onnx", "torch", "depthai", "panda3d", "scipy"}, file
         assert not any("mavutil" in name for name in imports(file)), file
+
+
+def test_no_command_loads_what_only_another_needs() -> None:
+    """All commands are put on one command line, and the daemon must not pay for the desk's packages."""
+    program = (
+        "import sys; from edge.__main__ import build_parser; build_parser();"
+        "print(sorted({'matplotlib', 'panda3d', 'scipy', 'jinja2', 'onnx', 'depthai', 'torch'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.errors import LookbackError
-from edge.place_search import MapPart
+from edge.map_part import MapPart
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap
