@@ -44,6 +44,9 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     )
 
 
+RENDER_S = 5.0  # a picture on a busy computer
+
+
 class SimCamera:
     """Renders what the scenario's camera sees now; the vehicle stands at the start until the scenario's epoch.
 
@@ -65,6 +68,7 @@ class SimCamera:
             )
             if asked != given
         )
+        self.read_timeout_s = RENDER_S + 1 / config.fps
         self._drive = scenario.drive()
         self._camera_ahead_m = scenario.camera_ahead_m
         self._renderer: Renderer | None = open_renderer(scenario, self._drive)
@@ -91,9 +95,7 @@ class SimCamera:
         if stamp_ns > now_ns:
             self._sleep((stamp_ns - now_ns) / 1e9)
         self._next = index + 1
-        return Frame(
-            self._renderer.render(self._drive.pose(time_s, self._camera_ahead_m), time_s), stamp_ns, index
-        )
+        return Frame(self._renderer.render(self._drive.pose(time_s, self._camera_ahead_m), time_s), stamp_ns, index)
 
     def close(self) -> None:
         """Release the renderer; a later read() returns None."""

@@ -18,6 +18,14 @@ from edge.errors import FrameError, LookbackError, LostError, SetupError
 
 FIRST_BACK_OFF_S = 0.5
 LONGEST_BACK_OFF_S = 5.0
+BAD_FRAMES_S = 2.0
+"""A camera that gives nothing but bad frames for so long is opened again."""
+OPENING_S = 30.0
+"""Opening an OAK boots it first."""
+CLOSING_S = 10.0
+GRACE_S = 1.0
+FUTURE_NS = 100_000_000
+"""Cameras sync their clocks to ours by estimate."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,8 @@ class CameraHealth:
     reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
     since_ns: CLOCK_MONOTONIC of the last change of `state`.
     delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
-    bad: frames that could not be read, or whose stamp was not after the last one's (drivers' clocks do that).
+    bad: frames that could not be read, of another size than the first, or whose stamp was not after the last one's or
+    lay in the future (drivers' clocks do that).
     reopened: how often the camera came back.
     """
 
@@ -51,17 +60,20 @@ class NewestFrame:
         close_timeout_s: float = 5.0,
         first_back_off_s: float = FIRST_BACK_OFF_S,
         longest_back_off_s: float = LONGEST_BACK_OFF_S,
+        reopens: bool = True,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Start the thread and wait for the first opening; SetupError from it is raised here.
 
         A camera that is not there yet (CameraLost) is reported by `health` and opened again with back-off.
-        close_timeout_s: how long close() waits for a read that hangs; at least the camera's stall timeout.
+        close_timeout_s: how long close() waits for a read that hangs.
+        reopens: whether a camera that only gives bad or frozen pictures is opened again; a recording would begin anew.
         """
         self._open = open
         self._close_timeout_s = close_timeout_s
         self._first_back_off_s = first_back_off_s
         self._longest_back_off_s = longest_back_off_s
+        self._reopens = reopens
         self._clock_ns = clock_ns
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -70,6 +82,11 @@ class NewestFrame:
         self._newest: Frame | None = None
         self._health = CameraHealth("lost", "opening", clock_ns())
         self._last_stamp_ns = -1
+        self._shape: tuple[int, ...] | None = None  # of the first picture ever: a map fits one shape
+        self._good_ns = 0
+        self._reopen_why = ""
+        self._expected: tuple[str, int] = ("", 0)
+        self._expect("opening", OPENING_S)
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
@@ -105,6 +122,26 @@ class NewestFrame:
     def _finished(self) -> bool:
         return self._failure is not None or self._health.state == "ended" or self._stop.is_set()
 
+    def reopen(self, why: str) -> None:
+        """Have the camera closed and opened again, since its pictures show nothing."""
+        with self._changed:
+            self._reopen_why = why if self._reopens else ""
+
+    def hang(self, now_ns: int) -> str:
+        """What the thread has been doing for longer than it may take; "" while it moves.
+
+        A camera that is lost and tried again with back-off moves. Nothing here can end a call that hangs in a driver:
+        whoever watches over the process must.
+        """
+        with self._changed:
+            doing, due_ns = self._expected
+            over = now_ns > due_ns and self._health.state != "ended" and not self._stop.is_set()
+            return doing if over else ""
+
+    def _expect(self, doing: str, within_s: float) -> None:
+        with self._changed:
+            self._expected = doing, self._clock_ns() + round((within_s + GRACE_S) * 1e9)
+
     def close(self) -> None:
         """Stop the thread, which closes the camera; more than once is harmless.
 
@@ -126,7 +163,9 @@ class NewestFrame:
                     return
                 if self.health.delivered > delivered:  # it worked for a while: start over
                     back_offs_s = self._back_offs_s()
-                self._stop.wait(next(back_offs_s))
+                back_off_s = next(back_offs_s)
+                self._expect("waiting", back_off_s)
+                self._stop.wait(back_off_s)
         except Exception as error:
             with self._changed:
                 self._failure = error
@@ -143,6 +182,7 @@ class NewestFrame:
     def _open_and_read(self) -> bool:
         """Open the camera and read it until it is lost; True when it is over for good (feed ended, or close())."""
         first = not self._opened.is_set()
+        self._expect("opening", OPENING_S)
         try:
             camera = self._open()
         except LookbackError as error:
@@ -157,29 +197,51 @@ class NewestFrame:
         try:
             return self._read_until_lost(camera)
         finally:
+            self._expect("closing", CLOSING_S)
             camera.close()
 
     def _read_until_lost(self, camera: Camera) -> bool:
         first_index = self._next_index
+        self._good_ns = self._clock_ns()
         while not self._stop.is_set():
+            self._expect("reading", camera.read_timeout_s)
             try:
                 frame = camera.read()
+                if frame is None:
+                    self._set_state("ended", "")
+                    return True
+                self._next_index = first_index + frame.index + 1
+                self._take_in(replace(frame, index=first_index + frame.index) if first_index else frame)
             except FrameError as error:
                 self._count_bad(str(error))
-                continue
             except LostError as error:
                 self._set_state("lost", str(error))
                 return False
-            if frame is None:
-                self._set_state("ended", "")
-                return True
-            self._next_index = first_index + frame.index + 1
-            if frame.stamp_ns <= self._last_stamp_ns:
-                self._count_bad(f"frame {frame.index}: its stamp is not after that of the frame before")
-                continue
-            self._last_stamp_ns = frame.stamp_ns
-            self._put(replace(frame, index=first_index + frame.index) if first_index else frame)
+            why = self._reopen_why or self._nothing_good()
+            if why:
+                self._reopen_why, self._last_stamp_ns = "", -1  # its clock may begin anew
+                self._set_state("lost", f"{why}; opened again")
+                return False
         return True
+
+    def _take_in(self, frame: Frame) -> None:
+        """Keep a frame; FrameError for one that is of no use."""
+        now_ns = self._clock_ns()
+        if frame.stamp_ns <= self._last_stamp_ns:
+            raise FrameError(f"frame {frame.index}: its stamp is not after that of the frame before")
+        if frame.stamp_ns > now_ns + FUTURE_NS:
+            raise FrameError(f"frame {frame.index}: its stamp lies {(frame.stamp_ns - now_ns) / 1e9:.1f} s ahead")
+        shape, self._shape = frame.image.shape, self._shape or frame.image.shape
+        if shape != self._shape:
+            raise FrameError(f"frame {frame.index}: {_size(shape)}, and the first was {_size(self._shape)}")
+        self._last_stamp_ns, self._good_ns = frame.stamp_ns, now_ns
+        self._put(frame)
+
+    def _nothing_good(self) -> str:
+        """Why the camera must be opened again: nothing but bad frames for too long."""
+        if not self._reopens or self._clock_ns() - self._good_ns <= BAD_FRAMES_S * 1e9:
+            return ""
+        return f"nothing but bad frames for {BAD_FRAMES_S:g} s ({self.health.reason})"
 
     def _put(self, frame: Frame) -> None:
         with self._changed:
@@ -204,3 +266,7 @@ class NewestFrame:
             since_ns = self._health.since_ns if state == self._health.state else self._clock_ns()
             self._health = replace(self._health, state=state, reason=reason, since_ns=since_ns)
             self._changed.notify_all()
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]} pixels" if len(shape) == 3 and shape[2] == 3 else f"of shape {shape}"

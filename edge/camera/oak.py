@@ -51,7 +51,7 @@ class OakCamera:
         """
         self._dai = import_depthai()
         self._source = (build or device_source)(config)
-        self._stall_timeout_s = config.stall_timeout_s
+        self._stall_timeout_s = self.read_timeout_s = config.stall_timeout_s
         try:
             # One place, not blocking: the device never waits for us, and we never get an old frame.
             self._queue = self._source.output.createOutputQueue(maxSize=1, blocking=False)

@@ -26,6 +26,7 @@ class ScriptedCamera:
     """
 
     differences: tuple[str, ...] = ("fps: asked for 30, device gives 25",)
+    read_timeout_s = 10.0
 
     def __init__(
         self,
@@ -226,3 +227,91 @@ def test_one_thread_opens_reads_and_closes_the_camera() -> None:
     assert {*opened_in, *camera.threads} == {"camera"}
     assert {signal.SIGTERM, signal.SIGINT, signal.SIGHUP} <= blocked  # they are for the main thread
     assert signal.SIGTERM not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_a_frame_of_another_size_or_from_the_future_is_a_bad_frame() -> None:
+    class Changing(ScriptedCamera):
+        def read(self) -> Frame | None:
+            frame = super().read()
+            if frame is None or frame.index != 1:
+                return frame
+            return Frame(np.zeros((4, 2, 3), np.uint8), frame.stamp_ns, frame.index)
+
+    camera = Changing(0, 1, 2, 3, stamps_ns=(10, 20, 200_000_000, 30))
+    newest = NewestFrame(opener(camera), clock_ns=lambda: 100)
+    assert camera.closed.wait(PATIENCE_S)
+    assert (newest.health.delivered, newest.health.bad) == (2, 2)
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.index == 3
+    newest.close()
+
+
+def test_a_camera_that_gives_only_bad_frames_is_opened_again_and_its_clock_may_begin_anew(
+    let_go: threading.Event,
+) -> None:
+    clock = count(0, 400_000_000)  # each look at the clock takes 0.4 s
+    stuck = ScriptedCamera(0, 1, 2, 3, 4, 5, 6, 7, stamps_ns=(9,) * 8)
+    anew = ScriptedCamera(0, stamps_ns=(5,), then_wait=let_go)
+    newest = NewestFrame(opener(stuck, anew), first_back_off_s=0.001, clock_ns=lambda: next(clock))
+    assert anew.drained.wait(PATIENCE_S)
+    assert stuck.closed.is_set()
+    assert newest.health.reopened == 1
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.stamp_ns == 5
+    let_go.set()
+    newest.close()
+
+
+def test_a_recording_is_never_begun_anew() -> None:
+    clock = count(0, 400_000_000)
+    camera = ScriptedCamera(*range(20), stamps_ns=(9,) * 20)
+    newest = NewestFrame(opener(camera), reopens=False, clock_ns=lambda: next(clock))
+    newest.reopen("frozen")
+    assert camera.closed.wait(PATIENCE_S)
+    assert (newest.health.state, newest.health.bad) == ("ended", 19)
+    newest.close()
+
+
+def test_a_camera_can_be_opened_again_on_request(let_go: threading.Event) -> None:
+    asked = threading.Event()
+
+    class Frozen(ScriptedCamera):
+        def read(self) -> Frame | None:
+            asked.wait(PATIENCE_S)
+            return super().read()
+
+    frozen, after = Frozen(0, 1, 2), ScriptedCamera(0, then_wait=let_go)
+    newest = NewestFrame(opener(frozen, after), first_back_off_s=0.001)
+    newest.reopen("the picture is frozen")
+    asked.set()
+    assert after.drained.wait(PATIENCE_S)
+    assert frozen.closed.is_set()
+    let_go.set()
+    newest.close()
+
+
+def test_a_read_that_takes_longer_than_the_camera_says_is_a_hang(let_go: threading.Event) -> None:
+    now_ns = 0
+    camera = ScriptedCamera(0, then_wait=let_go)
+    newest = NewestFrame(opener(camera), clock_ns=lambda: now_ns)
+    assert camera.drained.wait(PATIENCE_S)
+    assert newest.hang(11_000_000_000) == ""
+    assert newest.hang(11_000_000_001) == "reading"
+    let_go.set()
+    assert camera.closed.wait(PATIENCE_S)
+    assert newest.hang(10**15) == ""  # it has ended
+    newest.close()
+
+
+def test_a_lost_camera_that_is_tried_again_does_not_hang() -> None:
+    camera = ScriptedCamera(0, CameraLost("unplugged"))
+    newest = NewestFrame(opener(camera), first_back_off_s=60.0, clock_ns=lambda: 0)
+    assert camera.closed.wait(PATIENCE_S)
+    newest.take(PATIENCE_S)
+    deadline = threading.Event()
+    while newest.hang(32_000_000_000) and not deadline.wait(0.001):
+        pass
+    assert newest.hang(60_000_000_000) == ""
+    newest.close()
