@@ -54,8 +54,9 @@ def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
     """Everything that a plan asks for, section by section; trajectories go into `folder`."""
     plan, wanted = bench.plan, bench.plan.experiments
     total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
-    sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
-    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + len(plan.pairs) * len(wanted.int8)
+    swept = len(experiments.sweep_pairs(plan))
+    sweeps = swept * len(wanted.sweep_methods)
+    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
     total += len(wanted.pca) + 3 * len(wanted.standing)
     total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())
     with tqdm(total=total, unit="step", desc="plan") as progress:

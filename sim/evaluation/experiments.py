@@ -94,7 +94,7 @@ def cold_start(bench: Bench, results: Results) -> Section:
 def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
     """The same method with float network and descriptors: what quantising costs."""
     rows: list[Sequence[Cell]] = []
-    for pair in bench.plan.pairs:
+    for pair in sweep_pairs(bench.plan):
         for text in bench.plan.experiments.int8:
             step(f"{pair.name}: {text} in float")
             exact = bench.run(pair, text, precision="float32")

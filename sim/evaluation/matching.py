@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, SequenceConfig
 from edge.descriptor.normalize import NormalizedRows
-from edge.reference_map.costs import COST_ONE, CostMatcher, quantize, squared_norms
+from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Plane
 from edge.sequence.acceptance import Neighbourhood, best_match
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
@@ -64,8 +64,8 @@ class FloatMatcher:
 
 def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
     """The recogniser's matcher on descriptors (N, R, D), quantised as a map keeps them."""
-    quantized = quantize(descriptors).reshape(len(descriptors), -1)
-    return CostMatcher(quantized, squared_norms(quantized), descriptors.shape[1])
+    encoded = encode(descriptors)
+    return CostMatcher(encoded, squared_norms(encoded))
 
 
 def match(

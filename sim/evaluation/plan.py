@@ -128,7 +128,7 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     """[experiments]: what is done besides every method on every pair.
 
     sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
-    cold_start: right answers by thirds of the drive. int8: int8 against float for these methods.
+    cold_start: right answers by thirds of the drive. int8: int8 against float for these methods, on sweep_pairs too.
     standing: drives with halts, recognised with and without the gate for standing still.
     pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
     whose difference is told from noise.
