@@ -126,6 +126,11 @@ class SimulatedAutopilot:
         """Seconds since boot, now."""
         return (self._clock_ns() - self._boot_ns) / 1e9
 
+    @property
+    def booted_s(self) -> float:
+        """CLOCK_MONOTONIC at boot."""
+        return self._boot_ns / 1e9
+
     def _say(self, message_id: int) -> bool:
         """Send one message of that kind, if it has anything to tell."""
         message = ENCODERS[message_id](self._knowledge())

@@ -13,6 +13,7 @@ from sim import autopilot_command
 from sim.datasets import commands as dataset_commands
 from sim.recording import times_by_distance, times_by_rate, write_feed
 from sim.scenario import load_scenario
+from sim.trial import command as trial_command
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -27,6 +28,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     pace.add_argument("--fps", metavar="HZ", type=float, help="instead, HZ frames a second")
     drive.set_defaults(run=record_drive)
     autopilot_command.add_command(sim_commands)
+    trial_command.add_command(sim_commands)
     dataset_commands.add_command(sim_commands)
 
 

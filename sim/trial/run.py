@@ -1,0 +1,132 @@
+"""One run in simulated time: the daemon and the autopilot take turns on the two ends of a pty."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edge.camera import Frame
+from edge.camera.feed import Feed, FeedImages
+from edge.camera.newest import CameraHealth
+from edge.config import CameraConfig, Config, MapConfig, RigConfig, TelemetryConfig
+from edge.daemon import Daemon
+from edge.telemetry.journal import read_journal
+from sim.autopilot import SimulatedAutopilot
+from sim.drive import Drive
+from sim.pty_link import PtyLink, open_pty
+from sim.trial.course import Course, RememberingNetwork, World
+from sim.trial.score import RunScore, judge
+
+STEP_NS = 10_000_000
+DRIFT_PERCENT = 3.0
+WITH_GPS_S = 8.0
+"""Of every drive, before the receiver fails: so does the autopilot know where it begins."""
+LONGEST_LATENCY_S = 0.25
+
+
+@dataclass
+class SimulatedClock:
+    """Nanoseconds that only the trial moves."""
+
+    now_ns: int = 1_000_000_000_000
+
+    def __call__(self) -> int:
+        """The time."""
+        return self.now_ns
+
+
+class PlayedFrames:
+    """A feed as a camera whose pictures arrive some time after their exposure; taking one moves all time on."""
+
+    def __init__(
+        self, feed: Feed, clock: SimulatedClock, autopilot: SimulatedAutopilot, latencies_s: list[float]
+    ) -> None:
+        self._images = FeedImages(feed)
+        self._feed = feed
+        self._clock = clock
+        self._autopilot = autopilot
+        self._epoch_ns = clock.now_ns
+        self._latencies_ns = [round(latency_s * 1e9) for latency_s in latencies_s]
+        self._next = 0
+
+    @property
+    def health(self) -> CameraHealth:
+        """See NewestFrame."""
+        return CameraHealth("running", "", self._epoch_ns, delivered=self._next)
+
+    @property
+    def ended(self) -> bool:
+        """See NewestFrame."""
+        return self._next >= len(self._feed.rows)
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """Let `timeout_s` pass, for the autopilot as well; the frame that has arrived meanwhile."""
+        for _ in range(round(timeout_s * 1e9) // STEP_NS):
+            self._clock.now_ns += STEP_NS
+            self._autopilot.step()
+        if self.ended:
+            return None
+        row = self._next
+        stamp_ns = self._epoch_ns + self._feed.rows[row].stamp_ns
+        if stamp_ns + self._latencies_ns[row] > self._clock.now_ns:
+            return None
+        self._next += 1
+        return Frame(self._images.read(row), stamp_ns, row)
+
+    def close(self) -> None:
+        """See NewestFrame."""
+        self._images.close()
+
+
+def drive_home(
+    world: World, course: Course, seed: int, network: RememberingNetwork, folder: Path, firmware: str, emit: str
+) -> RunScore:
+    """The drive home of one run, GPS failing on the way; its journal stays in `folder`."""
+    rng = np.random.default_rng([seed, 8])
+    clock, drive = SimulatedClock(), world.home.drive()
+    epoch_s = clock.now_ns / 1e9
+    journal = folder / "journal.jsonl"
+    journal.unlink(missing_ok=True)
+    with ExitStack() as parts:
+        link = parts.enter_context(closing(open_pty()))
+        autopilot = _autopilot(link, drive, epoch_s, clock, rng, firmware)
+        latencies_s = rng.uniform(0.03, LONGEST_LATENCY_S, len(world.feed.rows)).tolist()
+        frames = PlayedFrames(world.feed, clock, autopilot, latencies_s)
+        config = trial_config(world, course, link, journal, emit)
+        daemon = Daemon(config, parts, clock, frames=frames, network=network)
+        while daemon.turn():
+            autopilot.gps = clock.now_ns / 1e9 - epoch_s < WITH_GPS_S
+        daemon.last_words()
+    return judge(seed, drive, epoch_s, course, autopilot, list(read_journal(journal)))
+
+
+def _autopilot(
+    link: PtyLink, drive: Drive, epoch_s: float, clock: SimulatedClock, rng: np.random.Generator, firmware: str
+) -> SimulatedAutopilot:
+    """Odometry that is wrong by DRIFT_PERCENT of the distance, in a direction of the run's own."""
+    direction_rad = rng.uniform(-np.pi, np.pi)
+    return SimulatedAutopilot(
+        link,
+        lambda now_s: drive.pose(now_s - epoch_s),
+        clock,
+        firmware=firmware,
+        drift_percent=DRIFT_PERCENT * float(np.cos(direction_rad)),
+        drift_sideways_percent=DRIFT_PERCENT * float(np.sin(direction_rad)),
+    )
+
+
+def trial_config(world: World, course: Course, link: PtyLink, journal: Path, emit: str) -> Config:
+    """The defaults, but for what this vehicle is: where it drives home is two half lanes from where it drove out."""
+    return Config(
+        camera=CameraConfig(kind="feed", device=str(world.feed.path), view="front"),
+        map=MapConfig(path=str(course.map_path)),
+        rig=RigConfig(left_reverse_m=2 * world.home.lane_m),
+        telemetry=TelemetryConfig(
+            connection=f"serial:{link.device}:921600",
+            emit=emit,  # type: ignore[arg-type]  # the command has checked it
+            journal=str(journal),
+        ),
+    )

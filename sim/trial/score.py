@@ -1,0 +1,126 @@
+"""What a run was worth, by the truth that only the simulator knows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pymap3d
+
+from sim.autopilot import SimulatedAutopilot
+from sim.drive import Drive
+from sim.trial.course import Course
+
+MEDIAN_M, MOST_M, SIGMAS = 3.0, 10.0, 3.0
+"""What is asked for: the autopilot's error after a fix, its median and 95th percentile, and no fix further off."""
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """One run.
+
+    fix_error_m: of each fix told, from where the vehicle was at its moment. fix_sigmas: the same over the sigma that
+    was told. after_m: the autopilot's own error after each one it took; before_m: just before. false_fixes: how many
+    were of the planted place. withheld: why fixes stayed, and how often that began.
+    """
+
+    seed: int
+    fix_error_m: tuple[float, ...]
+    fix_sigmas: tuple[float, ...]
+    before_m: tuple[float, ...]
+    after_m: tuple[float, ...]
+    false_fixes: int
+    planted_seen: int
+    withheld: dict[str, int]
+    answers: dict[str, int]
+
+
+def judge(
+    seed: int,
+    drive: Drive,
+    epoch_s: float,
+    course: Course,
+    autopilot: SimulatedAutopilot,
+    journal: list[dict[str, Any]],
+) -> RunScore:
+    """Hold the journal of a run, and what the autopilot did, against the drive."""
+    sent = [record for record in journal if record["event"] == "fix_sent"]
+    boot_s = autopilot.booted_s
+    errors_m = [_error_m(drive, boot_s + item["send_boot_s"] - item["age_s"] - epoch_s, item) for item in sent]
+    taken = autopilot.resets + autopilot.inputs.fused
+    first, end = course.planted
+    withheld = Counter(record["reason"] for record in journal if record["event"] == "fix_withheld")
+    return RunScore(
+        seed=seed,
+        fix_error_m=tuple(errors_m),
+        fix_sigmas=tuple(error / item["sigma_m"] for error, item in zip(errors_m, sent, strict=True)),
+        before_m=tuple(item.error_before_m for item in taken),
+        after_m=tuple(item.error_after_m for item in taken),
+        false_fixes=sum(first <= item["place"] < end for item in sent),
+        planted_seen=sum(first <= item["place"] < end for item in journal if item["event"] == "place"),
+        withheld=dict(withheld),
+        answers=dict(Counter(record["result"] for record in journal if record["event"] == "fix_answered")),
+    )
+
+
+def _error_m(drive: Drive, time_s: float, item: dict[str, Any]) -> float:
+    lat_deg, lon_deg = drive.pose(time_s).geodetic()
+    east_m, north_m, _ = pymap3d.geodetic2enu(item["lat_deg"], item["lon_deg"], 0.0, lat_deg, lon_deg, 0.0)
+    return float(np.hypot(east_m, north_m))
+
+
+@dataclass(frozen=True)
+class TrialScore:
+    """All runs together."""
+
+    runs: tuple[RunScore, ...]
+
+    @property
+    def after_m(self) -> np.ndarray:
+        """The autopilot's error after each fix it took."""
+        return np.array([value for run in self.runs for value in run.after_m])
+
+    @property
+    def fix_sigmas(self) -> np.ndarray:
+        """Each fix's error over its sigma."""
+        return np.array([value for run in self.runs for value in run.fix_sigmas])
+
+    @property
+    def failures(self) -> list[str]:
+        """What was asked for and is not so."""
+        after_m, sigmas = self.after_m, self.fix_sigmas
+        if not after_m.size:
+            return ["no fix was taken"]
+        asked = (
+            (np.median(after_m) <= MEDIAN_M, f"median of the autopilot's error above {MEDIAN_M:g} m"),
+            (np.percentile(after_m, 95) <= MOST_M, f"95 % of the autopilot's errors above {MOST_M:g} m"),
+            (sigmas.max() <= SIGMAS, f"{(sigmas > SIGMAS).sum()} fixes more than {SIGMAS:g} sigma wrong"),
+            (not sum(run.false_fixes for run in self.runs), "fixes of the planted false place"),
+        )
+        return [failure for good, failure in asked if not good]
+
+    def table(self) -> str:
+        """The figures, for people."""
+        after_m, sigmas = self.after_m, self.fix_sigmas
+        errors_m = np.array([value for run in self.runs for value in run.fix_error_m])
+        before_m = np.array([value for run in self.runs for value in run.before_m])
+        if not after_m.size:
+            return "no fix was taken"
+        lines = [
+            f"runs                         {len(self.runs)}, fixes told {len(errors_m)}, taken {len(after_m)}",
+            f"error of the fixes           {_spread(errors_m)}",
+            f"autopilot before a fix       {_spread(before_m)}",
+            f"autopilot after a fix        {_spread(after_m)}",
+            f"error over sigma             rms {np.sqrt(np.mean(sigmas**2)):.2f}, largest {sigmas.max():.2f}",
+            f"planted false place          recognised in {sum(bool(run.planted_seen) for run in self.runs)} runs,"
+            f" told {sum(run.false_fixes for run in self.runs)} times",
+        ]
+        return "\n".join(lines)
+
+
+def _spread(errors_m: np.ndarray) -> str:
+    return (
+        f"median {np.median(errors_m):.2f} m, 95 % {np.percentile(errors_m, 95):.2f} m, largest {errors_m.max():.2f} m"
+    )
