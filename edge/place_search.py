@@ -42,7 +42,7 @@ class PlaceSearch:
     def __init__(self, reference_map: ReferenceMap, route: Route, config: Config) -> None:
         header = reference_map.header
         self._header, self._route, self._config = header, route, config
-        self._matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
+        self._matcher = CostMatcher.of(reference_map)
         self._areas = Areas(route.east_north_m)
         self._frame = 0
         self._is_small = header.places <= config.map.places_per_frame

@@ -48,7 +48,8 @@ def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
     """What a normalised query shows at a place: the place on another day."""
     rng = np.random.default_rng(5)
-    rows = long_map.descriptors.reshape(PLACES, 2, 48).astype(np.float32)
+    half_sum, half_difference = long_map.descriptors.astype(np.float32)
+    rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
     noise = rng.normal(size=rows.shape).astype(np.float32) * rows.std() * 0.7
     return lambda place: rows[place] + noise[place]
 

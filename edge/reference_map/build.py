@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.reference_map import store
-from edge.reference_map.costs import quantize, squared_norms
-from edge.reference_map.store import FileKey, MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
+from edge.reference_map.costs import encode, squared_norms
+from edge.reference_map.projection import principal_directions, project
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
+from edge.reference_map.verification import FileKey, sha256_of
 
 BLOCK = 256
 NAN = float("nan")
@@ -50,15 +52,26 @@ class MapBuilder:
     """Writes a map; use it as a context manager: what is not finished leaves nothing behind."""
 
     def __init__(
-        self, path: Path, model: ModelKey, regions: RegionsKey, sampling: SamplingConfig, *, replace: bool = False
+        self,
+        path: Path,
+        model: ModelKey,
+        regions: RegionsKey,
+        sampling: SamplingConfig,
+        *,
+        dimensions: int | None = None,
+        replace: bool = False,
     ) -> None:
-        """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False."""
+        """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False.
+
+        dimensions: shrink the descriptors of each region to so many, at most the model's (None: as they are).
+        """
         if path.exists() and not replace:
             raise MapError(f"{path}: there is something here already; name another folder, or use --replace")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
         self._path = path
         self._model, self._regions, self._sampling = model, regions, sampling
+        self._kept = model.dimensions if dimensions is None else dimensions
         self._records: list[tuple[float | int, ...]] = []
         self._segments: list[Segment] = []
         self._thumbnail_at = 0
@@ -116,14 +129,7 @@ class MapBuilder:
         mean, deviation = self._statistics()
         np.stack([mean, deviation]).astype("<f8").tofile(self._folder / store.STATISTICS)
         places = np.array(self._records, dtype=store.PLACE)
-        at = 0
-        with (self._folder / store.DESCRIPTORS).open("wb") as file:
-            for block in self._raw_blocks():
-                is_set = self._regions.normalization == "set"
-                quantized = quantize(normalize(block, mean, deviation) if is_set else block)
-                places["norm_sq"][at : at + len(block)] = squared_norms(quantized)
-                quantized.tofile(file)
-                at += len(block)
+        places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
         places.tofile(self._folder / store.PLACES)
         header = self._header(lookback_version)
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
@@ -132,6 +138,31 @@ class MapBuilder:
         _sync(self._folder)
         self._put_in_place()
         return header
+
+    def _write_descriptors(self, blocks: Callable[[], Iterator[NDArray[np.float32]]]) -> NDArray[np.int32]:
+        """Shrink and encode the set, and write it plane by plane; the squared norm (N,) of every place."""
+        dimensions, planes = self._model.dimensions, self._regions.count
+        projection = None
+        if self._kept < dimensions:
+            projection = principal_directions(blocks, dimensions, self._kept)
+            projection.astype("<f4").tofile(self._folder / store.PROJECTION)
+        norms_sq: list[NDArray[np.int32]] = []
+        at = 0
+        with (self._folder / store.DESCRIPTORS).open("wb") as file:
+            for block in blocks():
+                encoded = encode(block if projection is None else project(block, projection))
+                for plane in range(planes):
+                    file.seek((plane * len(self._records) + at) * self._kept)
+                    file.write(encoded[plane].tobytes())
+                norms_sq.append(squared_norms(encoded))
+                at += len(block)
+        return np.concatenate(norms_sq)
+
+    def _normalized_blocks(
+        self, normalize: Normalize, mean: NDArray[np.float64], deviation: NDArray[np.float64]
+    ) -> Iterator[NDArray[np.float32]]:
+        is_set = self._regions.normalization == "set"
+        return (normalize(block, mean, deviation) if is_set else block for block in self._raw_blocks())
 
     def _statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) over the whole set, from the raw values as they were stored."""
@@ -147,16 +178,15 @@ class MapBuilder:
             yield raw[at : at + BLOCK].astype(np.float32)
 
     def _header(self, lookback_version: str) -> MapHeader:
-        names = [*store.expected_sizes(0, 0, 0), store.THUMBNAILS]
-        files = {
-            name: FileKey((self._folder / name).stat().st_size, store.sha256_of(self._folder / name)) for name in names
-        }
+        names = [*store.expected_sizes(0, 0, self._model.dimensions, self._kept), store.THUMBNAILS]
+        files = {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
         return MapHeader(
             format=store.FORMAT,
             version=store.VERSION,
             lookback=lookback_version,
             model=self._model,
             regions=self._regions,
+            dimensions=self._kept,
             sampling=self._sampling,
             places=len(self._records),
             segments=tuple(self._segments),

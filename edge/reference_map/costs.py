@@ -1,8 +1,14 @@
 """Cosine distance of the query to every place, as integers, in both region orders (sections III-C and III-D).
 
-Descriptors are int8 with one scale a row, which the cosine does not see; dot products and squared norms are exact
-integers, and every step after them is one correctly rounded float64 operation. So costs are the same to the bit on
-every machine, and sums of them can be kept running without drift.
+The map keeps, instead of left and right regions, half their sum and half their difference. That is a rotation, which
+no cosine sees, and swapping the regions of a query only turns the sign of its difference. So two dot products of D
+values, of sums and of differences, are both region orders, and the map's bytes are read once, in one go each:
+
+    same = s.S + d.D        swapped = s.S - d.D
+
+Descriptors are int8 with one scale a row; dot products and squared norms are exact integers, and every step after
+them is one correctly rounded float64 operation. So costs are the same to the bit on every machine, and sums of them
+can be kept running without drift.
 """
 
 from __future__ import annotations
@@ -13,38 +19,61 @@ import numkong
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.reference_map.projection import project
+from edge.reference_map.store import ReferenceMap
+
 COST_ONE = 1 << 14
 """Integer cost of a cosine distance of 1 (nothing in common); distances of 0 to 2 are 0 to 32768."""
 
+NOTHING = 1e-36
+"""A row with no larger value is all zero: 127 over less would overflow float32."""
 
-def quantize(descriptors: NDArray[np.float32]) -> NDArray[np.int8]:
-    """Rows (n, R, D) or (n, R * D) float32 as int8 of the same shape, each row scaled to its own largest value.
+
+def encode(descriptors: NDArray[np.float32]) -> NDArray[np.int8]:
+    """Rows (n, R, D) float32 as a map keeps them, (R, n, D) int8: sums and differences, each row to its own scale.
 
     A row that is all zero stays so; NaN and infinity become 0, so that one bad number cannot poison a sequence.
     """
-    rows = np.nan_to_num(descriptors, nan=0.0, posinf=0.0, neginf=0.0).reshape(len(descriptors), -1)
-    largest = np.abs(rows).max(axis=1, keepdims=True)
-    scale = np.divide(127.0, largest, out=np.zeros_like(largest), where=largest > 0)
-    quantized: NDArray[np.int8] = np.rint(rows * scale).astype(np.int8).reshape(descriptors.shape)
-    return quantized
+    rows = np.nan_to_num(descriptors, nan=0.0, posinf=0.0, neginf=0.0)
+    planes = rows.swapaxes(0, 1)
+    if len(planes) == 2:
+        left, right = np.multiply(planes, np.float32(0.5))  # halves first: no sum of two halves overflows
+        planes = np.stack([left + right, left - right])
+    largest = np.abs(planes).max(axis=(0, 2), initial=0.0)
+    scale = np.divide(np.float32(127), largest, out=np.zeros_like(largest), where=largest > NOTHING)
+    encoded: NDArray[np.int8] = np.rint(planes * scale[:, np.newaxis]).astype(np.int8)
+    return encoded
 
 
-def squared_norms(quantized: NDArray[np.int8]) -> NDArray[np.int32]:
-    """Exact squared length of every row: (n, ...) int8 -> (n,) int32; 8192 * 127**2 fits with room."""
-    rows = quantized.reshape(len(quantized), -1).astype(np.int32)
-    squares: NDArray[np.int32] = np.einsum("ij,ij->i", rows, rows, dtype=np.int32)
+def squared_norms(encoded: NDArray[np.int8]) -> NDArray[np.int32]:
+    """Exact squared length of every row: (R, n, D) int8 -> (n,) int32; 8192 * 127**2 fits with room."""
+    rows = encoded.astype(np.int32)
+    squares: NDArray[np.int32] = np.einsum("rnd,rnd->n", rows, rows, dtype=np.int32)
     return squares
 
 
 class CostMatcher:
     """Matches queries against the int8 descriptors of a map, straight from the memory map."""
 
-    def __init__(self, descriptors: NDArray[np.int8], norms_sq: NDArray[np.int32], regions: int) -> None:
-        """descriptors (N, R * D) int8, norms_sq (N,) int32; with R = 2 both region orders are tried."""
-        self._descriptors = descriptors
-        self._norms = np.sqrt(norms_sq.astype(np.float64))
-        self._regions = regions
-        self.orders = regions
+    def __init__(
+        self,
+        descriptors: NDArray[np.int8],
+        norms_sq: NDArray[np.int32],
+        projection: NDArray[np.float32] | None = None,
+    ) -> None:
+        """descriptors (R, N, D) int8 as `encode` makes them, norms_sq (N,) int32; with R = 2 both orders are tried.
+
+        projection: (D, dimensions of the network), of a map with shrunk descriptors.
+        """
+        self._planes = descriptors
+        self._norms = _lengths(norms_sq)
+        self._projection = projection
+        self.orders = len(descriptors)
+
+    @classmethod
+    def of(cls, reference_map: ReferenceMap) -> CostMatcher:
+        """The matcher of an open map."""
+        return cls(reference_map.descriptors, reference_map.places["norm_sq"], reference_map.projection)
 
     def costs(self, query: NDArray[np.float32], ranges: Sequence[tuple[int, int]] | None = None) -> NDArray[np.int32]:
         """Normalised query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".
@@ -52,26 +81,45 @@ class CostMatcher:
         With `ranges`, [start, end) of places, only those are read and N is their number together. A query that is
         all zero has no direction: its cost is COST_ONE to every place, as if unrelated.
         """
-        quantized = quantize(query)
-        # The map keeps left-right; the query is tried left-right and right-left. The norm is the same for both.
-        orders = [quantized, quantized[:, ::-1]] if self._regions == 2 else [quantized]
-        stacked = np.stack(orders, axis=1).reshape(len(query) * self.orders, -1)
-        packed = numkong.dots_pack(np.ascontiguousarray(stacked), "int8")
-        lengths = np.repeat(np.sqrt(squared_norms(quantized).astype(np.float64)), self.orders)
-        parts = [
-            _cosine_costs(np.asarray(numkong.dots_packed(self._descriptors[start:end], packed)), norms, lengths)
-            for start, end in ranges or [(0, len(self._norms))]
-            for norms in (self._norms[start:end],)
-        ]
-        costs = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        return np.ascontiguousarray(costs.T).reshape(len(query), self.orders, -1)
+        shrunk = query if self._projection is None else project(query, self._projection)
+        return self.costs_of_encoded(encode(shrunk), ranges)
+
+    def costs_of_encoded(
+        self, query: NDArray[np.int8], ranges: Sequence[tuple[int, int]] | None = None
+    ) -> NDArray[np.int32]:
+        """The same for rows as the map keeps them, (R, n, D) int8."""
+        lengths = _lengths(squared_norms(query))
+        ranges = ranges or [(0, len(self._norms))]
+        places = sum(end - start for start, end in ranges)
+        costs = np.empty((query.shape[1], self.orders, places), dtype=np.int32)
+        at = 0
+        for start, end in ranges:
+            dots = [_dots(plane[start:end], rows) for plane, rows in zip(self._planes, query, strict=True)]
+            product = lengths[:, np.newaxis] * self._norms[start:end]
+            both = [dots[0] + dots[1], dots[0] - dots[1]] if self.orders == 2 else dots
+            for order, cosine in enumerate(both):
+                costs[:, order, at : at + end - start] = _integer_costs(cosine, product)
+            at += end - start
+        return costs
 
 
-def _cosine_costs(
-    dots: NDArray[np.int32], norms: NDArray[np.float64], lengths: NDArray[np.float64]
-) -> NDArray[np.int32]:
-    """Integer costs (N, q) of dot products (N, q) and the lengths of places (N,) and queries (q,)."""
-    product = norms[:, np.newaxis] * lengths
-    cosine = np.divide(dots, product, out=np.zeros(dots.shape), where=product > 0)
-    costs: NDArray[np.int32] = np.rint((1.0 - cosine) * COST_ONE).astype(np.int32)
-    return costs
+def _dots(plane: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.float64]:
+    """Exact dot products (n, N) of rows (n, D) with places (N, D), as float64."""
+    if len(rows) == 1:
+        # One place after another is as fast as the memory; tiles of several places at once are not.
+        return np.asarray(numkong.cdist(plane, np.ascontiguousarray(rows), "dot")).reshape(1, -1)
+    packed = numkong.dots_pack(np.ascontiguousarray(rows), "int8")
+    return np.ascontiguousarray(np.asarray(numkong.dots_packed(plane, packed)).T, dtype=np.float64)
+
+
+def _lengths(norms_sq: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Lengths (n,) of rows; 1 for a row that is all zero, so that its cosine to anything is 0."""
+    return np.sqrt(np.maximum(norms_sq, 1).astype(np.float64))
+
+
+def _integer_costs(dots: NDArray[np.float64], product: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Whole numbers round((1 - dots / product) COST_ONE), (n, N), made in place of the dots."""
+    np.divide(dots, product, out=dots)
+    np.subtract(1.0, dots, out=dots)
+    np.multiply(dots, COST_ONE, out=dots)
+    return np.rint(dots, out=dots)

@@ -1,9 +1,11 @@
-"""The map's folder, opened only after its header, sizes and checksums hold.
+"""The map's folder, used only after its header, sizes and checksums hold.
 
     map.json         header: format, model, regions, sampling, counts, segments, checksums; its own checksum last
-    descriptors.i8   (N, R * D) int8, normalised over the whole set; memory-mapped, the only file matching reads
+    descriptors.i8   (R, N, K) int8, normalised over the whole set, as `costs.encode` has it; memory-mapped, the only
+                     file that matching reads
     places.bin       (N,) records of PLACE: where the place is, and its thumbnail
     statistics.f64   (2, R, D) mean and deviation of the raw set
+    projection.f32   (K, D) of a map whose descriptors were shrunk to K < D dimensions
     raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalised again without images
     thumbnails.jpgs  one small JPEG after another, for people
 
@@ -25,17 +27,22 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.reference_map.verification import FileKey, Verification
 
 FORMAT = "lookback-map"
-VERSION = 1
+VERSION = 2
 HEADER = "map.json"
 DESCRIPTORS = "descriptors.i8"
 PLACES = "places.bin"
 STATISTICS = "statistics.f64"
+PROJECTION = "projection.f32"
 RAW = "raw.f16"
 THUMBNAILS = "thumbnails.jpgs"
-MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS)
+MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION)
 """What recognition reads; the other files are for growing the map and for people."""
+
+LARGE_FILES = (DESCRIPTORS, RAW, THUMBNAILS)
+"""Their checksums take seconds, so that a daemon computes them between frames."""
 
 MAX_HEADER_BYTES = 16 << 20
 
@@ -85,21 +92,15 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str
 
 
-class FileKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Size and checksum of one file of the map."""
-
-    bytes: int
-    sha256: str
-
-
 class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """`map.json`."""
+    """`map.json`. dimensions: values of a region that are matched; fewer than the model's where they were shrunk."""
 
     format: str
     version: int
     lookback: str
     model: ModelKey
     regions: RegionsKey
+    dimensions: int
     sampling: SamplingConfig
     places: int
     segments: tuple[Segment, ...]
@@ -109,12 +110,13 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class ReferenceMap:
-    """An open map: descriptors (N, R * D) int8 memory-mapped read-only, places (N,) of PLACE."""
+    """An open map: descriptors (R, N, K) int8 memory-mapped read-only, places (N,) of PLACE, projection (K, D)."""
 
     path: Path
     header: MapHeader
     descriptors: NDArray[np.int8]
     places: NDArray[np.void]
+    projection: NDArray[np.float32] | None = None
 
     def thumbnail(self, place: int) -> bytes:
         """The place's small JPEG, for people."""
@@ -135,15 +137,28 @@ def open_map(path: Path, *, every_file: bool = False) -> ReferenceMap:
 
     By default the checksums of the files that matching reads are checked, with `every_file` those of all.
     """
+    reference_map, verification = open_unverified(path, every_file=every_file)
+    verification.finish()
+    return reference_map
+
+
+def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceMap, Verification]:
+    """Open a map of which header, sizes and small files hold; the large files are left to the Verification.
+
+    Until that is done, nothing that the map says may be told to anyone. Raises MapError.
+    """
     header = read_header(path)
     _check_sizes(path, header)
-    for name in sorted(header.files) if every_file else MATCHING_FILES:
-        if sha256_of(path / name) != header.files[name].sha256:
-            raise MapError(f"{path / name}: damaged (its checksum does not hold); build or copy the map again")
+    wanted = [name for name in sorted(header.files) if every_file or name in MATCHING_FILES]
+    Verification(path, header.files, [name for name in wanted if name not in LARGE_FILES]).finish()
+    regions, kept = header.regions.count, header.dimensions
     places = np.fromfile(path / PLACES, dtype=PLACE)
-    width = header.regions.count * header.model.dimensions
-    descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(header.places, width))
-    return ReferenceMap(path, header, descriptors, places)
+    descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
+    projection = None
+    if PROJECTION in header.files:
+        projection = np.fromfile(path / PROJECTION, dtype="<f4").reshape(kept, header.model.dimensions)
+    later = Verification(path, header.files, [name for name in wanted if name in LARGE_FILES])
+    return ReferenceMap(path, header, descriptors, places, projection), later
 
 
 def read_header(path: Path) -> MapHeader:
@@ -162,7 +177,10 @@ def read_header(path: Path) -> MapHeader:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MapError(f"{file}: damaged, or not a map header: {error}") from None
     if header.format != FORMAT or header.version != VERSION:
-        raise MapError(f"{file}: format {header.format!r} version {header.version}; this program reads {VERSION}")
+        raise MapError(
+            f"{file}: format {header.format!r} version {header.version}; this program reads {VERSION};"
+            " build the map again"
+        )
     # The canonical encoding must give the same bytes, so that no bit of the file goes unchecked.
     if encode_header(msgspec.structs.replace(header, header_sha256="")) != data:
         raise MapError(f"{file}: damaged (its checksum does not hold); build or copy the map again")
@@ -176,20 +194,23 @@ def encode_header(header: MapHeader) -> bytes:
     return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(header, header_sha256=digest)), indent=1)
 
 
-def expected_sizes(places: int, regions: int, dimensions: int) -> dict[str, int]:
-    """Bytes of the files whose size follows from the counts."""
-    values = places * regions * dimensions
-    return {
-        DESCRIPTORS: values,
+def expected_sizes(places: int, regions: int, dimensions: int, kept: int) -> dict[str, int]:
+    """Bytes of the files whose size follows from the counts; `kept` of the model's `dimensions` are matched."""
+    values = places * regions
+    sizes = {
+        DESCRIPTORS: values * kept,
         PLACES: places * PLACE.itemsize,
         STATISTICS: 2 * regions * dimensions * 8,
-        RAW: values * 2,
+        RAW: values * dimensions * 2,
     }
+    return sizes if kept == dimensions else {**sizes, PROJECTION: kept * dimensions * 4}
 
 
 def _check_header(file: Path, header: MapHeader) -> None:
     """Hold the header's own claims against each other, before anything is read by them."""
-    sizes = expected_sizes(header.places, header.regions.count, header.model.dimensions)
+    if not 1 <= header.dimensions <= header.model.dimensions:
+        raise MapError(f"{file}: dimensions: {header.dimensions} of the model's {header.model.dimensions}")
+    sizes = expected_sizes(header.places, header.regions.count, header.model.dimensions, header.dimensions)
     if set(header.files) != {*sizes, THUMBNAILS}:
         raise MapError(f"{file}: files: not the files of a map")
     for name, size in sizes.items():
@@ -211,15 +232,3 @@ def _check_sizes(path: Path, header: MapHeader) -> None:
             raise MapError(f"{path / name}: cannot read it: {error.strerror}") from None
         if size != key.bytes:
             raise MapError(f"{path / name}: {size} bytes where the header says {key.bytes}; build or copy it again")
-
-
-def sha256_of(file: Path) -> str:
-    """Checksum of a file, read in pieces."""
-    try:
-        with file.open("rb") as stream:
-            digest = hashlib.sha256()
-            while block := stream.read(1 << 20):
-                digest.update(block)
-    except OSError as error:
-        raise MapError(f"{file}: cannot read it: {error.strerror}") from None
-    return digest.hexdigest()

@@ -78,15 +78,14 @@ def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
 def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
     """Uniqueness of the best match of each place outside its own surroundings."""
     header = reference_map.header
-    matcher = CostMatcher(reference_map.descriptors, reference_map.places["norm_sq"], header.regions.count)
+    matcher = CostMatcher.of(reference_map)
     part = MapPart([(0, header.places)], header, Route(reference_map), config)
     around, search = part.neighbourhood, part.search
     per_frame = config.sequence.region_order == "frame"
-    rows = reference_map.descriptors.reshape(header.places, header.regions.count, -1)
     for segment in header.segments:
         search.clear()
         for place in range(segment.start, segment.end):
-            costs = matcher.costs(rows[place : place + 1].astype(np.float32))[0]
+            costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])[0]
             search.push(costs.min(axis=0, keepdims=True) if per_frame else costs)
             lines = search.lines()
             if lines is None:

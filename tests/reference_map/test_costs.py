@@ -8,74 +8,149 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.reference_map.costs import COST_ONE, CostMatcher, quantize, squared_norms
+from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
 
 
-def slow_costs(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDArray[np.int32]:
-    """1 - cosine of every pair in exact integers and then float64: (n, N)."""
-    dots = query.astype(np.int64) @ reference.astype(np.int64).T
-    norms = np.sqrt((query.astype(np.float64) ** 2).sum(1))[:, None] * np.sqrt(
-        (reference.astype(np.float64) ** 2).sum(1)
-    )
-    cosine = np.divide(dots, norms, out=np.zeros(dots.shape), where=norms > 0)
-    return np.rint((1 - cosine) * COST_ONE).astype(np.int32)
+def decoded(encoded: NDArray[np.int8]) -> NDArray[np.int64]:
+    """The regions (n, R, D), exactly, of encoded rows (R, n, D)."""
+    planes = encoded.astype(np.int64)
+    regions = planes if len(planes) == 1 else np.stack([planes[0] + planes[1], planes[0] - planes[1]])
+    return regions.swapaxes(0, 1)
 
 
-def matcher_of(reference: NDArray[np.int8], regions: int) -> CostMatcher:
-    return CostMatcher(reference, squared_norms(reference), regions)
+def slow_costs(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.int32]:
+    """1 - cosine of every pair of (n, R, D) and (N, R, D), in exact integers and then float64: (n, N)."""
+    query, reference = query.reshape(len(query), -1), reference.reshape(len(reference), -1)
+    dots = (query @ reference.T).astype(np.float64)
+    lengths = [np.sqrt((rows**2).sum(axis=1) / 1.0) for rows in (query, reference)]
+    product = np.where(lengths[0] > 0, lengths[0], 1)[:, None] * np.where(lengths[1] > 0, lengths[1], 1)
+    return np.rint((1 - dots / product) * COST_ONE).astype(np.int32)
 
 
-@settings(max_examples=40, deadline=None)
-@given(
+def slow_costs_of_encoded(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDArray[np.int32]:
+    """Both orders of encoded rows in Python's own integers, one float64 operation after another: (n, orders, N)."""
+    out = np.empty((query.shape[1], len(query), reference.shape[1]), dtype=np.int32)
+    wide_query, wide = query.astype(object), reference.astype(object)
+    for row in range(query.shape[1]):
+        for place in range(reference.shape[1]):
+            dots = [int(wide_query[plane, row] @ wide[plane, place]) for plane in range(len(query))]
+            lengths = [float(max(1, int((rows**2).sum()))) ** 0.5 for rows in (wide_query[:, row], wide[:, place])]
+            for order, sign in enumerate((1, -1)[: len(query)]):
+                dot = dots[0] + sign * dots[1] if len(dots) == 2 else dots[0]
+                out[row, order, place] = round((1.0 - float(dot) / (lengths[0] * lengths[1])) * COST_ONE)
+    return out
+
+
+def matcher_of(reference: NDArray[np.float32]) -> CostMatcher:
+    encoded = encode(reference)
+    return CostMatcher(encoded, squared_norms(encoded))
+
+
+cases = given(
     seed=st.integers(0, 2**32 - 1),
     places=st.integers(1, 70),
     rows=st.integers(1, 9),
     regions=st.integers(1, 2),
     dimensions=st.sampled_from([1, 3, 64, 100, 257, 4096]),
 )
-def test_costs_are_exact_in_both_orders(seed: int, places: int, rows: int, regions: int, dimensions: int) -> None:
+
+
+@settings(max_examples=40, deadline=None)
+@cases
+def test_costs_are_those_of_both_orders(seed: int, places: int, rows: int, regions: int, dimensions: int) -> None:
     rng = np.random.default_rng(seed)
-    reference = quantize(rng.normal(size=(places, regions * dimensions)).astype(np.float32))
+    reference = rng.normal(size=(places, regions, dimensions)).astype(np.float32)
     query = rng.normal(size=(rows, regions, dimensions)).astype(np.float32)
-    costs = matcher_of(reference, regions).costs(query)
+    costs = matcher_of(reference).costs(query)
     assert costs.shape == (rows, regions, places)
-    quantized = quantize(query)
-    np.testing.assert_array_equal(costs[:, 0], slow_costs(quantized.reshape(rows, -1), reference))
+    shown, kept = decoded(encode(query)), decoded(encode(reference))
+    # The rotation back doubles all lengths, which moves a square root by its last bit at most.
+    assert np.abs(costs[:, 0] - slow_costs(shown, kept)).max() <= 1
     if regions == 2:
-        swapped = quantized[:, ::-1].reshape(rows, -1)
-        np.testing.assert_array_equal(costs[:, 1], slow_costs(swapped, reference))
+        assert np.abs(costs[:, 1] - slow_costs(shown[:, ::-1], kept)).max() <= 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    places=st.integers(1, 12),
+    rows=st.integers(1, 3),
+    regions=st.integers(1, 2),
+    dimensions=st.sampled_from([1, 63, 64, 65, 300]),
+    extreme=st.booleans(),
+)
+def test_costs_are_exact_to_the_bit(
+    seed: int, places: int, rows: int, regions: int, dimensions: int, extreme: bool
+) -> None:
+    """In integers of any size and Python's float64: what every machine must give, whichever kernel it has."""
+    rng = np.random.default_rng(seed)
+    values = (-127, 127) if extreme else np.arange(-127, 128)
+    reference = rng.choice(values, (regions, places, dimensions)).astype(np.int8)
+    query = rng.choice(values, (regions, rows, dimensions)).astype(np.int8)
+    reference[:, rng.random(places) < 0.1] = 0
+    matcher = CostMatcher(reference, squared_norms(reference))
+    expected = slow_costs_of_encoded(query, reference)
+    np.testing.assert_array_equal(matcher.costs_of_encoded(query), expected)
+    for row in range(rows):  # one row alone goes through another kernel than several
+        np.testing.assert_array_equal(matcher.costs_of_encoded(query[:, row : row + 1])[0], expected[row])
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), cuts=st.lists(st.integers(0, 60), min_size=2, max_size=8))
+def test_ranges_are_the_same_columns(seed: int, cuts: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    matcher = matcher_of(rng.normal(size=(60, 2, 33)).astype(np.float32))
+    query = rng.normal(size=(2, 2, 33)).astype(np.float32)
+    cuts = sorted(cuts)
+    ranges = [(start, end) for start, end in zip(cuts[::2], cuts[1::2], strict=False) if start < end]
+    if not ranges:
+        return
+    columns = np.concatenate([np.arange(start, end) for start, end in ranges])
+    np.testing.assert_array_equal(matcher.costs(query, ranges), matcher.costs(query)[:, :, columns])
+
+
+def test_swapping_the_regions_swaps_the_orders() -> None:
+    rng = np.random.default_rng(4)
+    matcher = matcher_of(rng.normal(size=(50, 2, 64)).astype(np.float32))
+    query = rng.normal(size=(3, 2, 64)).astype(np.float32)
+    np.testing.assert_array_equal(matcher.costs(query[:, ::-1]), matcher.costs(query)[:, ::-1])
 
 
 def test_extreme_values_do_not_overflow() -> None:
-    reference = np.full((3, 8192), 127, dtype=np.int8)
-    reference[1] = -127
-    costs = matcher_of(reference, 2).costs(np.ones((1, 2, 4096), dtype=np.float32))
-    np.testing.assert_array_equal(costs[0], [[0, 2 * COST_ONE, 0]] * 2)
+    reference = np.ones((3, 2, 4096), dtype=np.float32)
+    reference[1] = -1
+    for query in (1.0, np.finfo(np.float32).max):
+        costs = matcher_of(reference).costs(np.full((1, 2, 4096), query, dtype=np.float32))
+        np.testing.assert_array_equal(costs[0], [[0, 2 * COST_ONE, 0]] * 2)
 
 
 def test_int8_is_close_to_float() -> None:
     rng = np.random.default_rng(0)
-    reference, query = rng.normal(size=(200, 8192)).astype(np.float32), rng.normal(size=(1, 2, 4096)).astype(np.float32)
-    flat = query.reshape(-1)
-    exact = 1 - reference @ flat / (np.linalg.norm(reference, axis=1) * np.linalg.norm(flat))
-    costs = matcher_of(quantize(reference), 2).costs(query)[0, 0] / COST_ONE
-    assert np.abs(costs - exact).max() < 2e-3
+    reference, query = rng.normal(size=(200, 2, 4096)).astype(np.float32), rng.normal(size=(2, 4096)).astype(np.float32)
+    for order, shown in enumerate((query, query[::-1])):
+        flat, rows = shown.reshape(-1), reference.reshape(200, -1)
+        exact = 1 - rows @ flat / (np.linalg.norm(rows, axis=1) * np.linalg.norm(flat))
+        costs = matcher_of(reference).costs(query[np.newaxis])[0, order] / COST_ONE
+        assert np.abs(costs - exact).max() < 2e-3
 
 
-def test_a_query_without_direction_is_unrelated_to_everything() -> None:
+@pytest.mark.parametrize("regions", [1, 2])
+@pytest.mark.parametrize("nothing", [0.0, 1e-40])
+def test_a_query_without_direction_is_unrelated_to_everything(regions: int, nothing: float) -> None:
     rng = np.random.default_rng(0)
-    reference = quantize(rng.normal(size=(20, 64)).astype(np.float32))
+    reference = rng.normal(size=(20, regions, 64)).astype(np.float32)
     reference[4] = 0
-    matcher = matcher_of(reference, 1)
-    assert (matcher.costs(np.zeros((1, 1, 64), dtype=np.float32)) == COST_ONE).all()
-    assert matcher.costs(rng.normal(size=(1, 1, 64)).astype(np.float32))[0, 0, 4] == COST_ONE
+    matcher = matcher_of(reference)
+    assert (matcher.costs(np.full((1, regions, 64), nothing, dtype=np.float32)) == COST_ONE).all()
+    assert (matcher.costs(rng.normal(size=(1, regions, 64)).astype(np.float32))[0, :, 4] == COST_ONE).all()
 
 
+@pytest.mark.parametrize("regions", [1, 2])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_one_bad_number_costs_only_its_own_dimension(bad: float) -> None:
+def test_one_bad_number_costs_only_its_own_dimension(bad: float, regions: int) -> None:
     rng = np.random.default_rng(0)
-    matcher = matcher_of(quantize(rng.normal(size=(20, 64)).astype(np.float32)), 1)
-    query = rng.normal(size=(1, 1, 64)).astype(np.float32)
+    matcher = matcher_of(rng.normal(size=(20, regions, 64)).astype(np.float32))
+    query = rng.normal(size=(1, regions, 64)).astype(np.float32)
     spoiled, without = query.copy(), query.copy()
     spoiled[0, 0, 5], without[0, 0, 5] = bad, 0
     np.testing.assert_array_equal(matcher.costs(spoiled), matcher.costs(without))

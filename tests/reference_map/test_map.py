@@ -14,9 +14,9 @@ from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.build import MapBuilder, Place
-from edge.reference_map.costs import quantize
+from edge.reference_map.costs import encode
 from edge.reference_map.route import Route
-from edge.reference_map.store import MATCHING_FILES, ModelKey, RegionsKey, open_map
+from edge.reference_map.store import DESCRIPTORS, ModelKey, RegionsKey, open_map, open_unverified
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 16)
 REGIONS = RegionsKey("left-right", 0.4, "set")
@@ -56,8 +56,8 @@ def test_round_trip(small_map: Path) -> None:
     opened = open_map(small_map, every_file=True)
     raw = raw_descriptors(12)
     np.testing.assert_array_equal(opened.raw(), raw)
-    expected = quantize(normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64)))
-    np.testing.assert_array_equal(opened.descriptors, expected.reshape(12, 32))
+    expected = encode(normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64)))
+    np.testing.assert_array_equal(opened.descriptors, expected)
     assert [(segment.start, segment.end) for segment in opened.header.segments] == [(0, 6), (6, 12)]
     assert opened.thumbnail(8) == b"222"
     np.testing.assert_array_equal(opened.places["row"], [0, 1, 2, 3, 4, 5] * 2)
@@ -105,7 +105,7 @@ def test_every_bit_flip_of_the_header_and_every_file_is_noticed(small_map: Path)
 
 
 def test_every_truncation_is_noticed(small_map: Path) -> None:
-    for name in ("map.json", *MATCHING_FILES, "raw.f16", "thumbnails.jpgs"):
+    for name in ("map.json", *json.loads((small_map / "map.json").read_bytes())["files"]):
         size = (small_map / name).stat().st_size
         for keep in {0, 1, size // 2, size - 1}:
             copy = small_map.with_name(f"{name}.{keep}")
@@ -119,13 +119,43 @@ def test_every_truncation_is_noticed(small_map: Path) -> None:
         (small_map / "gone").rename(small_map / name)
 
 
+def test_a_large_file_may_be_checked_in_pieces_after_opening(small_map: Path) -> None:
+    reference_map, verification = open_unverified(small_map)
+    assert not verification.is_done
+    steps = 1
+    while not verification.step(100):
+        steps += 1
+    assert steps == -(-reference_map.descriptors.size // 100) + (reference_map.descriptors.size % 100 == 0)
+    verification.finish()
+    good = (small_map / DESCRIPTORS).read_bytes()
+    (small_map / DESCRIPTORS).write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+    _, verification = open_unverified(small_map)  # nothing is noticed yet
+    with pytest.raises(MapError, match=f"{DESCRIPTORS}: damaged"):
+        verification.finish()
+    _, verification = open_unverified(small_map)
+    verification.step(10)
+    verification.close()
+    (small_map / DESCRIPTORS).write_bytes(good)
+    verification.finish()  # from the start again
+
+
+def test_a_large_file_that_goes_away_is_one_line(small_map: Path) -> None:
+    _, verification = open_unverified(small_map)
+    (small_map / DESCRIPTORS).unlink()
+    with pytest.raises(MapError, match=rf"{DESCRIPTORS}: cannot read it"):
+        verification.step(1)
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"version": 2}, "version 2"),
+        ({"version": 1}, "version 1; this program reads 2; build the map again"),
         ({"format": "other"}, "format"),
         ({"places": 10**12}, "descriptors.i8 should have"),
         ({"places": -1}, "should have"),
+        ({"dimensions": 0}, "dimensions"),
+        ({"dimensions": 17}, "dimensions"),
+        ({"dimensions": 8}, "not the files of a map"),
         ({"segments": [{"start": 0, "end": 5, "view": "rear", "source": ""}]}, "segments"),
         ({"surprise": 1}, "surprise"),
         ({"places": "many"}, "places"),
