@@ -22,6 +22,7 @@ from edge.camera import Frame, open_camera
 from edge.camera.newest import CameraHealth, NewestFrame
 from edge.config import Config, load_config
 from edge.descriptor.network import Head, Network
+from edge.live_status import LiveStatus, open_page
 from edge.observation import observation
 from edge.recognizer import PlaceMatch, PlaceRecognizer, State
 from edge.reference_map.route import Route
@@ -116,7 +117,22 @@ class Daemon:
         self._camera: Frames = parts.enter_context(
             closing(frames or NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns))
         )
+        self._watch = LiveStatus(
+            config,
+            reference_map,
+            network.info.name,
+            self._recognizer,
+            self._times,
+            lambda: self._camera.health,
+            self._autopilot,
+            self._journal,
+            clock_ns,
+        )
+        self._page = open_page(config.page, reference_map)
+        if self._page is not None:
+            parts.enter_context(closing(self._page))
         self._state: State | str = ""
+        self._why = ""
         self._frames_used = 0
         self._events = 0
 
@@ -132,6 +148,8 @@ class Daemon:
         health = self._camera.health
         if health.state == "lost":
             self._tell_state("camera lost", health.reason)
+        if self._page is not None and self._page.wanted:
+            self._page.show(self._watch.snapshot(self._state, self._why))
         notify("WATCHDOG=1")
         return not self._camera.ended
 
@@ -141,6 +159,7 @@ class Daemon:
         match = self._recognizer.observe(frame.image, frame.stamp_ns)
         self._tell_state(self._recognizer.state)
         self._tracker.see(match, frame.stamp_ns, distance_m)
+        self._watch.note(frame, match)
         if self._journal and self._config.telemetry.journal_frames:
             seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
@@ -190,7 +209,7 @@ class Daemon:
     def _tell_state(self, state: str, why: str = "") -> None:
         if state == self._state:
             return
-        self._state = state
+        self._state, self._why = state, why
         log.info("%s %s", state, why)
         self._record(StateChanged(state, why))
         notify(f"STATUS={state} {why}".rstrip())

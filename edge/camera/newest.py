@@ -1,4 +1,4 @@
-"""The one thread of the program: reads a camera as fast as it delivers, and keeps only the newest frame.
+"""The camera's thread: reads a camera as fast as it delivers, and keeps only the newest frame.
 
 A recogniser that is slower than the camera must work on what the camera sees now, not on a queue that grows older,
 and a camera that is unplugged must come back without a restart.
