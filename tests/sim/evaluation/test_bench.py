@@ -1,11 +1,13 @@
-"""The row named Lookback is what `lookback replay` does, frame by frame."""
+"""The row named Lookback is what `lookback replay` does, frame by frame; and how far ahead its answers lie."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 
 from edge.camera.feed import read_feed
 from edge.config import AcceptanceConfig, Config, SamplingConfig
@@ -15,6 +17,8 @@ from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
 from edge.replay import replay
 from sim.evaluation.commands import open_bench
+from sim.evaluation.comparison import median_ahead
+from sim.evaluation.matching import judge
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
 
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
@@ -53,3 +57,23 @@ def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, tmp_path: P
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
     uniqueness = [line.uniqueness for line in lines[LENGTH - 1 :]]
     assert uniqueness == [round(float(value), 6) for value in outcome.matches.confidence[LENGTH - 1 :]]
+
+
+def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: Path, write_feed: Any) -> None:
+    write_feed("there", [2.0 * step for step in range(20)])
+    write_feed("here", [10.0, 12.0, 14.0, 16.0])
+    plan = Plan(
+        title="ahead",
+        methods=["SeqSLAM"],
+        networks={"shipped": NetworkPlan()},
+        traverses={name: TraversePlan(feed=name) for name in ("there", "here")},
+        pairs=[Pair("p", "there", "here", "positions", tolerance=9.0, length=1)],
+        sampling=SamplingConfig(by="frames"),
+    )
+    outcome = open_bench(plan, tmp_path, tmp_path, tmp_path).run(plan.pairs[0], "SeqSLAM")
+    # The truth is places 5 to 8; answers lie 1, 3 and 4 places on, and one is wrong.
+    places = np.array([6, 9, 11, 0])
+    for reverse, ahead_m in ((False, 6.0), (True, -6.0)):
+        matches = replace(outcome.matches, place=places, reverse=np.full(4, reverse))
+        answers = judge(matches, outcome.errors, 9.0, outcome.judged)
+        assert abs(median_ahead(replace(outcome, matches=matches, answers=answers)) - ahead_m) < 0.1
