@@ -33,6 +33,8 @@ VERDICTS: dict[int, Verdict] = {
     mavlink.MAV_RESULT_FAILED: "not now",
     mavlink.MAV_RESULT_IN_PROGRESS: "wait",
     CANCELLED: "not now",
+    mavlink.MAV_RESULT_COMMAND_LONG_ONLY: "never",
+    mavlink.MAV_RESULT_COMMAND_INT_ONLY: "never",
 }
 
 

@@ -1,14 +1,26 @@
-"""Recorded telemetry of real autopilots, frame by frame."""
+"""Recorded telemetry of real autopilots, frame by frame; and our connection against a simulated one."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from edge.config import GatesConfig, TelemetryConfig
+from edge.telemetry import PlaceFix
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.journal import Journal, read_journal
+from sim.autopilot import SimulatedAutopilot
+from sim.autopilot_command import straight_line
+from sim.pty_link import PtyLink, open_pty
+
 TlogReader = Callable[[str], Iterator[tuple[int, bytes]]]
+SPEED_MPS = 8.0
+START_NS = 1_000_000_000_000
+LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1)
 
 
 @pytest.fixture(scope="session")
@@ -25,3 +37,96 @@ def read_tlog(shared: Path) -> TlogReader:
             at += 8 + size
 
     return read
+
+
+class Rig:
+    """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
+
+    def __init__(
+        self, folder: Path, emit: Any = "report", gates: GatesConfig = LENIENT, config: Any = None, **autopilot: Any
+    ) -> None:
+        self.now_ns = START_NS
+        self.port = folder / "autopilot"
+        self.journal = Journal(folder / "events.jsonl")
+        self.options = autopilot
+        self.pty: PtyLink | None = None
+        self.plug()
+        options = {"connection": f"serial:{self.port}:921600", "emit": emit, **(config or {})}
+        self.connection = AutopilotConnection(
+            TelemetryConfig(**options), lambda: self.now_ns, self.journal.write, gates
+        )
+
+    def plug(self) -> None:
+        self.pty = open_pty()
+        self.port.unlink(missing_ok=True)
+        self.port.symlink_to(self.pty.device)
+        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
+        self.autopilot = SimulatedAutopilot(self.pty, pose_at, lambda: self.now_ns, **self.options)
+
+    def unplug(self) -> None:
+        assert self.pty is not None
+        self.pty.close()
+        self.pty = None
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Step both ends 10 ms at a time; whether `until` came true."""
+        for _ in range(round(seconds * 100)):
+            self.now_ns += 10_000_000
+            if self.pty is not None:
+                self.autopilot.step()
+            self.connection.poll()
+            if until():
+                return True
+        return False
+
+    def received(self, name: str) -> list[Any]:
+        return [entry.message for entry in self.autopilot.received if entry.message.get_type() == name]
+
+    def journalled(self, event: str) -> list[dict[str, Any]]:
+        path = self.port.with_name("events.jsonl")
+        return [record for record in read_journal(path) if record["event"] == event]
+
+    def fix(self, age_s: float = 0.5, **changes: Any) -> PlaceFix:
+        exposed_ns = self.now_ns - round(age_s * 1e9)
+        lat_deg, lon_deg = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)(exposed_ns / 1e9).geodetic()
+        fields: dict[str, Any] = {
+            "stamp_ns": exposed_ns,
+            "place": 42,
+            "lat_deg": lat_deg,
+            "lon_deg": lon_deg,
+            "heading_deg": 60.0,
+            "sigma_along_m": 6.0,
+            "sigma_across_m": 2.0,
+            "direction": "reverse",
+            "order": "same",
+            "uniqueness": 1.31,
+            "category": "street",
+            "matches": 20,
+        }
+        return PlaceFix(**{**fields, **changes})
+
+    def close(self) -> None:
+        self.connection.close()
+        self.journal.close()
+        if self.pty is not None:
+            self.pty.close()
+
+
+@pytest.fixture
+def open_rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
+    """Opens a Rig with other options than `rig`'s."""
+    opened: list[Rig] = []
+
+    def open_one(**options: Any) -> Rig:
+        opened.append(Rig(tmp_path, **options))
+        return opened[-1]
+
+    yield open_one
+    for rig in opened:
+        rig.close()
+
+
+@pytest.fixture
+def rig(open_rig: Callable[..., Rig], request: pytest.FixtureRequest) -> Rig:
+    """A connection in `report`, or with the options that an indirect parameter gives."""
+    return open_rig(**getattr(request, "param", {}))

@@ -3,107 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import GatesConfig, TelemetryConfig
+from edge.config import TelemetryConfig
 from edge.errors import ConfigError
-from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.journal import Journal, read_journal
-from sim.autopilot import SILENT, SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.autopilot import SILENT
 
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0
-START_NS = 1_000_000_000_000
-LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1)
 STREAMS = {33, 32, 74, 9000, 24, 2, 230}
-
-
-class Rig:
-    """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
-
-    def __init__(
-        self, folder: Path, emit: Any = "report", gates: GatesConfig = LENIENT, config: Any = None, **autopilot: Any
-    ) -> None:
-        self.now_ns = START_NS
-        self.port = folder / "autopilot"
-        self.journal = Journal(folder / "events.jsonl")
-        self.options = autopilot
-        self.pty: PtyLink | None = None
-        self.plug()
-        options = {"connection": f"serial:{self.port}:921600", "emit": emit, **(config or {})}
-        self.connection = AutopilotConnection(
-            TelemetryConfig(**options), lambda: self.now_ns, self.journal.write, gates
-        )
-
-    def plug(self) -> None:
-        self.pty = open_pty()
-        self.port.unlink(missing_ok=True)
-        self.port.symlink_to(self.pty.device)
-        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
-        self.autopilot = SimulatedAutopilot(self.pty, pose_at, lambda: self.now_ns, **self.options)
-
-    def unplug(self) -> None:
-        assert self.pty is not None
-        self.pty.close()
-        self.pty = None
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Step both ends 10 ms at a time; whether `until` came true."""
-        for _ in range(round(seconds * 100)):
-            self.now_ns += 10_000_000
-            if self.pty is not None:
-                self.autopilot.step()
-            self.connection.poll()
-            if until():
-                return True
-        return False
-
-    def received(self, name: str) -> list[Any]:
-        return [entry.message for entry in self.autopilot.received if entry.message.get_type() == name]
-
-    def journalled(self, event: str) -> list[dict[str, Any]]:
-        path = self.port.with_name("events.jsonl")
-        return [record for record in read_journal(path) if record["event"] == event]
-
-    def fix(self, age_s: float = 0.5, **changes: Any) -> PlaceFix:
-        exposed_ns = self.now_ns - round(age_s * 1e9)
-        lat_deg, lon_deg = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)(exposed_ns / 1e9).geodetic()
-        fields: dict[str, Any] = {
-            "stamp_ns": exposed_ns,
-            "place": 42,
-            "lat_deg": lat_deg,
-            "lon_deg": lon_deg,
-            "heading_deg": 60.0,
-            "sigma_along_m": 6.0,
-            "sigma_across_m": 2.0,
-            "direction": "reverse",
-            "order": "same",
-            "uniqueness": 1.31,
-            "category": "street",
-            "matches": 20,
-        }
-        return PlaceFix(**{**fields, **changes})
-
-    def close(self) -> None:
-        self.connection.close()
-        self.journal.close()
-        if self.pty is not None:
-            self.pty.close()
-
-
-@pytest.fixture
-def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Rig]:
-    rig = Rig(tmp_path, **getattr(request, "param", {}))
-    yield rig
-    rig.close()
-
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
 
@@ -134,12 +47,11 @@ def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig
     assert vehicle.gps_healthy(rig.now_ns)
 
 
-def test_the_autopilots_own_system_id_is_taken(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, system_id=7)
+def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> None:
+    rig = open_rig(system_id=7)
     rig.run(4.0)
     assert rig.connection.vehicle.system_id == 7
     assert rig.received("HEARTBEAT")[-1].get_srcSystem() == 7
-    rig.close()
 
 
 def test_report_sends_text_and_no_position(rig: Rig) -> None:
@@ -295,28 +207,29 @@ def test_a_malformed_connection_is_refused_at_once() -> None:
 
 @pytest.mark.parametrize("recording", ["ardurover-4.6.3-nogps", "px4-1.18-agp"])
 def test_recorded_autopilots_played_into_the_port(
-    tmp_path: Path, read_tlog: Callable[[str], Iterator[tuple[int, bytes]]], recording: str
+    rig: Rig, read_tlog: Callable[[str], Iterator[tuple[int, bytes]]], recording: str
 ) -> None:
-    """The first 20 s: link up, streams asked for, time known, TIMESYNC answered, and no position in `report`."""
-    rig = Rig(tmp_path)
-    assert rig.pty is not None
-    sent, codec, start_ns, next_fix_ns = [], MavlinkCodec(1, 1), 0, 0
+    """All of it: link up, streams asked for, time base right, TIMESYNC answered, and no position in `report`."""
+    sent, errors_s, codec, theirs, next_fix_ns = [], [], MavlinkCodec(1, 1), MavlinkCodec(1, 191), 0
     for rig.now_ns, frame in read_tlog(recording):
-        start_ns = start_ns or rig.now_ns
-        if rig.now_ns - start_ns > 20_000_000_000:
-            break
+        for message in theirs.decode(frame):
+            boot_s = rig.connection.vehicle.boot_time_s(rig.now_ns)
+            if message.get_type() == "TIMESYNC" and message.tc1 == 0 and boot_s is not None:
+                errors_s.append(boot_s - message.ts1 / 1e9)  # known before it is read
         rig.pty.send(frame)
         rig.connection.poll()
         sent += codec.decode(rig.pty.receive())
         if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
             next_fix_ns = rig.now_ns + 1_000_000_000
             rig.connection.tell_place(rig.fix())
+            assert rig.connection.position_wanted() is None
             assert not rig.connection.send_position(rig.fix())
     assert rig.connection.state == "up"
-    assert rig.connection.vehicle.boot_time_s(rig.now_ns) is not None
-    names = {message.get_type() for message in sent}
+    assert len(errors_s) >= 7
+    assert max(map(abs, errors_s)) < 0.020
     values = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
-    assert names == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *values}
-    assert {message.command for message in sent if message.get_type() == "COMMAND_LONG"} == {511, 512}
+    assert {message.get_type() for message in sent} == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *values}
+    commands = [message for message in sent if message.get_type() == "COMMAND_LONG"]
+    assert {message.param1 for message in commands if message.command == 511} == STREAMS
+    assert {message.command for message in commands} == {511, 512}
     assert any(message.tc1 for message in sent if message.get_type() == "TIMESYNC")
-    rig.close()

@@ -1,0 +1,215 @@
+"""Positions against the firmware that the table in sim/firmware.py knows: ways, answers, refusals, streams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.config import GatesConfig
+from sim.autopilot import SILENT
+
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
+OpenRig: TypeAlias = Callable[..., Any]
+OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1)
+
+
+def fixes_received(rig: Rig) -> list[Any]:
+    return [message for message in rig.received("COMMAND_INT") if message.command == 43003]
+
+
+def offer_for(rig: Rig, seconds: float, **changes: Any) -> int:
+    """Offer a fix of half a second ago, or of now, whenever one is wanted; how many went."""
+    sent = 0
+
+    def offer() -> bool:
+        nonlocal sent
+        moment = rig.connection.position_wanted()
+        if moment is not None:
+            sent += rig.connection.send_position(rig.fix(age_s=0.0 if moment == "now" else 0.5, **changes))
+        return False
+
+    rig.run(seconds, offer)
+    return sent
+
+
+@pytest.mark.parametrize(
+    ("firmware", "way", "why"),
+    [
+        ("ardupilot", "external_position", "ArduPilot 4.6 takes external_position"),
+        ("px4", "global_position_sensor", "PX4 1.18 takes global_position_sensor"),
+        ("px4-1.17", "external_position", "PX4 1.17 takes external_position"),
+        ("px4-1.15", "external_position", "PX4 1.15 takes external_position"),
+    ],
+)
+def test_auto_picks_what_the_firmware_takes_and_says_so(open_rig: OpenRig, firmware: str, way: str, why: str) -> None:
+    rig = open_rig(emit="auto", firmware=firmware)
+    rig.run(5.0)
+    assert rig.journalled("way")[-1] == {**rig.journalled("way")[-1], "way": way, "why": why}
+    assert f"Lookback: {why}" in [message.text for message in rig.received("STATUSTEXT")]
+
+
+@pytest.mark.parametrize(("firmware", "answer"), [("ardupilot", "FAILED"), ("px4-1.16", "TEMPORARILY_REJECTED")])
+def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, firmware: str, answer: str) -> None:
+    rig = open_rig(emit="external_position", gates=OFTEN, firmware=firmware, gps=True)
+    rig.run(4.0)
+    offer_for(rig, 30.0)
+    assert len(fixes_received(rig)) == 5, "pauses of 1, 2, 4, 8 and 16 s"
+    assert {record["result"] for record in rig.journalled("fix_answered")} == {answer}
+    assert not rig.received("STATUSTEXT")
+    rig.autopilot.gps = False
+    offer_for(rig, 20.0)
+    assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+    assert rig.autopilot.resets
+
+
+def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0), gps=False)
+    rig.run(4.0)
+    rig.autopilot.refuse_fixes_with = SILENT
+    assert rig.connection.send_position(rig.fix(age_s=0.5))
+    rig.run(5.0)
+    first, second = fixes_received(rig)
+    assert (second.x, second.y) == (first.x, first.y)
+    assert second.param1 - second.param2 == pytest.approx(first.param1 - first.param2, abs=0.02), "the same exposure"
+    assert second.param2 == pytest.approx(1.5, abs=0.05)
+    assert [record["again"] for record in rig.journalled("fix_sent")] == [False, True]
+    assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
+
+
+def test_px4_1_15_never_answers_and_is_told_nevertheless(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="auto", gates=OFTEN, firmware="px4-1.15", gps=False, drift_percent=3.0)
+    rig.run(10.0)
+    offer_for(rig, 10.0)
+    assert len(rig.autopilot.resets) >= 6
+    assert rig.autopilot.resets[-1].error_after_m < 1.0
+
+
+def test_accepted_and_moved(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gps=False, drift_percent=8.0)
+    rig.run(30.0)
+    assert rig.connection.send_position(rig.fix())
+    rig.run(3.0)
+    (checked,) = rig.journalled("fix_checked")
+    assert checked["moved"]
+    assert checked["remaining_m"] < 2.0
+
+
+def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=OFTEN, firmware="ardupilot-plain", drift_percent=20.0)
+    rig.run(4.0)
+    rig.autopilot.gps = False
+    rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
+    assert rig.connection.send_position(rig.fix())
+    rig.run(3.0)
+    (answered,) = rig.journalled("fix_answered")
+    (checked,) = rig.journalled("fix_checked")
+    assert answered["result"] == "ACCEPTED"
+    assert not checked["moved"]
+    assert any("fix accepted, position" in message.text for message in rig.received("STATUSTEXT"))
+    rig.run(10.0)
+    offer_for(rig, 6.0)
+    assert {record["result"] for record in rig.journalled("fix_answered")[1:]} == {"FAILED"}, "it has stopped aiding"
+
+
+def test_a_fix_beyond_reason_is_held_back_and_told_once(open_rig: OpenRig) -> None:
+    gates = GatesConfig(min_interval_s=0.5)
+    rig = open_rig(emit="external_position", gates=gates)
+    rig.run(4.0)
+    rig.autopilot.gps = False
+    rig.run(5.0)
+    offer_for(rig, 5.0, lat_deg=-27.48, matches=500)
+    assert not fixes_received(rig)
+    (withheld,) = rig.journalled("fix_withheld")
+    assert withheld["reason"] == "impossibly far"
+    assert withheld["distance_m"] > 200
+    texts = [message.text for message in rig.received("STATUSTEXT")]
+    assert len([text for text in texts if "not sent" in text]) == 1
+    assert offer_for(rig, 2.0) >= 2, "a good one goes at once"
+
+
+def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=GatesConfig())
+    rig.run(4.0)
+    assert offer_for(rig, 5.0) == 0
+    rig.autopilot.gps = False
+    assert offer_for(rig, 8.0) >= 4
+    assert [record["reason"] for record in rig.journalled("fix_withheld")] == ["GPS is healthy"]
+
+
+def test_px4_is_told_five_times_a_second_and_follows(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="auto", gates=GatesConfig(), firmware="px4", drift_percent=10.0)
+    rig.run(5.0)
+    rig.autopilot.gps = False
+    rig.run(30.0)
+    assert rig.autopilot.estimate.error_m > 15
+    before = len(rig.received("GLOBAL_POSITION_SENSOR"))
+    offer_for(rig, 10.0)
+    messages = rig.received("GLOBAL_POSITION_SENSOR")[before:]
+    assert len(messages) == pytest.approx(50, abs=3)
+    assert rig.autopilot.estimate.error_m < 3.0
+    assert not rig.received("COMMAND_INT")
+    assert len(rig.journalled("fix_sent")) <= 11, "one a second is recorded"
+
+
+def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="vision_position", gates=GatesConfig(), drift_percent=10.0)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(20.0)
+    offer_for(rig, 6.0)
+    assert rig.autopilot.inputs.source_set == 2
+    assert rig.autopilot.estimate.error_m < 3.0
+    assert len(rig.received("VISION_POSITION_ESTIMATE")) == pytest.approx(30, abs=3)
+    rig.autopilot.gps = True
+    rig.run(2.0)
+    assert rig.autopilot.inputs.source_set == 1
+
+
+def test_a_vision_stream_that_begins_far_off_says_that_it_jumps(open_rig: OpenRig) -> None:
+    gates = GatesConfig(far_sigmas=1000.0)
+    rig = open_rig(emit="vision_position", gates=gates)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    offer_for(rig, 6.0)
+    rig.run(5.0)
+    offer_for(rig, 4.0, lat_deg=-27.47)
+    counters = [message.reset_counter for message in rig.received("VISION_POSITION_ESTIMATE")]
+    assert len(set(counters)) == 2
+    assert counters == sorted(counters)
+    assert rig.autopilot.resets
+
+
+def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: OpenRig) -> None:
+    origin = (-27.4772, 153.0283, 20.0)
+    rig = open_rig(emit="external_position", gps=False, has_origin=False, config={"origin": origin})
+    rig.run(4.0)
+    assert rig.connection.vehicle.position(rig.now_ns) is None, "zeros are nowhere"
+    assert rig.connection.vehicle.origin is None
+    rig.run(8.0)
+    (message,) = rig.received("SET_GPS_GLOBAL_ORIGIN")
+    assert (message.latitude, message.longitude, message.altitude) == (-274772000, 1530283000, 20000)
+    assert rig.connection.vehicle.origin is not None
+    assert rig.connection.send_position(rig.fix())
+    rig.run(1.0)
+    assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+    assert rig.autopilot.resets[-1].error_after_m < 1.0
+
+
+def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
+    rig = open_rig(config={"origin": (1.0, 2.0, 3.0)})
+    rig.run(12.0)
+    assert rig.connection.vehicle.origin is not None
+    assert rig.connection.vehicle.origin.lat_deg == pytest.approx(-27.4772)
+    assert not rig.received("SET_GPS_GLOBAL_ORIGIN")
+
+
+def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gps=False)
+    rig.run(4.0)
+    rig.autopilot.refuse_fixes_with = mavlink.MAV_RESULT_IN_PROGRESS
+    assert rig.connection.send_position(rig.fix())
+    rig.run(0.5)
+    assert not rig.journalled("fix_answered")

@@ -1,0 +1,142 @@
+"""Signing: keys, the timestamp over restarts, frames that are refused, and a link that is signed at both ends."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.errors import ConfigError
+from edge.telemetry import fixes
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.signing import EPOCH_S, KEPT_AHEAD, TICKS_PER_S, Signer, load_key
+
+KEY = hashlib.sha256(b"a passphrase").digest()
+OTHER = hashlib.sha256(b"another one").digest()
+NOW_S = 1_800_000_000.0
+BEAT = fixes.heartbeat(4)
+
+
+def codec(folder: Path, name: str, key: bytes = KEY, now_s: float = NOW_S) -> MavlinkCodec:
+    return MavlinkCodec(1, 1 if name == "theirs" else 191, Signer(key, folder / name, 0, lambda: now_s))
+
+
+def stamp_of(frame: bytes) -> int:
+    return int.from_bytes(frame[-12:-6], "little")
+
+
+@pytest.mark.parametrize("text", [KEY, KEY.hex().encode(), KEY.hex().encode() + b"\n"])
+def test_a_key_is_32_bytes_or_their_digits(tmp_path: Path, text: bytes) -> None:
+    file = tmp_path / "key"
+    file.write_bytes(text)
+    file.chmod(0o600)
+    assert load_key(str(file)) == KEY
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "told"),
+    [(KEY, 0o640, "others may read this key; chmod 600"), (b"short", 0o600, "not a key of 32 bytes")],
+)
+def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, told: str) -> None:
+    file = tmp_path / "key"
+    file.write_bytes(text)
+    file.chmod(mode)
+    with pytest.raises(ConfigError, match=rf"^\[telemetry\] signing_key: {file}: {told}"):
+        load_key(str(file))
+
+
+def test_a_key_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot read it: No such file"):
+        load_key(str(tmp_path / "key"))
+
+
+def test_a_credential_of_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    with pytest.raises(ConfigError, match="LoadCredential="):
+        load_key("credential:mavlink")
+    (tmp_path / "mavlink").write_bytes(KEY)
+    (tmp_path / "mavlink").chmod(0o440)  # as systemd has it
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert load_key("credential:mavlink") == KEY
+
+
+def test_signed_frames_are_understood_and_others_are_not(tmp_path: Path) -> None:
+    ours, theirs = codec(tmp_path, "ours"), codec(tmp_path, "theirs")
+    frame = theirs.encode(BEAT)
+    altered = bytearray(frame)
+    altered[14] ^= 1
+    assert [message.get_type() for message in ours.decode(frame)] == ["HEARTBEAT"]
+    assert ours.has_heard_signed
+    assert not ours.decode(frame), "replayed"
+    assert not ours.decode(MavlinkCodec(1, 1).encode(BEAT)), "unsigned"
+    assert not ours.decode(codec(tmp_path, "theirs", OTHER).encode(BEAT)), "another's key"
+    assert not ours.decode(bytes(altered)), "altered"
+    assert ours.decode(theirs.encode(BEAT)), "and a good one still is"
+
+
+def test_a_forged_frame_from_the_future_does_not_lock_the_real_sender_out(tmp_path: Path) -> None:
+    ours, theirs = codec(tmp_path, "ours"), codec(tmp_path, "theirs")
+    forged = codec(tmp_path, "forger", OTHER, NOW_S + 1e6)
+    forged.component_id = 1
+    assert ours.decode(theirs.encode(BEAT))
+    frame = bytearray(forged.encode(BEAT))
+    frame[6] = 1  # as if from component 1; the signature is wrong anyway
+    assert not ours.decode(bytes(frame))
+    assert ours.decode(theirs.encode(BEAT))
+
+
+def test_timestamps_only_grow_over_a_restart_and_a_clock_that_was_set_back(tmp_path: Path) -> None:
+    first = stamp_of(codec(tmp_path, "ours").encode(BEAT))
+    assert first == pytest.approx((NOW_S - EPOCH_S) * TICKS_PER_S, abs=1)
+    restarted = codec(tmp_path, "ours", now_s=NOW_S - 3600)
+    second, third = stamp_of(restarted.encode(BEAT)), stamp_of(restarted.encode(BEAT))
+    assert first < second < third <= first + 2 * KEPT_AHEAD
+
+
+def test_a_damaged_or_unwritable_timestamp_costs_nothing_but_the_memory(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "ours").write_bytes(b"\xffnonsense")
+    assert codec(tmp_path, "ours").encode(BEAT)
+    signer = Signer(KEY, tmp_path / "missing" / "folder", 0, lambda: NOW_S)
+    assert MavlinkCodec(1, 191, signer).encode(BEAT)
+    assert "cannot keep the signing timestamp" in caplog.text
+
+
+def test_we_run_ahead_with_a_peer_that_does(tmp_path: Path) -> None:
+    ours, ahead = codec(tmp_path, "ours"), codec(tmp_path, "theirs", now_s=NOW_S + 50)
+    assert ours.decode(ahead.encode(BEAT))
+    assert stamp_of(ours.encode(BEAT)) > (NOW_S + 49 - EPOCH_S) * TICKS_PER_S
+
+
+@pytest.mark.parametrize(("key", "up"), [(KEY, True), (OTHER, False)])
+def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes, up: bool) -> None:
+    (tmp_path / "key").write_bytes(KEY)
+    (tmp_path / "key").chmod(0o600)
+    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    rig = open_rig(emit="external_position", gps=False, config=config, codec=codec(tmp_path, "theirs", key))
+    assert rig.run(0.8) is False
+    rig.run(6.0)
+    assert (rig.connection.state == "up") is up
+    if up:
+        assert rig.received("HEARTBEAT")
+        assert rig.connection.send_position(rig.fix())
+        rig.run(0.5)
+        assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+    else:
+        assert not rig.received("HEARTBEAT"), "and what we sign is nothing to a peer with another key"
+    assert (tmp_path / "clock.0").exists()
+
+
+def test_the_peer_is_heard_before_anything_is_signed(tmp_path: Path, open_rig: Callable[..., Any]) -> None:
+    """Its clock may be ahead of ours, and it would drop what is older than what it knows."""
+    (tmp_path / "key").write_bytes(KEY)
+    (tmp_path / "key").chmod(0o600)
+    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    rig = open_rig(config=config, codec=codec(tmp_path, "theirs", now_s=4_000_000_000.0))
+    heard = rig.run(4.0, lambda: bool(rig.received("HEARTBEAT")))
+    assert heard
+    assert stamp_of(rig.connection._port.codec.encode(BEAT)) > (4_000_000_000 - EPOCH_S) * TICKS_PER_S
