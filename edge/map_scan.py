@@ -17,7 +17,7 @@ from edge.map_part import MapPart
 from edge.reference_map.areas import Ranges, widened
 from edge.sequence import SequenceMatch
 
-SLICE_SHARE = 4
+SLICE_SHARE = 8
 """A slice is matched with the whole ring in one product, which takes this many times as long as with one row."""
 
 

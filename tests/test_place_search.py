@@ -11,6 +11,7 @@ import pytest
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import NormalizedRows, normalize
+from edge.map_scan import SLICE_SHARE
 from edge.place_search import Near, PlaceSearch
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.route import Route
@@ -108,7 +109,7 @@ def test_without_a_position_the_map_is_gone_through_and_then_followed(
 ) -> None:
     drive = Drive(long_map, look)
     start = 4100
-    slices = math.ceil(PLACES / (LIMIT // 4))
+    slices = math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     first = drive.go(range(start, start + LENGTH - 1 + slices))
     assert first[:-1] == [None] * (len(first) - 1)
     found = first[-1]
@@ -132,7 +133,7 @@ def test_a_wrong_position_is_found_out(long_map: ReferenceMap, look: Callable[[i
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
     drive = Drive(long_map, look)
-    frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // 4))
+    frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     matches = drive.go(range(500, 500 + frames), lambda place: close_to(place, off_m=6000.0))
     believed = [match for match in matches if match and match.accepted]
     assert believed

@@ -13,7 +13,7 @@ can be kept running without drift.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numkong
 import numpy as np
@@ -24,6 +24,9 @@ from edge.reference_map.store import ReferenceMap
 
 COST_ONE = 1 << 14
 """Integer cost of a cosine distance of 1 (nothing in common); distances of 0 to 2 are 0 to 32768."""
+
+BLOCK = 1 << 16
+"""Costs made at a time: so many float64 stay in a core's own cache between one operation and the next."""
 
 NOTHING = 1e-36
 """A row with no larger value is all zero: 127 over less would overflow float32."""
@@ -88,19 +91,26 @@ class CostMatcher:
         self, query: NDArray[np.int8], ranges: Sequence[tuple[int, int]] | None = None
     ) -> NDArray[np.int32]:
         """The same for rows as the map keeps them, (R, n, D) int8."""
-        lengths = _lengths(squared_norms(query))
+        lengths = _lengths(squared_norms(query))[:, np.newaxis]
         ranges = ranges or [(0, len(self._norms))]
-        places = sum(end - start for start, end in ranges)
-        costs = np.empty((query.shape[1], self.orders, places), dtype=np.int32)
+        count = query.shape[1]
+        costs = np.empty((count, self.orders, sum(end - start for start, end in ranges)), dtype=np.int32)
         at = 0
-        for start, end in ranges:
+        for start, end in _blocks(ranges, max(1, BLOCK // count)):
             dots = [_dots(plane[start:end], rows) for plane, rows in zip(self._planes, query, strict=True)]
-            product = lengths[:, np.newaxis] * self._norms[start:end]
+            product = lengths * self._norms[start:end]
             both = [dots[0] + dots[1], dots[0] - dots[1]] if self.orders == 2 else dots
             for order, cosine in enumerate(both):
                 costs[:, order, at : at + end - start] = _integer_costs(cosine, product)
             at += end - start
         return costs
+
+
+def _blocks(ranges: Sequence[tuple[int, int]], size: int) -> Iterator[tuple[int, int]]:
+    """The ranges in pieces of at most `size` places."""
+    for start, end in ranges:
+        for at in range(start, end, size):
+            yield at, min(at + size, end)
 
 
 def _dots(plane: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.float64]:

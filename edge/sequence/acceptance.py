@@ -26,7 +26,7 @@ class Neighbourhood:
         config: AcceptanceConfig,
     ) -> None:
         """east_north_m (N, 2), route_m (N,) (NaN where unknown), segment_of (N,)."""
-        self._east_north_m = east_north_m
+        self._east_m, self._north_m = np.ascontiguousarray(east_north_m.T)
         self._route_m = route_m
         self._segment_of = segment_of
         self._config = config
@@ -37,15 +37,15 @@ class Neighbourhood:
         Where the map knows no metres, those within `window_places` of it in its segment.
         """
         window_m = self._config.window_m
+        segment = self.segment(place)
         # Comparisons with NaN are False: what is not known is not near.
-        near = np.square(self._east_north_m - self._east_north_m[place]).sum(axis=1) <= window_m**2
-        same_drive = self._segment_of == self._segment_of[place]
+        east_m, north_m = self._east_m - self._east_m[place], self._north_m - self._north_m[place]
+        around: NDArray[np.bool_] = np.square(east_m, out=east_m) + np.square(north_m, out=north_m) <= window_m**2
         if np.isnan(self._route_m[place]):
-            index = np.arange(len(near))
-            along = np.abs(index - place) <= self._config.window_places
+            near = self._config.window_places
+            around[max(segment.start, place - near) : min(segment.stop, place + near + 1)] = True
         else:
-            along = np.abs(self._route_m - self._route_m[place]) <= window_m
-        around: NDArray[np.bool_] = near | (same_drive & along)
+            around[segment] |= np.abs(self._route_m[segment] - self._route_m[place]) <= window_m
         return around
 
     def segment(self, place: int) -> slice:
@@ -62,11 +62,10 @@ def best_match(
     best = int(lines.costs[place])
     if best == NO_LINE:
         return None
-    outside = lines.costs[~neighbourhood.around(place)]
-    second = int(outside.min(initial=NO_LINE))
+    second = int(np.where(neighbourhood.around(place), NO_LINE, lines.costs).min())
     # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
     uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
-    plane = int(lines.planes[place])
+    plane = lines.plane(place)
     direction, order = search.planes[plane]
     segment = neighbourhood.segment(place)
     along, at = lines.costs[segment], place - segment.start

@@ -6,9 +6,9 @@ frames but two, and with d = r(T) - r(T-1), D = r(T) - r(T-L):
 
     S(T, i) = S(T-1, i - d) + cost(T, i) - cost(T-L, i - D)
 
-Costs are integers, so the running sums equal the direct ones to the bit. Places before the first count as cost 0 in
-the sums; lines that would need them, or would cross from one map segment into the next, are masked in the end.
-The way back along the map is the same search in mirrored rows.
+Costs are integers, so the running sums equal the direct ones to the bit, also after they have wrapped around. Places
+before the first count as cost 0 in the sums; lines that would need them, or would cross from one map segment into the
+next, are left out in the end. The way back along the map is the same search in mirrored rows.
 """
 
 from __future__ import annotations
@@ -38,12 +38,43 @@ def slopes_around_diagonal(limit_rad: float, count: int) -> tuple[float, ...]:
 class Lines:
     """The lowest line sum that ends at each place: costs (N,) int32 over `length` frames, NO_LINE where none is whole.
 
-    planes: (N,) index into `SequenceSearch.planes`, which direction and region order that line has.
+    by_plane: the same of the lines of each of `SequenceSearch.planes` alone.
     """
 
     costs: NDArray[np.int32]
-    planes: NDArray[np.intp]
+    by_plane: tuple[NDArray[np.int32], ...]
     length: int
+
+    def plane(self, place: int) -> int:
+        """Which plane, that is, which direction and region order, the best line that ends at a place has."""
+        return int(np.argmin([costs[place] for costs in self.by_plane]))
+
+
+class _Sums:
+    """The running sums of one slope, (planes, places) int32. Moving them on by places moves only where they begin."""
+
+    def __init__(self, planes: int, places: int) -> None:
+        self._places = places
+        self._slack = max(1024, places // 4)
+        self._memory = np.zeros((planes, self._slack + places), dtype=np.int32)
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin again with 0."""
+        self._memory[:] = 0
+        self._start = self._slack
+        self.now = self._memory[:, self._start :]
+
+    def shift(self, step: int) -> NDArray[np.int32]:
+        """now[:, i] = before[:, i - step], 0 before the first; the view is good until the next shift."""
+        if step > self._start:
+            # Once in a quarter of the map, so that it hardly counts.
+            self._memory[:, self._slack :] = self.now.copy()
+            self._start = self._slack
+        self._memory[:, self._start - step : self._start] = 0
+        self._start -= step
+        self.now = self._memory[:, self._start : self._start + self._places]
+        return self.now
 
 
 class SequenceSearch:
@@ -67,13 +98,14 @@ class SequenceSearch:
         self.planes = tuple(planes)
         self._slopes = tuple(slopes)
         self._places = segments[-1][1]
-        room = np.stack([_room(segments)[direction] for direction, _ in self.planes])
-        if possible is not None:
-            room[~np.stack([self._mirror(plane, row) for plane, row in zip(self.planes, possible, strict=True)])] = -1
-        self._room = room
+        self._room = np.stack([_room(segments)[direction] for direction, _ in self.planes])
+        # Only at these, (planes, near) each, do some slopes have a whole line and others not.
+        self._near_start = np.nonzero(self._room < math.ceil(max(self._slopes) * length) + 1)
+        self._impossible: NDArray[np.bool_] | None = None
+        if possible is not None and not possible.all():
+            self._impossible = ~np.stack([self._mirror(*of) for of in zip(self.planes, possible, strict=True)])
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
-        self._sums = np.zeros((len(self._slopes), len(self.planes), self._places), dtype=np.int32)
-        self._spare = np.empty_like(self._sums)
+        self._sums = [_Sums(len(self.planes), self._places) for _ in self._slopes]
         self._frame = frame
         self._rows = 0
 
@@ -81,54 +113,66 @@ class SequenceSearch:
         """Forget all rows: the next line begins with the next row."""
         self._rows = 0
         self._ring[:] = 0
-        self._sums[:] = 0
+        for sums in self._sums:
+            sums.clear()
 
     def push(self, costs: NDArray[np.int32]) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame."""
         self._frame += 1
         frame = self._frame
-        slot = frame % self.length
-        leaving = self._ring[slot].copy()  # the row of frame T-L, all zero while the ring is filling
-        self._ring[slot] = self._by_plane(costs)
-        entering = self._ring[slot]
-        for k, slope in enumerate(self._slopes):
-            step = _rounded(slope, frame) - _rounded(slope, frame - 1)
+        entering = self._by_plane(costs)
+        leaving = self._ring[frame % self.length]  # the row of frame T-L, all zero while the ring is filling
+        for of_slope, slope in zip(self._sums, self._slopes, strict=True):
             span = _rounded(slope, frame) - _rounded(slope, frame - self.length)
-            sums = self._spare[k]
-            _shift(self._sums[k], step, out=sums)
+            sums = of_slope.shift(_rounded(slope, frame) - _rounded(slope, frame - 1))
             sums += entering
             if span < self._places:
                 sums[:, span:] -= leaving[:, : self._places - span]
-        self._sums, self._spare = self._spare, self._sums
+        leaving[:] = entering
         self._rows = min(self._rows + 1, self.length)
 
     def refill(self, rows: NDArray[np.int32]) -> None:
         """Replace the whole ring by rows (n <= length, orders, N), oldest first, the last being a new frame's."""
         self._frame += 1
-        self._ring[:] = 0
-        self._sums[:] = 0
+        self.clear()
         self._rows = len(rows)
         for age, costs in enumerate(rows[::-1]):
             frame = self._frame - age
             row = self._ring[frame % self.length]
             row[:] = self._by_plane(costs)
-            for k, slope in enumerate(self._slopes):
+            for sums, slope in zip(self._sums, self._slopes, strict=True):
                 offset = _rounded(slope, self._frame) - _rounded(slope, frame)
                 if offset < self._places:
-                    self._sums[k][:, offset:] += row[:, : self._places - offset]
+                    sums.now[:, offset:] += row[:, : self._places - offset]
 
     def lines(self) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full."""
         if self._rows < self.length:
             return None
-        best = np.full((len(self.planes), self._places), NO_LINE, dtype=np.int32)
+        best = self._sums[0].now.copy()
+        for sums in self._sums[1:]:
+            np.minimum(best, sums.now, out=best)
+        best[self._near_start] = self._whole_near_start()
+        if self._impossible is not None:
+            best[self._impossible] = NO_LINE
+        by_plane = tuple(self._mirror(*of) for of in zip(self.planes, best, strict=True))
+        costs = by_plane[0] if len(by_plane) == 1 else np.minimum(*by_plane[:2])
+        for other in by_plane[2:]:
+            np.minimum(costs, other, out=costs)
+        return Lines(costs, by_plane, self.length)
+
+    def _whole_near_start(self) -> NDArray[np.int32]:
+        """The best of those lines that do not begin before their segment, (near,), NO_LINE where there is none."""
+        room = self._room[self._near_start]
+        best = np.full(len(room), NO_LINE, dtype=np.int32)
+        for sums, reach in zip(self._sums, self._reaches(), strict=True):
+            np.minimum(best, sums.now[self._near_start], out=best, where=room >= reach)
+        return best
+
+    def _reaches(self) -> list[int]:
+        """How many places the line of each slope has passed within the ring."""
         first = self._frame - self.length + 1
-        for k, slope in enumerate(self._slopes):
-            offset = _rounded(slope, self._frame) - _rounded(slope, first)
-            np.minimum(best, self._sums[k], out=best, where=self._room >= offset)
-        in_map_order = np.stack([self._mirror(plane, row) for plane, row in zip(self.planes, best, strict=True)])
-        which = in_map_order.argmin(axis=0)
-        return Lines(np.take_along_axis(in_map_order, which[np.newaxis], axis=0)[0], which, self.length)
+        return [_rounded(slope, self._frame) - _rounded(slope, first) for slope in self._slopes]
 
     def recent(self, plane: Plane) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
@@ -138,11 +182,10 @@ class SequenceSearch:
     def slope(self, plane: int, place: int) -> float:
         """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
         at = place if self.planes[plane][0] == "forward" else self._places - 1 - place
-        first = self._frame - self.length + 1
         whole = [
-            (int(sums[plane, at]), slope)
-            for sums, slope in zip(self._sums, self._slopes, strict=True)
-            if self._room[plane, at] >= _rounded(slope, self._frame) - _rounded(slope, first)
+            (int(sums.now[plane, at]), slope)
+            for sums, slope, reach in zip(self._sums, self._slopes, self._reaches(), strict=True)
+            if self._room[plane, at] >= reach
         ]
         return min(whole)[1]
 
@@ -157,12 +200,6 @@ class SequenceSearch:
 
 def _rounded(slope: float, frame: int) -> int:
     return math.floor(slope * frame + 0.5)
-
-
-def _shift(source: NDArray[np.int32], step: int, out: NDArray[np.int32]) -> None:
-    """out[:, i] = source[:, i - step], 0 before the first."""
-    out[:, :step] = 0
-    out[:, step:] = source[:, : max(0, source.shape[1] - step)]
 
 
 def _room(segments: Sequence[tuple[int, int]]) -> dict[Direction, NDArray[np.int32]]:

@@ -17,7 +17,7 @@ CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
 def match(costs: np.ndarray, neighbourhood: Neighbourhood, config: AcceptanceConfig = CONFIG):
     search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
     search.refill(np.zeros((5, 1, 100), dtype=np.int32))
-    lines = Lines(costs.astype(np.int32), np.zeros(100, dtype=np.intp), 5)  # as the search would give them
+    lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), 5)  # as the search would give them
     return best_match(search, lines, neighbourhood, config)
 
 
