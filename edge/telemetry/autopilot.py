@@ -46,12 +46,12 @@ class AutopilotConnection:
         self._component_id = config.component_id
         self.vehicle = Vehicle()
         self.state: Literal["closed", "waiting", "up"] = "closed"
-        self._port = _open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
+        self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._manners = Manners(config, self.vehicle)
         self._texts = StatusTexts()
         self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
         self._others = [
-            ReportLink(_open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
+            ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
         self._session = 0
@@ -177,7 +177,7 @@ class AutopilotConnection:
         self._record(LinkChanged(state, why))
 
 
-def _open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: Callable[[], int]) -> Port:
+def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: Callable[[], int]) -> Port:
     """The port of a link, not opened yet; ConfigError for a malformed connection, or a key that cannot be used."""
     signer = None
     if link.signing_key:

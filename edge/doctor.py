@@ -1,0 +1,224 @@
+"""`lookback doctor`: what is there, what is missing, and what to do about each finding."""
+
+from __future__ import annotations
+
+import argparse
+import grp
+import importlib.util
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from serial.tools import list_ports
+
+from edge.camera import open_camera
+from edge.config import CameraConfig, Config, load_config
+from edge.descriptor.network import Head, Network
+from edge.doctor_autopilot import check_autopilot
+from edge.errors import FrameError, LookbackError
+from edge.finding import Finding, bad, good, note
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.store import open_map
+
+LEAST_FREE_MB = 500
+BUILT_UNIX_S = 1_763_000_000  # November 2025: a clock before it was never set
+OAK_VENDOR = "03e7"
+LOOKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback doctor` to the command line."""
+    parser = commands.add_parser(
+        "doctor",
+        help="check this computer, its devices and the autopilot, and say what to do",
+        description="Checks cameras, ports, rights, model, map, disk, clock and the autopilot. Exit code 1 if something"
+        " keeps `lookback run` from working. Stop the service first: a camera and a port have one user at a time.",
+    )
+    parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="what the daemon is to be run with")
+    parser.add_argument("--json", action="store_true", help="the findings as one JSON list")
+    parser.add_argument("--seconds", type=float, default=8.0, metavar="S", help="to wait for the autopilot (default 8)")
+    parser.set_defaults(run=_run)
+
+
+def examine(path: Path | None, seconds: float, dev: Path = Path("/dev")) -> Iterator[Finding]:
+    """All findings, as they come; without a config only what this computer has. dev: where its devices are."""
+    config = Config()
+    if path is not None:
+        try:
+            config = load_config(path)
+            yield good("config", f"{path}: every key is good")
+        except LookbackError as error:
+            yield bad(
+                "config", str(error), "correct that key; `lookback check --default` prints every key with its range"
+            )
+            path = None
+    yield from _cameras(dev)
+    yield from _ports(dev)
+    yield from _clock()
+    yield from _page(config)
+    if path is None:
+        yield note("config", "no config, so no camera, map or autopilot was tried", "name one: lookback doctor CONFIG")
+        return
+    yield from _recogniser(config)
+    yield from _camera(config.camera)
+    yield from _disk(config)
+    yield from check_autopilot(config.telemetry, seconds)
+
+
+def _cameras(dev: Path) -> Iterator[Finding]:
+    """V4L2 devices that give pictures, by their stable names, and OAK cameras on USB."""
+    nodes = sorted(dev.glob("v4l/by-id/*-index0")) or sorted(dev.glob("video*"))
+    for node in nodes:
+        yield _rights("camera", node)
+    oaks = [
+        folder
+        for folder in Path("/sys/bus/usb/devices").glob("*")
+        if (folder / "idVendor").is_file() and (folder / "idVendor").read_text().strip() == OAK_VENDOR
+    ]
+    if oaks:
+        yield good("camera", f"{len(oaks)} OAK device(s) on USB")
+        if importlib.util.find_spec("depthai") is None:
+            yield note("camera", "DepthAI is not installed", "pip install 'lookback[oak]'")
+    if not nodes and not oaks:
+        yield note("camera", "no V4L2 device and no OAK was found", "plug one in; a feed or the simulator need none")
+
+
+def _ports(dev: Path) -> Iterator[Finding]:
+    ports = sorted({Path(port.device) for port in list_ports.comports()} | set(dev.glob("serial0")))
+    stable = {name.resolve(): name for name in dev.glob("serial/by-id/*")}
+    for port in ports:
+        yield _rights("serial port", stable.get(port, port))
+    if not ports:
+        yield note("serial port", "none was found", "plug the autopilot in, or use a connection over UDP")
+
+
+def _rights(what: str, device: Path) -> Finding:
+    if not device.exists():
+        return note(what, f"{device}: leads nowhere", "unplug the device and plug it in again")
+    if os.access(device, os.R_OK | os.W_OK):
+        return good(what, f"{device}: may be used")
+    try:
+        group = grp.getgrgid(device.stat().st_gid).gr_name
+    except (OSError, KeyError):
+        group = "its group"
+    return bad(what, f"{device}: not permitted", f"sudo usermod -aG {group} $USER, then log in again")
+
+
+def _clock() -> Iterator[Finding]:
+    now_s = time.time()
+    if now_s < BUILT_UNIX_S:
+        today = time.strftime("%Y-%m-%d", time.gmtime(now_s))
+        yield note(
+            "clock", f"it says {today}", "set it (NTP, or a clock with a battery): the journal's times are wrong"
+        )
+    else:
+        yield good("clock", time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s)))
+
+
+def _page(config: Config) -> Iterator[Finding]:
+    if config.page.port == 0:
+        yield note("page", "the live page is off ([page] port = 0)")
+    elif importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
+        yield note("page", "no live page: its packages are not installed", "pip install 'lookback[page]'")
+    else:
+        yield good("page", f"http://{config.page.bind}:{config.page.port} while `lookback run` runs")
+
+
+def _recogniser(config: Config) -> Iterator[Finding]:
+    """Model and map, each of them, and whether they fit each other."""
+    try:
+        network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+        head = Head.load(network)
+        took_ms = _describe_ms(network)
+        yield good("model", f"{network.info.name}: whole; two regions take {took_ms:.0f} ms here")
+    except LookbackError as error:
+        yield bad("model", str(error), 'leave [descriptor] model = "" for the one in the package')
+        return
+    try:
+        reference_map = open_map(Path(config.map.path), every_file=True)
+        PlaceRecognizer(network, head, reference_map, config)
+        yield good("map", f"{config.map.path}: {reference_map.header.places} places, all checksums hold")
+    except LookbackError as error:
+        yield bad("map", str(error), f"build one: lookback map build FEED -o {config.map.path}")
+        return
+    places, length = reference_map.header.places, config.sequence.length
+    if places < 2 * length:
+        yield bad(
+            "map", f"{places} places are too few for sequences of {length}", "drive further, or shorten [sequence]"
+        )
+    if reference_map.header.sampling != config.sampling:
+        yield note("map", "it was sampled otherwise than [sampling] asks for", "sample a query as its map was sampled")
+    if np.isnan(reference_map.places["lat_deg"]).any():
+        yield note("map", "some places have no position", "without it a place is told, and never a position")
+
+
+def _describe_ms(network: Network) -> float:
+    size = network.info.input_size
+    images = np.zeros((2, size, size, 3), dtype=np.uint8)
+    network.describe(images)
+    started_s = time.perf_counter()
+    network.describe(images)
+    return (time.perf_counter() - started_s) * 1e3
+
+
+def _camera(config: CameraConfig) -> Iterator[Finding]:
+    """The configured camera, opened and read once."""
+    where = f"[camera] {config.kind} {config.device}"
+    try:
+        camera = open_camera(config)
+    except LookbackError as error:
+        yield bad("camera", str(error), "name a device from the list above; stop whatever else uses it")
+        return
+    try:
+        frame = camera.read()
+    except (LookbackError, FrameError) as error:
+        yield bad("camera", str(error), "try another cable or port, and stop whatever else uses it")
+        return
+    finally:
+        camera.close()
+    if frame is None:
+        yield bad("camera", f"{where}: it has no frame", "record a feed with at least one frame")
+        return
+    height, width = frame.image.shape[:2]
+    yield good("camera", f"{where}: {width} x {height} pixels")
+    if frame.image.std() < 2:
+        yield note("camera", f"{where}: the picture is all one shade", "take the cap off, and let light in")
+    for difference in camera.differences:
+        yield note("camera", difference, "put into [camera] what the device gives")
+
+
+def _disk(config: Config) -> Iterator[Finding]:
+    if not config.telemetry.journal:
+        yield note("disk", '[telemetry] journal = "": nothing is kept of what happened')
+        return
+    folder = next(one for one in Path(config.telemetry.journal).absolute().parents if one.exists())
+    free_mb = shutil.disk_usage(folder).free / 1e6
+    if not os.access(folder, os.W_OK):
+        yield bad(
+            "disk",
+            f"{folder}: the journal cannot be written here",
+            f"sudo chown $USER {folder}, or move [telemetry] journal",
+        )
+    elif free_mb < LEAST_FREE_MB:
+        yield bad("disk", f"{folder}: {free_mb:.0f} MB left", "make room: old feeds and journals first")
+    else:
+        yield good("disk", f"{folder}: {free_mb / 1e3:.1f} GB left")
+
+
+def _run(args: argparse.Namespace) -> int:
+    findings = []
+    for finding in examine(args.config, args.seconds):
+        findings.append(finding)
+        if not args.json:
+            print(f"{LOOKS[finding.level]}  {finding.what:<12}  {finding.words}")
+            if finding.remedy:
+                print(f"{'':20}-> {finding.remedy}")
+            sys.stdout.flush()
+    if args.json:
+        print(msgspec.json.format(msgspec.json.encode(findings), indent=1).decode())
+    return 1 if any(finding.level == "bad" for finding in findings) else 0
