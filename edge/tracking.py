@@ -5,6 +5,10 @@ of the two, the offset, is constant while the vehicle stays on the drive, so mat
 other, averaged, and moved on between frames:
 
     along the drive = offset + metres driven (forward), offset - metres driven (reverse)
+
+A line through the last frames is best known in its middle: one that is too steep by a little ends too far by half its
+length times that. The odometer knows the slope better than the pictures do, so the line is turned about its middle to
+the odometer's slope. On simulated drives home (night, dusk, rain) the end is then right to 3.0 m where it was to 5.0.
 """
 
 from __future__ import annotations
@@ -21,8 +25,11 @@ from edge.recognizer import PlaceMatch
 from edge.reference_map.route import Position, Route
 from edge.sequence import Direction
 
-WIDTH_SHARE = 0.36
-"""Deviation over width: measured on simulated drives home, by night and at dusk, on a map made by day."""
+WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
+"""Deviation over the match's width, alone and once the line is turned: measured on the same drives."""
+STEEPEST = 0.2
+"""A line whose slope differs from the odometer's by more than this share is no sighting: so look the first lines on a
+stretch, which lean on the few frames that are on the map already, and were up to 20 m off."""
 AGREE_SIGMAS = 3.0
 TAKEN_OVER_BY = 3
 """So many matches in a row that agree with each other but not with the track begin a new one."""
@@ -84,8 +91,10 @@ class _Track:
 class RouteTracker:
     """Follows the vehicle along the drives of a map."""
 
-    def __init__(self, route: Route, tracking: TrackingConfig, rig: RigConfig) -> None:
+    def __init__(self, route: Route, tracking: TrackingConfig, rig: RigConfig, length: int) -> None:
+        """length: frames in a sequence."""
         self._route = route
+        self._readings_m: deque[float] = deque(maxlen=length)  # the odometer at the frames of the line
         self._config = tracking
         self._rig = rig
         self._track: _Track | None = None
@@ -116,6 +125,10 @@ class RouteTracker:
         else:
             self._dispute(sighting, stamp_ns, match.place)
 
+    def forget(self) -> None:
+        """Nothing that was seen so far counts any more (after a blindness)."""
+        self._track = self._rival = None
+
     def at_exposure(self) -> TrackedPosition | None:
         """The position at the last match's exposure; None while the vehicle is lost."""
         stamp_ns, odometer_m, _ = self._matched
@@ -136,7 +149,10 @@ class RouteTracker:
             self._odometer_m += match.slope * self._spacing_m
         else:
             self._track = self._rival = None  # counted anew, or known only from now on
+            self._readings_m.clear()
         self._driven_m = driven_m
+        if not self._readings_m or self._odometer_m > self._readings_m[-1]:  # a frame while standing is in no line
+            self._readings_m.append(self._odometer_m)
 
     def _lose_if_due(self, stamp_ns: int) -> None:
         matched_ns, odometer_m, _ = self._matched
@@ -153,15 +169,31 @@ class RouteTracker:
             return None
         self._spacing_m = float(np.nanmedian(np.abs(np.diff(route_m[first:end]))))
         sign = 1 if match.direction == "forward" else -1
-        seen_m = float(route_m[match.place]) + match.beyond * self._spacing_m
+        beyond_m, width_share = self._beyond_m(match, sign)
+        if math.isnan(beyond_m):
+            return None
         # What is seen lies ahead of the vehicle.
-        along_m = seen_m - sign * self._rig.ahead_m(match.direction, match.order)
+        along_m = float(route_m[match.place]) + beyond_m - sign * self._rig.ahead_m(match.direction, match.order)
         sigma_m = math.hypot(
-            self._spacing_m / math.sqrt(12), self._rig.sigma_along_m, WIDTH_SHARE * match.width * self._spacing_m
+            self._spacing_m / math.sqrt(12), self._rig.sigma_along_m, width_share * match.width * self._spacing_m
         )
         kept = self._config.matches
         offsets_m = deque([along_m - sign * self._odometer_m], maxlen=kept)
         return _Track(segment, match.direction, offsets_m, deque([sigma_m], maxlen=kept), matches=1)
+
+    def _beyond_m(self, match: PlaceMatch, sign: int) -> tuple[float, float]:
+        """Metres of the drive by which the line ends beyond its place, and what its width then tells of the error.
+
+        NaN for a line that is nowhere near as steep as the odometer says.
+        """
+        steps = len(self._readings_m) - 1
+        if self._driven_m is None or steps < 1:
+            return match.beyond * self._spacing_m, WIDTH_SHARE
+        driven_m = self._readings_m[-1] - self._readings_m[0]
+        too_far_m = (match.slope * self._spacing_m * steps - driven_m) / 2
+        if abs(2 * too_far_m) > STEEPEST * driven_m:
+            return math.nan, WIDTH_SHARE_TURNED
+        return -sign * too_far_m, WIDTH_SHARE_TURNED
 
     def _follow(self, track: _Track, stamp_ns: int, place: int) -> None:
         self._track, self._rival = track, None
