@@ -1,36 +1,9 @@
-"""`lookback eval run PLAN` and `lookback eval match COSTS.npy`."""
+"""`lookback eval`: its options. What they start is imported when it is started: drawing alone takes half a second."""
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import platform
-import shlex
-import sys
-from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
-from tqdm import tqdm
-
-import edge
-from edge.config import SamplingConfig
-from edge.errors import ConfigError
-from sim.evaluation import experiments
-from sim.evaluation.bench import Bench
-from sim.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
-from sim.evaluation.descriptions import Descriptions
-from sim.evaluation.match_command import add_command as add_match_command
-from sim.evaluation.plan import Plan, load_plan
-from sim.evaluation.report import write_report
-from sim.evaluation.results import Section
-from sim.evaluation.scenarios import feed_of
-from sim.evaluation.trajectories import write_trajectories
-from sim.evaluation.traverses import Traverse, load_traverse
-from sim.evaluation.workers import open_executor
-
-PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,107 +11,40 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     actions = commands.add_parser("eval", help="the paper's comparisons on your traverses").add_subparsers(
         required=True, metavar="COMMAND"
     )
-    run = actions.add_parser("run", help="run a plan and write its report")
-    run.add_argument("plan", type=Path, metavar="PLAN", help="TOML; its keys are described in sim/evaluation/plan.py")
-    run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="HTML, CSV and PNG go there")
-    run.add_argument("--feeds", type=Path, metavar="FOLDER", help="where the plan's feeds are (default: beside it)")
-    run.add_argument("--models", type=Path, metavar="FOLDER", help="where the plan's models are (default: beside it)")
-    elsewhere = run.add_mutually_exclusive_group()
+    _add_run(actions.add_parser("run", help="run a plan and write its report"))
+    _add_match(actions.add_parser("match", help="search a cost matrix, and score the matches"))
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "plan", type=Path, metavar="PLAN", help="TOML; its keys are described in sim/evaluation/plan.py"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for HTML, CSV and PNG")
+    parser.add_argument("--feeds", type=Path, metavar="FOLDER", help="where the plan's feeds are (default: beside it)")
+    parser.add_argument("--models", type=Path, metavar="FOLDER", help="where its models are (default: beside it)")
+    elsewhere = parser.add_mutually_exclusive_group()
     elsewhere.add_argument("--workers", type=int, default=1, metavar="N", help="describe traverses in N processes")
     elsewhere.add_argument("--cluster", default="", metavar="ADDRESS", help="describe them on a Dask cluster instead")
-    run.set_defaults(run=_run)
-    add_match_command(actions)
+    parser.set_defaults(run=_run)
 
 
-def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
-    """Everything that a plan asks for, section by section; trajectories go into `folder`."""
-    plan, wanted = bench.plan, bench.plan.experiments
-    total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
-    swept = len(experiments.sweep_pairs(plan))
-    sweeps = swept * len(wanted.sweep_methods)
-    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
-    total += len(wanted.pca) + 3 * len(wanted.standing)
-    total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())
-    with tqdm(total=total, unit="step", desc="plan") as progress:
-
-        def step(what: str) -> None:
-            progress.set_postfix_str(what)
-            progress.update()
-
-        results = compare(bench, step)
-        yield overview(bench, results)
-        for pair in plan.pairs:
-            write_trajectories(folder, slug_of(pair), shown_outcome(bench, pair, results))
-            yield pair_section(bench, pair, results)
-        if wanted.sequence_lengths:
-            yield experiments.sequence_lengths(bench, step)
-        if wanted.spacings_m:
-            yield experiments.spacings(bench, step)
-        if wanted.cold_start:
-            yield experiments.cold_start(bench, results)
-        if wanted.int8:
-            yield experiments.int8_against_float(bench, results, step)
-        if wanted.standing:
-            yield experiments.standing(bench, step)
-        if wanted.pca:
-            yield experiments.pca(bench, step)
-        if wanted.activation_maps:
-            yield experiments.activation_maps(bench, step)
-
-
-def open_bench(plan: Plan, feeds: Path, models: Path, rendered: Path) -> Bench:
-    """A bench whose feeds and models lie in those folders; scenarios are rendered into `rendered`."""
-
-    def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
-        traverse = plan.traverses[name]
-        path = feeds / traverse.feed if traverse.feed else feed_of(name, traverse, feeds, rendered, plan.sampling)
-        return load_traverse(name, traverse, path, sampling)
-
-    return Bench(plan, Descriptions(plan, models), open_traverse)
+def _add_match(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("costs", type=Path, metavar="COSTS.npy", help="reference x query, lower is more alike")
+    parser.add_argument("--truth", type=Path, help=".csv or .npy: a query's true reference index a row, -1 off the map")
+    parser.add_argument("--tolerance", type=float, default=5.0, metavar="N", help="right within N places (default 5)")
+    parser.add_argument("--length", type=int, default=20, help="frames in a sequence (default 20)")
+    parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches there as CSV")
+    parser.set_defaults(run=_match)
 
 
 def _run(args: argparse.Namespace) -> int:
-    plan = load_plan(args.plan)
-    beside = args.plan.parent
-    bench = open_bench(plan, args.feeds or beside, args.models or beside, args.output / "feeds")
-    for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
-        bench.method(text)
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
-    with open_executor(args.workers, args.cluster) as executor:
-        if executor is not None:
-            bench.describe_all(executor)
-    sections = list(run_plan(bench, args.output))
-    page = write_report(args.output, plan.title, _about(args.plan, plan, bench), sections)
-    _print_overview(sections[0])
-    print(page)
-    return 0
+    from sim.evaluation.run import run
+
+    return run(args)
 
 
-def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:
-    """What it takes to run the same again."""
-    about = {
-        "command": shlex.join(["lookback", *sys.argv[1:]]),
-        "plan": f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}",
-        "lookback": edge.__version__,
-        "python": platform.python_version(),
-        "packages": ", ".join(f"{package} {version(package)}" for package in PACKAGES),
-        "machine": f"{platform.machine()}, {platform.system()}",
-    }
-    for network in bench.descriptions.opened():
-        info = network.info
-        about[f"network {info.name}, {info.tap}, {info.precision}"] = f"sha256 {info.sha256}"
-    return about | ({"notes": plan.notes} if plan.notes else {})
+def _match(args: argparse.Namespace) -> int:
+    from sim.evaluation.match_command import run
 
-
-def _print_overview(section: Section) -> None:
-    """The first table, for people who look at the terminal only."""
-    table = section.tables[0]
-    width = max(len(str(row[0])) for row in table.rows)
-    for index, pair in enumerate(table.columns[1:], 1):
-        print(f"{table.title.partition(' of')[0]}: {pair}")
-        for row in table.rows:
-            if not np.isnan(float(str(row[index]))):
-                print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
+    return run(args)

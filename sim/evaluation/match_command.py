@@ -6,6 +6,7 @@ import argparse
 import csv
 import sys
 from pathlib import Path
+from typing import TextIO
 
 import msgspec
 import numpy as np
@@ -19,19 +20,8 @@ from sim.evaluation.matching import Matches, judge, judged_queries, match_costs
 from sim.evaluation.metrics import max_f1_of_places, scores
 
 
-def add_command(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `match` to the commands of `lookback eval`."""
-    parser = actions.add_parser("match", help="search a cost matrix, and score the matches")
-    parser.add_argument("costs", type=Path, metavar="COSTS.npy", help="reference x query, lower is more alike")
-    parser.add_argument("--truth", type=Path, help=".csv or .npy: a query's true reference index a row, -1 off the map")
-    parser.add_argument("--tolerance", type=float, default=5.0, metavar="N", help="right within N places (default 5)")
-    parser.add_argument("--length", type=int, default=20, help="frames in a sequence (default 20)")
-    parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches there as CSV")
-    parser.set_defaults(run=_run)
-
-
-def _run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Search a matrix; matches as CSV, and scores where the truth is known. ConfigError for what is wrong."""
     costs = read_matrix(args.costs)
     sequence = checked_option(SequenceConfig(), "--length", length=args.length)
     sequence = msgspec.structs.replace(sequence, directions=args.directions, region_order="frame")
@@ -40,8 +30,11 @@ def _run(args: argparse.Namespace) -> int:
     truth = _read_truth(args.truth, costs.shape) if args.truth else None
     matches = match_costs(costs, sequence, max(1, round(2 * args.tolerance)))
     if args.output:
-        with args.output.open("w", newline="", encoding="utf-8") as stream:
-            _write(matches, stream)
+        try:
+            with args.output.open("w", newline="", encoding="utf-8") as stream:
+                _write(matches, stream)
+        except OSError as error:
+            raise ConfigError(f"{args.output}: cannot write the matches: {error.strerror}") from None
     elif truth is None:
         _write(matches, sys.stdout)
     if truth is not None:
@@ -49,8 +42,8 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(matches: Matches, stream: object) -> None:
-    writer = csv.writer(stream, lineterminator="\n")  # type: ignore[arg-type]
+def _write(matches: Matches, stream: TextIO) -> None:
+    writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["query", "place", "uniqueness", "direction"])
     for query, place in enumerate(matches.place.tolist()):
         if place >= 0:

@@ -16,10 +16,10 @@ from edge.map_command import build_map
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
 from edge.replay import replay
-from sim.evaluation.commands import open_bench
 from sim.evaluation.comparison import median_ahead
 from sim.evaluation.matching import judge
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
+from sim.evaluation.run import open_bench
 
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -139,3 +141,10 @@ def test_a_wrong_matrix_is_one_line(
     (tmp_path / "truth.csv").write_text(truth)
     assert main(["eval", "match", str(tmp_path / "costs.npy"), "--truth", str(tmp_path / "truth.csv")]) == 78
     assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_other_commands_do_not_wait_for_this_one() -> None:
+    code = "import sys, edge.__main__ as m; m.build_parser(); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "sim.evaluation.commands" in loaded
+    assert not {"sim.evaluation.run", "sim.evaluation.match_command", "matplotlib", "jinja2"} & set(loaded)

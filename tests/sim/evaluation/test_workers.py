@@ -12,8 +12,8 @@ from edge.config import SamplingConfig
 from edge.descriptor.regions import REGION_COUNT, Regions
 from edge.errors import ConfigError
 from sim.evaluation.bench import Bench
-from sim.evaluation.commands import open_bench
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
+from sim.evaluation.run import open_bench
 from sim.evaluation.workers import open_executor
 
 
