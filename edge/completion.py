@@ -1,0 +1,44 @@
+"""`lookback completion SHELL`: a script that lets bash, zsh or tcsh complete commands, options and file names."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+from edge.errors import ConfigError
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback completion` to the command line."""
+    parser = commands.add_parser(
+        "completion",
+        help="print a completion script for your shell",
+        description="For bash: lookback completion bash | sudo tee /etc/bash_completion.d/lookback > /dev/null",
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    try:
+        import shtab
+    except ModuleNotFoundError:
+        raise ConfigError("completion needs shtab: pip install 'lookback[desk]'") from None
+    # Imported here: that module imports this one.
+    from edge.__main__ import build_parser
+
+    parser = build_parser()
+    _complete_paths(parser, shtab.FILE)
+    print(shtab.complete(parser, args.shell))
+    return 0
+
+
+def _complete_paths(parser: argparse.ArgumentParser, complete: Mapping[str, object]) -> None:
+    """Let every argument that is a path, of this parser and those below it, be completed as a file."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                _complete_paths(below, complete)
+        elif action.type is Path:
+            action.complete = complete  # type: ignore[attr-defined]
