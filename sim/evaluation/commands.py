@@ -17,7 +17,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "plan", type=Path, metavar="PLAN", help="TOML; its keys are described in sim/evaluation/plan.py"
+        "plan", type=Path, metavar="PLAN", help="TOML as sim/evaluation/plan.py describes it, or simulator, real_feeds"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for HTML, CSV and PNG")
     parser.add_argument("--feeds", type=Path, metavar="FOLDER", help="where the plan's feeds are (default: beside it)")

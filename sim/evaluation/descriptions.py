@@ -78,7 +78,7 @@ class Descriptions:
         where = f"traverses.{traverse.name}: external.{name}"
         if name not in traverse.external:
             raise ConfigError(f"{where}: not given, and a method asks for it")
-        path = self._folder / traverse.external[name]
+        path = traverse.external[name]
         given = read_matrix(path)
         if len(given) != len(traverse.feed.rows):
             raise ConfigError(f"{where}: {path} has {len(given)} rows, its feed has {len(traverse.feed.rows)}")

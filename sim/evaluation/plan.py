@@ -70,9 +70,8 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
 
     fps: frames a second of a scenario, halts and all; without it there is one every spacing of the sampling.
-    first_row, last_row: of the feed, what is between counts.
-
-    external: name -> .npy of descriptors (rows of the feed, D) that another program made; methods Raw-NAME, NSD-NAME.
+    first_row, last_row: of the feed, what is between counts. external: name -> .npy of descriptors (rows of the feed,
+    D) that another program made, under --feeds as well; methods Raw-NAME, NSD-NAME.
     """
 
     feed: str = ""
@@ -153,7 +152,9 @@ class Plan(Struct, frozen=True, forbid_unknown_fields=True):
     methods: Annotated[list[str], Meta(min_length=1)]
     traverses: dict[str, TraversePlan]
     pairs: Annotated[list[Pair], Meta(min_length=1)]
-    networks: dict[str, NetworkPlan] = {}
+    networks: Annotated[dict[str, NetworkPlan], Meta(min_length=1)] = msgspec.field(
+        default_factory=lambda: {"shipped": NetworkPlan()}
+    )
     sampling: SamplingConfig = SamplingConfig()
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000

@@ -8,6 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
 from sim.evaluation.workers import open_executor
 
+SHIPPED = Path(__file__).with_name("plans")
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
 
@@ -68,22 +70,35 @@ def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
             yield experiments.activation_maps(bench, step)
 
 
-def open_bench(plan: Plan, feeds: Path, models: Path, rendered: Path) -> Bench:
-    """A bench whose feeds and models lie in those folders; scenarios are rendered into `rendered`."""
+@dataclass(frozen=True)
+class Folders:
+    """Where the paths of a plan are: of scenarios, feeds and models; scenarios are rendered into `rendered`."""
+
+    scenarios: Path
+    feeds: Path
+    models: Path
+    rendered: Path
+
+
+def open_bench(plan: Plan, folders: Folders) -> Bench:
+    """A bench that reads traverses when they are first needed."""
 
     def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
         traverse = plan.traverses[name]
-        path = feeds / traverse.feed if traverse.feed else feed_of(name, traverse, feeds, rendered, plan.sampling)
-        return load_traverse(name, traverse, path, sampling)
+        if traverse.feed:
+            path = folders.feeds / traverse.feed
+        else:
+            path = feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)
+        return load_traverse(name, traverse, path, sampling, folders.feeds)
 
-    return Bench(plan, Descriptions(plan, models), open_traverse)
+    return Bench(plan, Descriptions(plan, folders.models), open_traverse)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a plan and write its report; SetupError, in one line, for whatever is wrong with it."""
-    plan = load_plan(args.plan)
-    beside = args.plan.parent
-    bench = open_bench(plan, args.feeds or beside, args.models or beside, args.output / "feeds")
+    path = _find_plan(args.plan)
+    plan, beside = load_plan(path), path.parent
+    bench = open_bench(plan, Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds"))
     for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
         bench.method(text)
     try:
@@ -94,10 +109,16 @@ def run(args: argparse.Namespace) -> int:
         if executor is not None:
             bench.describe_all(executor)
     sections = list(run_plan(bench, args.output))
-    page = write_report(args.output, plan.title, _about(args.plan, plan, bench), sections)
+    page = write_report(args.output, plan.title, _about(path, plan, bench), sections)
     _print_overview(sections[0])
     print(page)
     return 0
+
+
+def _find_plan(path: Path) -> Path:
+    """A file, or one of the shipped plans by its name."""
+    shipped = SHIPPED / f"{path}.toml"
+    return shipped if not path.exists() and shipped.is_file() else path
 
 
 def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:

@@ -31,15 +31,20 @@ class Traverse:
     sampling: SamplingConfig
     rows: NDArray[np.intp]
     pixels: NDArray[np.float32]
-    external: dict[str, str]
+    external: dict[str, Path]
 
     def feed_rows(self) -> list[FeedRow]:
         """The chosen rows as the feed has them."""
         return [self.feed.rows[row] for row in self.rows]
 
 
-def load_traverse(name: str, plan: TraversePlan, path: Path, sampling: SamplingConfig) -> Traverse:
-    """Read a feed and choose its frames; FeedError if fewer than 2 are left, or it has no distance to choose by."""
+def load_traverse(
+    name: str, plan: TraversePlan, path: Path, sampling: SamplingConfig, beside: Path = Path()
+) -> Traverse:
+    """Read a feed and choose its frames; paths of external descriptors are relative to `beside`.
+
+    FeedError if fewer than 2 frames are left, or the feed has no distance to choose by.
+    """
     feed = read_feed(path)
     last = len(feed.rows) - 1 if plan.last_row is None else plan.last_row
     chosen = [
@@ -50,7 +55,8 @@ def load_traverse(name: str, plan: TraversePlan, path: Path, sampling: SamplingC
     if len(chosen) < 2:
         raise FeedError(f"{path}: the sampling leaves {len(chosen)} frame(s); a traverse needs at least 2")
     rows, pixels = zip(*chosen, strict=True)
-    return Traverse(name, path, feed, sampling, np.array(rows), np.stack(pixels), plan.external)
+    external = {source: beside / file for source, file in plan.external.items()}
+    return Traverse(name, path, feed, sampling, np.array(rows), np.stack(pixels), external)
 
 
 def true_errors(reference: Traverse, query: Traverse, pair: Pair) -> NDArray[np.float64]:

@@ -18,7 +18,6 @@ title = "Miniature"
 methods = ["Raw-fc6", "NSD-CR", "Lookback", "NSD-fc6/segments", "Raw-mine", "SeqSLAM"]
 resamples = 20
 sampling = { by = "frames" }
-networks = { shipped = {} }
 [traverses]
 there = { feed = "there", external = { mine = "there.npy" } }
 here = { feed = "here", external = { mine = "here.npy" } }
@@ -52,6 +51,11 @@ def plan_path(tmp_path: Path, write_feed: Any) -> Path:
     path = tmp_path / "plan.toml"
     path.write_text(PLAN)
     return path
+
+
+def test_a_shipped_plan_goes_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", "run", "real_feeds", "--feeds", str(tmp_path), "-o", str(tmp_path / "out")]) == 78
+    assert "corridor_reference: no such feed" in capsys.readouterr().err.splitlines()[-1]
 
 
 def read_table(path: Path) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from edge.descriptor.regions import REGION_COUNT, Regions
 from edge.errors import ConfigError
 from sim.evaluation.bench import Bench
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
-from sim.evaluation.run import open_bench
+from sim.evaluation.run import Folders, open_bench
 from sim.evaluation.workers import open_executor
 
 
@@ -29,7 +29,7 @@ def open_small_bench(tmp_path: Path, write_feed: Any) -> Any:
         pairs=[Pair("p", "there", "here", "rows", tolerance=1.0, length=2)],
         sampling=SamplingConfig(by="frames"),
     )
-    return lambda: open_bench(plan, tmp_path, tmp_path, tmp_path)
+    return lambda: open_bench(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
 
 
 def same_descriptors(here: Bench, elsewhere: Bench) -> bool:
