@@ -61,6 +61,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     normalization: Literal["online", "none"] = "online"
     renormalize_ring: bool = True
     standing_change: Annotated[float, Meta(ge=0, le=1)] = 0.005
+    keep_statistics_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
 
 
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -122,7 +123,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     with_gps: bool = False
     min_speed_mps: Annotated[float, Meta(ge=0, le=100)] = 0.3
     min_interval_s: Annotated[float, Meta(ge=0.1, le=600)] = 1.0
-    near_matches: Annotated[int, Meta(ge=1, le=500)] = 3
+    near_matches: Annotated[int, Meta(ge=1, le=500)] = 5
     far_matches: Annotated[int, Meta(ge=1, le=500)] = 12
     near_sigmas: Positive = 3.0
     far_sigmas: Positive = 10.0

@@ -14,36 +14,34 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
+from types import FrameType
 from typing import Protocol
 
 import msgspec
 
 from edge.camera import Frame, open_camera
 from edge.camera.newest import CameraHealth, NewestFrame
+from edge.condition import Condition
 from edge.config import Config, load_config
 from edge.descriptor.network import Head, Network
 from edge.live_status import LiveStatus, open_page
+from edge.memory import Memory
 from edge.observation import observation
-from edge.recognizer import PlaceMatch, PlaceRecognizer, State
+from edge.place_fixes import place_fix, tracked_fix
+from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.route import Route
 from edge.reference_map.store import open_map
 from edge.sampling import Sampler
 from edge.service import notify
 from edge.stage_times import StageTimes
-from edge.telemetry import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
-from edge.tracking import RouteTracker, TrackedPosition
+from edge.tracking import RouteTracker
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
+CLOSE_S = 1.5  # a camera that does not let go must not keep the program from ending
+EXTEND_EACH_S = 20
 log = logging.getLogger(__name__)
-
-
-class StateChanged(msgspec.Struct, frozen=True, tag_field="event", tag="state"):
-    """The recogniser's state, or the camera's, changed."""
-
-    state: str
-    why: str = ""
 
 
 class Stopped(msgspec.Struct, frozen=True, tag_field="event", tag="stopped"):
@@ -97,12 +95,8 @@ class Daemon:
         frames, network: instead of those that the config names.
         """
         self._config = config
+        self._clock_ns = clock_ns
         self._times = StageTimes()
-        network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        reference_map = open_map(Path(config.map.path))
-        self._map_rows: list[int] = reference_map.places["row"].tolist()
-        self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
-        self._sampler = Sampler(config.sampling)
         self._record: Callable[[msgspec.Struct], object] = lambda record: None
         self._journal: Journal | None = None
         if config.telemetry.journal:
@@ -111,12 +105,30 @@ class Daemon:
         self._autopilot = parts.enter_context(
             closing(AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates))
         )
-        self._tracker = RouteTracker(Route(reference_map), config.tracking, config.rig)
+        # Opened first, so that whatever else cannot be opened is told.
+        self.condition = Condition(self._autopilot, self._journal, clock_ns, config.gates.min_speed_mps)
+        with self.condition.failures():
+            self._open(parts, network, frames)
+
+    def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
+        config = self._config
+        network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+        reference_map = open_map(Path(config.map.path))
+        self._map_rows: list[int] = reference_map.places["row"].tolist()
+        self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
+        self._memory = Memory(config, self._recognizer, reference_map.header)
+        self._sampler = Sampler(config.sampling)
+        self._tracker = RouteTracker(Route(reference_map), config.tracking, config.rig, config.sequence.length)
         self._newest: PlaceMatch | None = None
-        self._clock_ns = clock_ns
-        self._camera: Frames = parts.enter_context(
-            closing(frames or NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns))
-        )
+        self._own_camera: NewestFrame | None = None
+        if frames is None:
+            frames = self._own_camera = NewestFrame(
+                lambda: open_camera(config.camera),
+                close_timeout_s=CLOSE_S,
+                reopens=config.camera.kind != "feed",  # which would begin anew
+                clock_ns=self._clock_ns,
+            )
+        self._camera: Frames = parts.enter_context(closing(frames))
         self._watch = LiveStatus(
             config,
             reference_map,
@@ -126,38 +138,63 @@ class Daemon:
             lambda: self._camera.health,
             self._autopilot,
             self._journal,
-            clock_ns,
+            self._clock_ns,
         )
         self._page = open_page(config.page, reference_map)
         if self._page is not None:
             parts.enter_context(closing(self._page))
-        self._state: State | str = ""
-        self._why = ""
         self._frames_used = 0
         self._events = 0
+        self._is_ready = False
+        self._extended_ns = 0
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         self._autopilot.poll()
         frame = self._camera.take(TURN_S)
-        if frame is not None:
+        if frame is not None and self.condition.see(frame, self._own_camera):
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if self._sampler.take(frame.stamp_ns, distance_m):
                 self._use(frame, distance_m)
+        hang = self._own_camera.hang(self._clock_ns()) if self._own_camera else ""
+        if self.condition.update(self._recognizer.state, self._camera.health, hang):
+            self._forget()
         self._tell_position()
-        health = self._camera.health
-        if health.state == "lost":
-            self._tell_state("camera lost", health.reason)
         if self._page is not None and self._page.wanted:
-            self._page.show(self._watch.snapshot(self._state, self._why))
-        notify("WATCHDOG=1")
+            health = self.condition.health
+            self._page.show(self._watch.snapshot(health.state, health.why))
+        self._tell_manager()
         return not self._camera.ended
+
+    def _forget(self) -> None:
+        """Nothing is told that rests on what was seen before a blindness."""
+        self._recognizer.forget_recent()
+        self._tracker.forget()
+        self._newest = None
+
+    def _tell_manager(self) -> None:
+        """Ready once the link is open as well; and alive, if every part of the pipeline has moved.
+
+        This thread moves all but the camera: had it hung anywhere, it would not come here.
+        """
+        if not self._is_ready and self._autopilot.state != "closed":
+            self._is_ready = True
+            notify("READY=1")
+        if self.condition.hangs:
+            return
+        now_ns = self._clock_ns()
+        if self._is_ready:
+            notify("WATCHDOG=1")
+        elif now_ns - self._extended_ns >= EXTEND_EACH_S * 1e9:
+            # The port may come much later than the computer; the start must not time out meanwhile.
+            self._extended_ns = now_ns
+            notify(f"EXTEND_TIMEOUT_USEC={2 * EXTEND_EACH_S * 1_000_000}")
 
     def _use(self, frame: Frame, distance_m: float | None) -> None:
         self._times.start()
+        began_ns = self._clock_ns()
         self._frames_used += 1
         match = self._recognizer.observe(frame.image, frame.stamp_ns)
-        self._tell_state(self._recognizer.state)
         self._tracker.see(match, frame.stamp_ns, distance_m)
         self._watch.note(frame, match)
         if self._journal and self._config.telemetry.journal_frames:
@@ -169,27 +206,17 @@ class Daemon:
                 self._events += 1
                 self._tell_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
+        now_ns = self._clock_ns()
+        self.condition.used((now_ns - began_ns) / 1e9)
+        self._memory.keep_if_due(now_ns, self.condition.health.state, self._newest)
 
     def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
         """An event, for people and the journal: with the tracked position, or with the place's own."""
         tracked = self._tracker.at_exposure()
         if tracked is not None and tracked.stamp_ns == stamp_ns:
-            fix = _fix(match, tracked)
+            fix = tracked_fix(match, tracked)
         else:
-            rig = self._config.rig
-            fix = PlaceFix(
-                stamp_ns=stamp_ns,
-                place=match.place,
-                lat_deg=match.lat_deg,
-                lon_deg=match.lon_deg,
-                heading_deg=match.heading_deg,
-                sigma_along_m=rig.sigma_along_m,
-                sigma_across_m=rig.sigma_across_m,
-                direction=match.direction,
-                order=match.order,
-                uniqueness=round(match.uniqueness, 4),
-                category=match.category or "",
-            )
+            fix = place_fix(match, stamp_ns, self._config.rig)
         self._record(fix)
         self._autopilot.tell_place(fix)
 
@@ -204,15 +231,7 @@ class Daemon:
             now_ns = self._clock_ns()
             tracked = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
         if tracked is not None:
-            self._autopilot.send_position(_fix(self._newest, tracked))
-
-    def _tell_state(self, state: str, why: str = "") -> None:
-        if state == self._state:
-            return
-        self._state, self._why = state, why
-        log.info("%s %s", state, why)
-        self._record(StateChanged(state, why))
-        notify(f"STATUS={state} {why}".rstrip())
+            self._autopilot.send_position(tracked_fix(self._newest, tracked))
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
@@ -220,43 +239,33 @@ class Daemon:
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
+        self._memory.keep(self.condition.health.state, self._newest)
         return stopped
 
 
-def _fix(match: PlaceMatch, tracked: TrackedPosition) -> PlaceFix:
-    """What is told of a tracked position; `match` is the newest that was accepted."""
-    return PlaceFix(
-        stamp_ns=tracked.stamp_ns,
-        place=tracked.place,
-        lat_deg=tracked.lat_deg,
-        lon_deg=tracked.lon_deg,
-        heading_deg=tracked.heading_deg,
-        sigma_along_m=round(tracked.sigma_along_m, 2),
-        sigma_across_m=tracked.sigma_across_m,
-        direction=tracked.direction,
-        order=match.order,
-        uniqueness=round(match.uniqueness, 4),
-        category=match.category or "",
-        matches=tracked.matches,
-    )
-
-
-def run(config: Config, stop: threading.Event) -> Stopped:
-    """Run until `stop` is set or the camera comes to its end."""
+def run(config: Config, stop: threading.Event, opened: Callable[[], object] = lambda: None) -> Stopped:
+    """Run until `stop` is set or the camera comes to its end; `opened` is called when all parts are open."""
     with ExitStack() as parts:
         daemon = Daemon(config, parts)
-        notify("READY=1")
-        while not stop.is_set() and daemon.turn():
-            pass
+        opened()
+        with daemon.condition.failures():
+            while not stop.is_set() and daemon.turn():
+                pass
         notify("STOPPING=1")
         return daemon.last_words()
 
 
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
-    stop = threading.Event()
+    stop, opened = threading.Event(), threading.Event()
+
+    def told_to_stop(number: int, at: FrameType | None) -> None:
+        stop.set()
+        if not opened.is_set():
+            raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    stopped = run(config, stop)
+        signal.signal(number, told_to_stop)
+    stopped = run(config, stop, opened.set)
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor.network import Head, Network
-from edge.descriptor.normalize import OnlineNormalizer
+from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
 from edge.errors import MapError
 from edge.place_search import Near, PlaceSearch
@@ -109,6 +109,22 @@ class PlaceRecognizer:
             return None
         self.state = "on the map" if match.accepted else "off the map"
         return self._report(match, raw, stamp_ns)
+
+    @property
+    def statistics(self) -> RunningStatistics | None:
+        """Of all raw descriptors so far; None before the first, and where nothing is normalised."""
+        return self._normalizer.statistics
+
+    def begin_with(self, statistics: RunningStatistics) -> None:
+        """Start with an earlier run's statistics, of this network and this cut."""
+        self._normalizer.begin_with(statistics)
+
+    def forget_recent(self) -> None:
+        """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
+        self._normalizer.clear_ring()
+        self.places.clear()
+        self._last_raw = self._last_ns = None
+        self.state = "warming up"
 
     def _stands_still(self, raw: NDArray[np.float32]) -> bool:
         """Whether this frame shows what the last used one did: normalised, it would be all zero, or mere noise."""

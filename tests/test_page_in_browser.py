@@ -178,7 +178,7 @@ def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
     )
     with daemon(lost), browser(390, 844) as driver:
         driver.get(url_of(config))
-        until(driver, "status !== null && status.state === 'camera lost'")
+        until(driver, "status !== null && status.state === 'degraded'")
         assert "/dev/no-such-camera: No such file" in text(driver, "answer")
         assert driver.find_element("id", "state").get_attribute("class") == "bad"
         assert text(driver, "frame-words") == "no frame yet"

@@ -38,6 +38,17 @@ class RunningStatistics:
         self.mean = np.zeros(shape)
         self._squares = np.zeros(shape)
 
+    @classmethod
+    def of_another_run(
+        cls, count: int, mean: NDArray[np.float64], deviation: NDArray[np.float64], *, at_most: int
+    ) -> RunningStatistics:
+        """Statistics (R, D) of `count` frames of another run; they weigh as `at_most`, so that ours soon count."""
+        statistics = cls((mean.shape[0], mean.shape[1]))
+        statistics.count = min(count, at_most)
+        statistics.mean = mean.copy()
+        statistics._squares = deviation**2 * statistics.count
+        return statistics
+
     def update(self, raw: NDArray[np.float32]) -> None:
         """Take in one raw descriptor (R, D)."""
         self.count += 1
@@ -97,6 +108,16 @@ class OnlineNormalizer:
     def rows(self) -> NDArray[np.float32]:
         """The whole ring as it was last normalised, (n, R, D), oldest first."""
         return np.stack(self._normalized)
+
+    @property
+    def statistics(self) -> RunningStatistics | None:
+        """Of all frames so far; None before the first, and where nothing is normalised."""
+        return self._statistics
+
+    def begin_with(self, statistics: RunningStatistics) -> None:
+        """Start from statistics of an earlier run instead of from nothing."""
+        if self._enabled:
+            self._statistics = statistics
 
     @property
     def is_full(self) -> bool:

@@ -24,6 +24,7 @@ from edge.telemetry.texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.ways import Moment
 
+LAST_WORDS_S = 0.1
 log = logging.getLogger(__name__)
 
 
@@ -56,6 +57,11 @@ class AutopilotConnection:
         ]
         self._session = 0
         self._system_status: int = mavlink.MAV_STATE_ACTIVE
+
+    @property
+    def why_closed(self) -> str:
+        """Why there is no port, "" while there is none yet."""
+        return self._port.why_closed if self.state == "closed" else ""
 
     @property
     def positions_enabled(self) -> bool:
@@ -116,6 +122,14 @@ class AutopilotConnection:
         self._texts.put(text, severity)
         for link in self._others:
             link.status_text(text, severity)
+
+    def say_now(self, text: str, severity: int) -> None:
+        """Heartbeat and a line on every link, at once and whether anybody was heard or not: last words."""
+        for port in (self._port, *(link.port for link in self._others)):
+            if port.open_if_due(self._clock_ns()):
+                for message in (fixes.heartbeat(self._system_status), *fixes.status_text(text, severity, 1)):
+                    port.send(message)
+        time.sleep(LAST_WORDS_S)  # what a serial port has not sent yet is lost when it is closed
 
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""

@@ -31,6 +31,7 @@ class Journal:
         self._unix_time_s = unix_time_s
         self.lost = 0
         """Lines that could not be written."""
+        self.why_lost = ""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -61,6 +62,7 @@ class Journal:
     def _report_lost(self, why: str) -> None:
         if not self.lost:
             log.error("%s: cannot write the journal: %s", self._path, why)
+        self.why_lost = why
         self.lost += 1
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from prometheus_client.registry import Collector
 
 from edge.telemetry.status import Status
 
-STATES = ("warming up", "on the map", "off the map", "standing", "camera lost")
+STATES = ("starting", "warming up", "on the map", "off the map", "degraded", "failed")
 
 
 def as_metrics(status: Status) -> bytes:
@@ -28,9 +28,7 @@ class _OneStatus(Collector):
         status = self._status
         yield _gauge("info", "1; what runs", {"version": status.version, "map": status.map_name}, 1)
         yield _gauge("start_time_seconds", "Unix time at which the daemon started", {}, status.started_unix_s)
-        yield _counter(
-            "frames_used", "Frames that went through the recogniser", {"": status.frames_used}
-        )
+        yield _counter("frames_used", "Frames that went through the recogniser", {"": status.frames_used})
         yield _counter("events", "Places that were told to the robot", {"": status.events})
         yield _gauge("used_frames_per_second", "Rate of used frames, recently", {}, status.fps)
         yield from self._recogniser(status)

@@ -71,6 +71,11 @@ class ReportLink:
         """Queue a line for the pilot."""
         self._texts.put(text, severity)
 
+    @property
+    def port(self) -> Port:
+        """Where its messages go."""
+        return self._port
+
     def close(self) -> None:
         """Close the link."""
         self._port.close()

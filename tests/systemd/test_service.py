@@ -168,7 +168,10 @@ def test_never_ready_with_a_bad_config(manager: Manager, config: Path) -> None:
 def test_never_ready_without_a_map(manager: Manager, config: Path) -> None:
     config.write_text(config.read_text().replace("/map", "/no-map"))
     process = manager.start(config)
-    assert list(manager.words()) == []
+    starting, failed = manager.words()
+    assert starting == "STATUS=starting"
+    assert failed.startswith("STATUS=failed: ")
+    assert "no-map" in failed
     (line,) = process.communicate()[1].splitlines()
     assert "no-map" in line
     assert process.returncode == EXIT_SETUP

@@ -1,0 +1,43 @@
+"""What the robot is told of a match: with the place's own position, or with the tracked one."""
+
+from __future__ import annotations
+
+from edge.config import RigConfig
+from edge.recognizer import PlaceMatch
+from edge.telemetry import PlaceFix
+from edge.tracking import TrackedPosition
+
+
+def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig) -> PlaceFix:
+    """A match as it is, where nothing has been tracked."""
+    return PlaceFix(
+        stamp_ns=stamp_ns,
+        place=match.place,
+        lat_deg=match.lat_deg,
+        lon_deg=match.lon_deg,
+        heading_deg=match.heading_deg,
+        sigma_along_m=rig.sigma_along_m,
+        sigma_across_m=rig.sigma_across_m,
+        direction=match.direction,
+        order=match.order,
+        uniqueness=round(match.uniqueness, 4),
+        category=match.category or "",
+    )
+
+
+def tracked_fix(match: PlaceMatch, tracked: TrackedPosition) -> PlaceFix:
+    """What is told of a tracked position; `match` is the newest that was accepted."""
+    return PlaceFix(
+        stamp_ns=tracked.stamp_ns,
+        place=tracked.place,
+        lat_deg=tracked.lat_deg,
+        lon_deg=tracked.lon_deg,
+        heading_deg=tracked.heading_deg,
+        sigma_along_m=round(tracked.sigma_along_m, 2),
+        sigma_across_m=tracked.sigma_across_m,
+        direction=tracked.direction,
+        order=match.order,
+        uniqueness=round(match.uniqueness, 4),
+        category=match.category or "",
+        matches=tracked.matches,
+    )
