@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pymap3d
+from numpy.typing import NDArray
 
 from edge.config import RigConfig, TrackingConfig
 from edge.recognizer import PlaceMatch
@@ -30,6 +31,8 @@ WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
 STEEPEST = 0.2
 """A line whose slope differs from the odometer's by more than this share is no sighting: so look the first lines on a
 stretch, which lean on the few frames that are on the map already, and were up to 20 m off."""
+PUSHED = 3.0
+"""Places from the end of a drive, within which a line that begins there may have been pushed."""
 AGREE_SIGMAS = 3.0
 TAKEN_OVER_BY = 3
 """So many matches in a row that agree with each other but not with the track begin a new one."""
@@ -170,10 +173,11 @@ class RouteTracker:
         self._spacing_m = float(np.nanmedian(np.abs(np.diff(route_m[first:end]))))
         sign = 1 if match.direction == "forward" else -1
         beyond_m, width_share = self._beyond_m(match, sign)
-        if math.isnan(beyond_m):
+        seen_m = float(route_m[match.place]) + beyond_m
+        if math.isnan(beyond_m) or not self._begins_within(seen_m, sign, route_m[first:end]):
             return None
         # What is seen lies ahead of the vehicle.
-        along_m = float(route_m[match.place]) + beyond_m - sign * self._rig.ahead_m(match.direction, match.order)
+        along_m = seen_m - sign * self._rig.ahead_m(match.direction, match.order)
         sigma_m = math.hypot(
             self._spacing_m / math.sqrt(12), self._rig.sigma_along_m, width_share * match.width * self._spacing_m
         )
@@ -194,6 +198,17 @@ class RouteTracker:
         if abs(2 * too_far_m) > STEEPEST * driven_m:
             return math.nan, WIDTH_SHARE_TURNED
         return -sign * too_far_m, WIDTH_SHARE_TURNED
+
+    def _begins_within(self, seen_m: float, sign: int, segment_m: NDArray[np.float64]) -> bool:
+        """Whether the line begins well inside its drive; one at the very end may have been pushed there.
+
+        Where only the newer frames are on the map, a whole line can but begin at its end, and ends too far.
+        """
+        if self._driven_m is None:
+            return True
+        begins_m = seen_m - sign * (self._readings_m[-1] - self._readings_m[0])
+        margin_m = PUSHED * self._spacing_m
+        return bool(np.nanmin(segment_m) + margin_m <= begins_m <= np.nanmax(segment_m) - margin_m)
 
     def _follow(self, track: _Track, stamp_ns: int, place: int) -> None:
         self._track, self._rival = track, None
