@@ -11,7 +11,7 @@ import numpy as np
 from edge.camera import Frame
 from edge.camera.feed import Feed, FeedImages
 from edge.camera.newest import CameraHealth
-from edge.config import CameraConfig, Config, MapConfig, RigConfig, TelemetryConfig
+from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.telemetry.journal import read_journal
 from sim.autopilot import SimulatedAutopilot
@@ -119,10 +119,15 @@ def _autopilot(
 
 
 def trial_config(world: World, course: Course, link: PtyLink, journal: Path, emit: str) -> Config:
-    """The defaults, but for what this vehicle is: where it drives home is two half lanes from where it drove out."""
+    """The defaults, but for what this vehicle is: where it drives home is two half lanes from where it drove out.
+
+    Each run starts with nothing kept from the last.
+    """
     return Config(
+        descriptor=DescriptorConfig(keep_statistics_min=0.0),
         camera=CameraConfig(kind="feed", device=str(world.feed.path), view="front"),
         map=MapConfig(path=str(course.map_path)),
+        page=PageConfig(port=0),
         rig=RigConfig(left_reverse_m=2 * world.home.lane_m),
         telemetry=TelemetryConfig(
             connection=f"serial:{link.device}:921600",
