@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Mapping, Sequence
 
 import matplotlib as mpl
@@ -60,7 +61,7 @@ def bar_plot(groups: Sequence[str], bars: Mapping[str, Sequence[float]], label: 
     for index, (name, heights) in enumerate(bars.items()):
         offset = (index - (len(bars) - 1) / 2) * width
         axes.bar(np.arange(len(groups)) + offset, heights, width, label=name, color=colours[index % len(colours)])
-    axes.set_xticks(range(len(groups)), [group.replace(", ", "\n") for group in groups], fontsize=7)
+    axes.set_xticks(range(len(groups)), [textwrap.fill(group, 18) for group in groups], fontsize=7)
     axes.set(ylabel=label, ylim=(0, 1.02))
     axes.grid(axis="y", alpha=0.3)
     axes.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
