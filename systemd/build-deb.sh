@@ -68,7 +68,7 @@ fi
 [ -n "$2" ] || systemctl enable --quiet lookback.service
 if [ -d /run/systemd/system ]; then
     systemctl daemon-reload
-    systemctl try-restart lookback.service || echo "It was running and does not start again; see the journal." >&2
+    systemctl --no-block try-restart lookback.service  # it is ready only once its port is there
 fi
 TEXT
 cat >"$stage/DEBIAN/prerm" <<'TEXT'

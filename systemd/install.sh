@@ -157,7 +157,7 @@ install_all() {
     live reload_udev
     live_systemctl daemon-reload
     live_systemctl enable --quiet lookback.service
-    live_systemctl try-restart lookback.service || echo "It was running and does not start again; see the journal." >&2
+    live_systemctl --no-block try-restart lookback.service  # it is ready only once its port is there
     cat <<TEXT
 Lookback is installed in $root$prefix and starts at boot. Next:
   1. edit  $root/etc/lookback/lookback.toml

@@ -10,7 +10,8 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import Connection, Link
 
 RETRY_FIRST_NS = 500_000_000
-RETRY_LAST_NS = 8_000_000_000
+RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}
+"""Looking for a device costs nothing; looking up the name of a host can block for seconds."""
 SIGNED_SILENCE_NS = 3_000_000_000
 """With signing, listen first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
 
@@ -84,7 +85,7 @@ class Port:
         self.close()
         self.why_closed = why
         self._next_try_ns = self._clock_ns() + self._pause_ns
-        self._pause_ns = min(2 * self._pause_ns, RETRY_LAST_NS)
+        self._pause_ns = min(2 * self._pause_ns, RETRY_LAST_NS[self.connection.kind])
         if why != self._told:  # one line for each new reason, not one for each try
             self._told = why
             log.warning("%s; trying again", why)
