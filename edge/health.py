@@ -116,4 +116,4 @@ def _journal_trouble(signs: Signs) -> str:
 
 
 def _slow(signs: Signs) -> str:
-    return f"slow: a frame took {signs.frame_s:.1f} s" if signs.frame_s > SLOW_FRAME_S else ""
+    return f"slow: a frame took over {SLOW_FRAME_S:g} s" if signs.frame_s > SLOW_FRAME_S else ""
