@@ -3,13 +3,16 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench clean
+.PHONY: demo test soak check bench bench-quick clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest
+
+soak: $(VENV)/.dev
+	$(BIN)/python -m pytest -m soak tests/faults
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -18,8 +21,11 @@ check: $(VENV)/.dev
 	$(BIN)/python -m pytest
 	$(BIN)/lookback demo -o demo --require-good
 
-bench: $(VENV)/.dev
-	$(BIN)/python -m sim.bench
+bench: $(VENV)/.bench
+	$(BIN)/python -m sim.bench -o docs/bench.md
+
+bench-quick: $(VENV)/.bench
+	$(BIN)/python -m sim.bench --quick
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
@@ -31,6 +37,10 @@ $(BIN)/python:
 $(VENV)/.demo: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install -qq --editable '.[sim]'
 	touch $@
+
+$(VENV)/.bench: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.[dev,bench]'
+	touch $@ $(VENV)/.dev $(VENV)/.demo
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install -qq --editable '.[dev]'

@@ -7,8 +7,8 @@ values, of sums and of differences, are both region orders, and the map's bytes 
     same = s.S + d.D        swapped = s.S - d.D
 
 Descriptors are int8 with one scale a row; dot products and squared norms are exact integers, and every step after
-them is one correctly rounded float64 operation. So costs are the same to the bit on every machine, and sums of them
-can be kept running without drift.
+them is one correctly rounded float64 operation, then the fraction is cut off. So costs are the same to the bit on
+every machine, and sums of them can be kept running without drift.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class CostMatcher:
         projection: (D, dimensions of the network), of a map with shrunk descriptors.
         """
         self._planes = descriptors
-        self._norms = _lengths(norms_sq)
+        self._inverse = COST_ONE / _lengths(norms_sq)
         self._projection = projection
         self.orders = len(descriptors)
 
@@ -91,17 +91,24 @@ class CostMatcher:
         self, query: NDArray[np.int8], ranges: Sequence[tuple[int, int]] | None = None
     ) -> NDArray[np.int32]:
         """The same for rows as the map keeps them, (R, n, D) int8."""
-        lengths = _lengths(squared_norms(query))[:, np.newaxis]
-        ranges = ranges or [(0, len(self._norms))]
+        inverse = 1.0 / _lengths(squared_norms(query))[:, np.newaxis]
+        ranges = ranges or [(0, len(self._inverse))]
         count = query.shape[1]
         costs = np.empty((count, self.orders, sum(end - start for start, end in ranges)), dtype=np.int32)
         at = 0
         for start, end in _blocks(ranges, max(1, BLOCK // count)):
-            dots = [_dots(plane[start:end], rows) for plane, rows in zip(self._planes, query, strict=True)]
-            product = lengths * self._norms[start:end]
-            both = [dots[0] + dots[1], dots[0] - dots[1]] if self.orders == 2 else dots
-            for order, cosine in enumerate(both):
-                costs[:, order, at : at + end - start] = _integer_costs(cosine, product)
+            scale = inverse * self._inverse[start:end]
+            shares = [_dots(plane[start:end], rows) for plane, rows in zip(self._planes, query, strict=True)]
+            for share in shares:
+                np.multiply(share, scale, out=share)
+            into = costs[:, :, at : at + end - start]
+            # Nothing is below 0, so that cutting the fraction off what half was added to rounds.
+            rest = np.subtract(COST_ONE + 0.5, shares[0], out=shares[0])
+            if self.orders == 1:
+                into[:, 0] = rest
+            else:
+                np.subtract(rest, shares[1], out=into[:, 0], casting="unsafe")
+                np.add(rest, shares[1], out=into[:, 1], casting="unsafe")
             at += end - start
         return costs
 
@@ -125,11 +132,3 @@ def _dots(plane: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.float64
 def _lengths(norms_sq: NDArray[np.int32]) -> NDArray[np.float64]:
     """Lengths (n,) of rows; 1 for a row that is all zero, so that its cosine to anything is 0."""
     return np.sqrt(np.maximum(norms_sq, 1).astype(np.float64))
-
-
-def _integer_costs(dots: NDArray[np.float64], product: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Whole numbers round((1 - dots / product) COST_ONE), (n, N), made in place of the dots."""
-    np.divide(dots, product, out=dots)
-    np.subtract(1.0, dots, out=dots)
-    np.multiply(dots, COST_ONE, out=dots)
-    return np.rint(dots, out=dots)

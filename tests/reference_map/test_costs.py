@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,10 +36,12 @@ def slow_costs_of_encoded(query: NDArray[np.int8], reference: NDArray[np.int8]) 
     for row in range(query.shape[1]):
         for place in range(reference.shape[1]):
             dots = [int(wide_query[plane, row] @ wide[plane, place]) for plane in range(len(query))]
-            lengths = [float(max(1, int((rows**2).sum()))) ** 0.5 for rows in (wide_query[:, row], wide[:, place])]
+            lengths = [math.sqrt(max(1, int((rows**2).sum()))) for rows in (wide_query[:, row], wide[:, place])]
+            scale = (1.0 / lengths[0]) * (COST_ONE / lengths[1])
+            shares = [float(dot) * scale for dot in dots]
             for order, sign in enumerate((1, -1)[: len(query)]):
-                dot = dots[0] + sign * dots[1] if len(dots) == 2 else dots[0]
-                out[row, order, place] = round((1.0 - float(dot) / (lengths[0] * lengths[1])) * COST_ONE)
+                rest = (COST_ONE + 0.5) - shares[0]
+                out[row, order, place] = math.floor(rest - sign * shares[1] if len(shares) == 2 else rest)
     return out
 
 

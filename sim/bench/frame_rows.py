@@ -1,0 +1,83 @@
+"""A whole frame after the camera, stage by stage, through the recogniser that the daemon runs."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import Config, MapConfig
+from edge.descriptor.network import Head, Network
+from edge.recognizer import PlaceRecognizer, model_key
+from edge.reference_map.store import open_map
+from sim.bench.machine import Machine
+from sim.bench.network_rows import FC6_BYTES, MACS, smooth_picture
+from sim.bench.rows import Row, Section, Target
+from sim.bench.simulated_map import write_simulated_map
+from sim.bench.timing import Times
+
+SIZE_PX = (640, 480)
+LENGTH = 40
+
+
+class Laps:
+    """CPU time of each stage of each frame."""
+
+    def __init__(self) -> None:
+        self.frames: list[dict[str, float]] = []
+        self._last_ns = 0
+
+    def begin(self) -> None:
+        """A frame begins."""
+        self.frames.append({})
+        self._last_ns = time.thread_time_ns()
+
+    def lap(self, stage: str) -> None:
+        """A stage has ended."""
+        now_ns = time.thread_time_ns()
+        self.frames[-1][stage] = (now_ns - self._last_ns) / 1e6
+        self._last_ns = now_ns
+
+
+def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
+    """Frames of 640x480 on a map of so many places; the rows are of the frames after the warm-up."""
+    network = Network.load()
+    path = folder / f"frames_{places}.map"
+    write_simulated_map(path, places, model_key(network))
+    laps = Laps()
+    config = Config(map=MapConfig(places_per_frame=max(100, places)))
+    recognizer = PlaceRecognizer(network, Head.load(network), open_map(path), config, laps.lap)
+    rng = np.random.default_rng(1)
+    for frame in range(LENGTH + frames):
+        picture = smooth_picture(rng, SIZE_PX)
+        laps.begin()
+        recognizer.observe(picture, frame * 200_000_000)
+        laps.lap("answer")
+    measured = laps.frames[LENGTH:]
+    whole = Times(tuple(sum(frame.values()) for frame in measured))
+    alone = Times(tuple(frame["network"] for frame in measured))
+    floors = {
+        "network": machine.floor_ms(FC6_BYTES, 2 * MACS),
+        "matching": machine.floor_ms(places * 2 * network.info.dimensions),
+    }
+    rows = []
+    for stage in measured[-1]:
+        times = Times(tuple(frame.get(stage, 0.0) for frame in measured))
+        floor_ms = floors.get(stage)
+        of_floor = (f"its floor, {floor_ms:.2f} ms", times.median_ms / floor_ms) if floor_ms else ("", None)
+        rows.append(Row(f"{stage}{' and search' if stage == 'matching' else ''}", times, *of_floor))
+    slowest = statistics.quantiles(whole.runs_ms, n=20)[-1]
+    rows.append(
+        Row(
+            "whole frame",
+            whole,
+            "its network",
+            whole.median_ms / alone.median_ms,
+            f"95 % of frames within {slowest:.1f} ms; the slow ones match the whole ring again",
+        )
+    )
+    over = whole.median_ms / alone.median_ms
+    target = Target(f"whole frame, {places:,} places, regions on", "2x the network or less", f"{over:.2f}x", over <= 2)
+    return Section(f"Whole frame of {SIZE_PX[0]}x{SIZE_PX[1]}, {places:,} places", rows, [target])

@@ -1,0 +1,78 @@
+"""The machine: its name, how fast one core reads memory, and how fast it multiplies int8. The floor of every stage."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numkong
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from edge.descriptor.network import open_session
+from sim.bench.timing import race
+
+SIDE = 768
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One core: bytes_per_ms of memory read; macs_per_ms of int8 in cache, as the network's kernels do them."""
+
+    name: str
+    bytes_per_ms: float
+    macs_per_ms: float
+
+    def floor_ms(self, read_bytes: float, macs: float = 0.0) -> float:
+        """What reading so many bytes once, and multiplying so often, takes one core at the least."""
+        return read_bytes / self.bytes_per_ms + macs / self.macs_per_ms
+
+
+def read_all(memory: NDArray[np.int8]) -> None:
+    """Touch every byte once, at the speed of the memory: the cheapest reduction that NumPy has."""
+    np.bitwise_or.reduce(memory.reshape(-1)[: memory.size // 8 * 8].view(np.int64), axis=None)
+
+
+def measure_machine(memory_bytes: int, rounds: int) -> Machine:
+    """Measure with a block of memory that no cache holds, and a product of matrices that one does."""
+    memory = np.ones(memory_bytes, dtype=np.int8)
+    multiply = _product_of_matrices()
+    times = race({"read": lambda: read_all(memory), "multiply": multiply}, rounds)
+    return Machine(machine_name(), memory_bytes / times["read"].median_ms, SIDE**3 / times["multiply"].median_ms)
+
+
+def machine_name() -> str:
+    """Processor, cores, memory, system and the versions of the kernels in use."""
+    cpu = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith(("model name", "Model")):
+            cpu = line.partition(":")[2].strip()
+            break
+    memory_kb = int(Path("/proc/meminfo").read_text().split()[1])
+    cores = len([line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("processor")])
+    kernels = [name for name, on in numkong.get_capabilities().items() if on and name != "serial"]
+    return (
+        f"{cpu}, {cores} cores, {memory_kb / 2**20:.0f} GiB, {platform.system()} {platform.machine()}, Python"
+        f" {platform.python_version()}, NumPy {np.__version__}, ONNX Runtime {onnxruntime.__version__}, numkong for"
+        f" {', '.join(kernels) or 'any processor'}"
+    )
+
+
+def _product_of_matrices() -> Callable[[], object]:
+    """uint8 times constant int8 under ONNX Runtime: what its int8 layers come down to."""
+    import onnx
+    from onnx import helper
+
+    rng = np.random.default_rng(0)
+    given = helper.make_tensor_value_info("given", onnx.TensorProto.UINT8, [SIDE, SIDE])
+    product = helper.make_tensor_value_info("product", onnx.TensorProto.INT32, [SIDE, SIDE])
+    weights = onnx.numpy_helper.from_array(rng.integers(-60, 60, (SIDE, SIDE), dtype=np.int8), "weights")
+    node = helper.make_node("MatMulInteger", ["given", "weights"], ["product"])
+    graph = helper.make_graph([node], "product", [given], [product], [weights])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    session = open_session(model.SerializeToString())
+    rows = rng.integers(0, 120, (SIDE, SIDE), dtype=np.uint8)
+    return lambda: session.run(None, {"given": rows})

@@ -1,0 +1,112 @@
+"""What size costs: opening a map, verifying it, and a frame on it, with and without a position."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import Config
+from edge.descriptor.normalize import NormalizedRows
+from edge.place_search import Near, PlaceSearch
+from edge.reference_map.route import Route
+from edge.reference_map.store import ModelKey, ReferenceMap, open_map, open_unverified
+from edge.sequence import SequenceMatch
+from sim.bench.rows import Row, Section, Target
+from sim.bench.simulated_map import map_bytes, position_of, seen_at, write_simulated_map
+from sim.bench.timing import Times, race, wall_ns
+
+RADIUS_M = 500.0
+WHOLE = 10_000
+SHARE_OF_MEMORY = 0.8
+
+
+class Drive:
+    """A vehicle that drives along a map, a place a frame, and sees it as the map has it."""
+
+    def __init__(self, reference_map: ReferenceMap, start: int, *, known: bool) -> None:
+        self._map = reference_map
+        config = Config()
+        self.search = PlaceSearch(reference_map, Route(reference_map), config)
+        self._length = config.sequence.length
+        self._known = known
+        self._place = start
+        self._ring: list[np.ndarray] = []
+        for _ in range(self._length):
+            self.step()
+
+    def step(self) -> SequenceMatch | None:
+        """One frame."""
+        self._ring = [*self._ring, seen_at(self._map.descriptors, self._place)][-self._length :]
+        near = Near(*position_of(self._place), RADIUS_M) if self._known else None
+        change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
+        self._place += 1
+        return self.search.push(change, lambda: np.stack(self._ring), near)
+
+
+def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Section:
+    """Rows of each size; those for which disk or memory do not suffice are one line that says so."""
+    rows: list[Row] = []
+    targets: list[Target] = []
+    small = folder / "whole.map"
+    write_simulated_map(small, WHOLE, model)
+    for places in sizes:
+        need, disk = map_bytes(places, model.dimensions), shutil.disk_usage(folder).free
+        if need > SHARE_OF_MEMORY * disk:
+            rows.append(Row(f"{places:,} places", note=f"left out: {need / 1e9:.1f} GB and {disk / 1e9:.1f} GB free"))
+            continue
+        path = folder / f"{places}.map"
+        write_simulated_map(path, places, model)
+        rows += _opening(path, places, rounds, targets)
+        rows += _frames(path, small, places, rounds, targets)
+        shutil.rmtree(path)
+    shutil.rmtree(small)
+    return Section("Maps from a pocket to a city", rows, targets)
+
+
+def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+    opening = race({"open": lambda: open_unverified(path)}, max(2, rounds // 3), wall_ns)["open"]
+    start = wall_ns()
+    open_unverified(path)[1].finish()
+    verifying = Times(((wall_ns() - start) / 1e6,))
+    if places == 100_000:
+        value = f"{opening.median_ms / 1e3:.2f} s, then {verifying.median_ms / 1e3:.1f} s between frames"
+        targets.append(Target("opening a map of 100,000 places", "0.5 s or less", value, opening.median_ms <= 500))
+    return [
+        Row(f"{places:,} places: opening", opening, note="wall-clock time, files in the page cache"),
+        Row(f"{places:,} places: checksum of the descriptors, between frames", verifying, note="wall-clock time"),
+    ]
+
+
+def _frames(path: Path, small: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+    """A frame with a position known to 500 m, or of the whole map, against 10,000 places searched whole."""
+    reference = Drive(open_map(small), 100, known=False)
+    large = open_unverified(path)[0]
+    racers: dict[str, Callable[[], object]] = {"whole": reference.step}
+    what = "searched whole"
+    if places > Config().map.places_per_frame:
+        what = f"position known to {RADIUS_M:.0f} m"
+        racers["lost"] = Drive(large, places // 2, known=False).step
+    around = Drive(large, places // 2, known=True)
+    racers["known"] = around.step
+    times = race(racers, rounds)
+    ratio = times["known"].ratio(times["whole"])
+    part = around.search.part
+    note = f"{len(part.places):,} places of it" if part else "gone through in slices: too many places for a frame"
+    rows = [Row(f"{places:,} places, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
+    if "lost" in times:
+        lost = times["lost"]
+        rows.append(
+            Row(
+                f"{places:,} places, no position: a slice, or what was found in one",
+                lost,
+                "10,000 places",
+                lost.ratio(times["whole"]),
+            )
+        )
+    if places == 1_000_000:
+        told = "1,000,000 places with a position known to 500 m, against 10,000 scanned in full"
+        targets.append(Target(told, "1.5x or less", f"{ratio:.2f}x", ratio <= 1.5))
+    return rows

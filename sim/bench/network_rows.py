@@ -1,0 +1,89 @@
+"""int8 against fp32, of the same graph; and what cutting and resizing the regions costs beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.descriptor.model_file import ModelInfo
+from edge.descriptor.model_import import MEAN_RGB, STD_RGB, build_float
+from edge.descriptor.network import IMAGE, Network, open_session
+from edge.descriptor.regions import cut_regions
+from edge.descriptor.weights import CONVS, FC6, FC6_SHAPE
+from sim.bench.machine import Machine
+from sim.bench.rows import Row, Section, Target, against
+from sim.bench.timing import race
+
+FC6_BYTES = FC6_SHAPE[0] * FC6_SHAPE[1]
+OUTPUT_SIDES = (55, 27, 13, 13, 13)  # of the convolutions, at 224 x 224
+MACS = sum(int(np.prod(conv.shape)) * side**2 for conv, side in zip(CONVS, OUTPUT_SIDES, strict=True)) + FC6_BYTES
+SIZES = ((640, 480), (1280, 720), (1920, 1080))
+
+
+def measure(machine: Machine, rounds: int) -> Section:
+    """Batches of one region and of two, which is what a frame is."""
+    network = Network.load()
+    session = open_session(float_graph())
+    picture = smooth_picture(np.random.default_rng(0), SIZES[0])
+    regions = cut_regions(picture, "left-right", 0.4)
+    rows: list[Row] = []
+    for batch in (1, 2):
+        images = np.ascontiguousarray(regions[:batch])
+        times = race(
+            {
+                "int8": lambda images=images: network.describe(images),  # type: ignore[misc]
+                "fp32": lambda images=images: session.run(None, {IMAGE: images}),  # type: ignore[misc]
+            },
+            rounds,
+        )
+        floor_ms = machine.floor_ms(FC6_BYTES, batch * MACS)
+        over = times["int8"].median_ms / floor_ms
+        rows += [
+            against(f"network fp32, batch {batch}", "fp32", times, "int8"),
+            Row(f"network int8, batch {batch}", times["int8"], f"its floor, {floor_ms:.2f} ms", over),
+        ]
+    faster = 1 / times["int8"].ratio(times["fp32"])
+    targets = [
+        Target("int8 network against fp32, batch 2", "3.3x faster or more", f"{faster:.2f}x", faster >= 3.3),
+        Target("int8 network against its floor, batch 2", "1.25x or less", f"{over:.2f}x", over <= 1.25),
+    ]
+    for size in SIZES:
+        picture = smooth_picture(np.random.default_rng(0), size)
+        cutting = race({"cut": lambda picture=picture: cut_regions(picture, "left-right", 0.4)}, rounds)["cut"]  # type: ignore[misc]
+        share = cutting.median_ms / times["int8"].median_ms
+        rows.append(Row(f"regions cut and resized, {size[0]}x{size[1]}", cutting, "network int8, batch 2", share))
+    return Section("Network", rows, targets)
+
+
+def float_graph() -> bytes:
+    """The network in float32 with random weights: how long a product takes does not depend on its numbers."""
+    rng = np.random.default_rng(0)
+    shapes: dict[str, tuple[int, ...]] = {conv.layer: conv.shape for conv in CONVS} | {FC6: FC6_SHAPE}
+    weights = {}
+    for layer, shape in shapes.items():
+        scale = np.float32(2 / np.prod(shape[1:])) ** 0.5  # keeps activations in range: denormals would be slow
+        weights[f"{layer}.weight"] = rng.standard_normal(shape, np.float32) * scale
+        weights[f"{layer}.bias"] = rng.standard_normal(shape[0], np.float32) * np.float32(0.1)
+    info = ModelInfo(
+        name="random",
+        tap="fc6",
+        dimensions=FC6_SHAPE[0],
+        precision="float32",
+        input_size=224,
+        channel_order="BGR",
+        mean_rgb=MEAN_RGB,
+        std_rgb=STD_RGB,
+        labels=(),
+        licence="none",
+        source="random numbers",
+        weights_sha256="",
+        calibration="",
+    )
+    return bytes(build_float(weights, info).SerializeToString())
+
+
+def smooth_picture(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    """A picture (H, W, 3) uint8 with something in it at every scale from 20 pixels up."""
+    import cv2
+
+    coarse = rng.integers(0, 255, (size[1] // 20, size[0] // 20, 3), dtype=np.uint8)
+    return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)

@@ -1,0 +1,113 @@
+"""Maps of any size on the disk, of streets that run side by side and descriptors that are random numbers."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from edge.config import SamplingConfig
+from edge.reference_map import store
+from edge.reference_map.costs import squared_norms
+from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
+from edge.reference_map.verification import FileKey, sha256_of
+from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
+
+REGIONS = RegionsKey("left-right", 0.4, "set")
+STREET_M, APART_M, SPACING_M = 10_000.0, 100.0, 2.0
+BLOCK = 4096
+
+
+def map_bytes(places: int, dimensions: int) -> int:
+    """What a map takes on the disk, and in memory when all of it is matched; raw descriptors are a hole in a file."""
+    return places * (REGIONS.count * dimensions + store.PLACE.itemsize)
+
+
+def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
+    """A whole map, every checksum of which holds."""
+    path.mkdir(parents=True)
+    rng = np.random.default_rng(places)
+    records = _places(places)
+    records["norm_sq"] = _write_descriptors(path / store.DESCRIPTORS, rng, places, model.dimensions)
+    records.tofile(path / store.PLACES)
+    np.ones((2, REGIONS.count, model.dimensions)).tofile(path / store.STATISTICS)
+    (path / store.THUMBNAILS).touch()
+    names = (store.DESCRIPTORS, store.PLACES, store.STATISTICS, store.THUMBNAILS)
+    files = {name: FileKey((path / name).stat().st_size, sha256_of(path / name)) for name in names}
+    sizes = store.expected_sizes(places, REGIONS.count, model.dimensions, model.dimensions)
+    files[store.RAW] = _write_hole(path / store.RAW, sizes[store.RAW])
+    a_street = round(STREET_M / SPACING_M)
+    segments = tuple(
+        Segment(start, min(start + a_street, places), "front", "simulated") for start in range(0, places, a_street)
+    )
+    header = MapHeader(
+        format=store.FORMAT,
+        version=store.VERSION,
+        lookback="bench",
+        model=model,
+        regions=REGIONS,
+        dimensions=model.dimensions,
+        sampling=SamplingConfig(),
+        places=places,
+        segments=segments,
+        files=files,
+    )
+    (path / store.HEADER).write_bytes(store.encode_header(header))
+
+
+def _places(places: int) -> NDArray[np.void]:
+    """Places every 2 m along streets of 10 km that lie 100 m apart."""
+    records = np.zeros(places, dtype=store.PLACE)
+    street, along_m = np.divmod(np.arange(places) * SPACING_M, STREET_M)
+    records["lat_deg"], records["lon_deg"], _ = pymap3d.enu2geodetic(
+        street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0
+    )
+    records["route_m"] = along_m
+    records["row"] = np.arange(places)
+    return records
+
+
+def _write_descriptors(file: Path, rng: np.random.Generator, places: int, dimensions: int) -> NDArray[np.int32]:
+    """Random bytes in the layout of a map; the squared norm of every place (N,)."""
+    norms_sq = np.zeros(places, dtype=np.int32)
+    with file.open("wb") as stream:
+        for _ in range(REGIONS.count):
+            for start in range(0, places, BLOCK):
+                count = min(BLOCK, places - start)
+                rows = np.frombuffer(rng.bytes(count * dimensions), dtype=np.int8).reshape(1, count, dimensions) >> 1
+                norms_sq[start : start + count] += squared_norms(rows)
+                stream.write(rows.tobytes())
+    return norms_sq
+
+
+def _write_hole(file: Path, size: int) -> FileKey:
+    """A file of zeros that takes no room."""
+    with file.open("wb") as stream:
+        stream.truncate(size)
+    digest, zeros = hashlib.sha256(), bytes(1 << 20)
+    for _ in range(size >> 20):
+        digest.update(zeros)
+    digest.update(bytes(size % (1 << 20)))
+    return FileKey(size, digest.hexdigest())
+
+
+def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
+    """What a normalised query (R, D) shows at a place: exactly what the map has there."""
+    half_sum, half_difference = descriptors[:, place].astype(np.float32)
+    return np.stack([half_sum + half_difference, half_sum - half_difference])
+
+
+def position_of(place: int) -> tuple[float, float]:
+    """Latitude and longitude of a place."""
+    street, along_m = divmod(place * SPACING_M, STREET_M)
+    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
+    return float(lat_deg), float(lon_deg)
+
+
+def side_by_side(radius_m: float) -> int:
+    """About how many places lie within a radius, away from the edges of the map."""
+    return round(math.pi * radius_m**2 / APART_M / SPACING_M)

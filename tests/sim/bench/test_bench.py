@@ -1,0 +1,111 @@
+"""The bench measures what it says it does, on tiny sizes; how fast anything is depends on the machine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.errors import FeedError
+from edge.reference_map.store import ModelKey, open_map
+from sim.bench import frame_rows, map_rows, memory_rows, search_rows
+from sim.bench.machine import Machine
+from sim.bench.page import page
+from sim.bench.rows import Row, Section, Target
+from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map
+from sim.bench.timing import Times, race
+
+MACHINE = Machine("a slide rule", 1e6, 1e8)
+KEY = ModelKey("random", "0" * 64, "fc6", 64)
+
+
+def test_a_race_goes_round_in_turns() -> None:
+    order: list[str] = []
+    ticks: Iterator[int] = iter([0, 2_000_000, 5_000_000, 6_000_000, 10_000_000, 14_000_000, 20_000_000, 21_000_000])
+    times = race({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 2, lambda: next(ticks))
+    assert order == ["a", "b"] * 3
+    assert times["a"].runs_ms == (2.0, 4.0)
+    assert times["b"].runs_ms == (1.0, 1.0)
+    assert times["a"].ratio(times["b"]) == 3.0
+    assert str(times["a"]) == "2.00 / 3.00 / 4.00"
+
+
+def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
+    write_simulated_map(tmp_path / "m", BLOCK + 1000, KEY)
+    reference_map = open_map(tmp_path / "m", every_file=True)
+    assert [segment.end for segment in reference_map.header.segments] == [5000, BLOCK + 1000]
+    drive = map_rows.Drive(reference_map, 3000, known=False)
+    match = drive.step()
+    assert match is not None
+    assert match.accepted
+    assert match.place == 3040
+    assert match.cost < 1.0
+    assert seen_at(reference_map.descriptors, 7).shape == (2, 64)
+
+
+def test_a_floor_is_bytes_and_products() -> None:
+    assert MACHINE.floor_ms(3e6, 2e8) == pytest.approx(5.0)
+
+
+def test_rows_and_targets_on_a_page() -> None:
+    row = Row("walking", Times((1.0, 2.0, 30.0)), "running", 2.5, "uphill")
+    targets = [Target("a", "1x", "2x", False), Target("b", "1x", "1x", True), Target("c", "1x", "", None)]
+    text = page(MACHINE, [Section("Feet", [row], targets)], "Made by hand.")
+    assert "| walking | 1.00 / 2.00 / 30.0 | 2.50 | running | uphill |" in text
+    assert [line.split("|")[-2].strip() for line in text.splitlines() if line[:4] in ("| a ", "| b ", "| c ")] == [
+        "**not met**",
+        "met",
+        "not measured",
+    ]
+
+
+def test_search_and_its_rivals_find_the_same_lines() -> None:
+    """What is raced must do the same work, or the race says nothing."""
+    count, length = 300, 10
+    lines = search_rows.running(count, length)()
+    direct = search_rows.direct(count, length)()
+    assert lines is not None
+    np.testing.assert_array_equal(lines.costs, direct)
+
+
+def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
+    sections = [
+        search_rows.measure([200], 2),
+        frame_rows.measure(MACHINE, tmp_path, 200, 3),
+        map_rows.measure(tmp_path, [300], 2, KEY),
+    ]
+    text = page(MACHINE, sections, "Made by a test.")
+    for what in ("L = 80", "whole frame", "300 places: opening"):
+        assert what in text
+    assert not (tmp_path / "300.map").exists()
+
+
+def test_matching_against_rivals() -> None:
+    pytest.importorskip("faiss")
+    from sim.bench import matching_rows
+
+    section = matching_rows.measure(MACHINE, [300], 2, dimensions=64)
+    assert {row.what.partition(": ")[2] for row in section.rows} >= {"faiss SQ8, both orders", "ours, both orders"}
+
+
+def test_memory_is_of_a_daemon_that_ran(tmp_path: Path) -> None:
+    from edge.descriptor.network import Network
+    from edge.recognizer import model_key
+
+    section = memory_rows.measure(tmp_path, 200, 10, model_key(Network.load()))
+    assert section.rows[0].what.startswith("peak: ")
+    stopped = json.loads((tmp_path / "memory.jsonl").read_text().splitlines()[-1])
+    assert stopped["frames_used"] > 60
+
+
+def test_a_daemon_that_cannot_run_is_one_line(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", "import sys; sys.exit('no map')"], stderr=subprocess.PIPE, text=True
+    )
+    with pytest.raises(FeedError, match="no map"):
+        memory_rows.watch(process)
