@@ -168,7 +168,7 @@ class Vehicle:
         self._newest_boot_ms = -1
         self._gps_healthy_ns = None
         self._accuracy = self._wheels = None
-        self.origin = None
+        self.origin = self.version = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
         """Take a message's stamp into the boot clock; returns the same moment on CLOCK_MONOTONIC."""

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle import Origin, Vehicle
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
 RECORDINGS = {"ardurover-4.6.3-nogps": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4-1.18-agp": mavlink.MAV_AUTOPILOT_PX4}
@@ -217,3 +217,67 @@ def test_the_autopilots_own_timesync_requests_tell_its_time() -> None:
     vehicle = connect(speaker)
     vehicle.handle(speaker.say(mavlink.MAVLink_timesync_message(0, 77 * S)), 2 * S)
     assert vehicle.boot_time_s(3 * S) == pytest.approx(78.0)
+
+
+def test_the_recorded_rover_tells_its_origin_and_px4_its_accuracy(read_tlog: ReadTlog) -> None:
+    rover, px4, accuracies_m = Vehicle(), Vehicle(), []
+    for _ in replay(read_tlog("ardurover-4.6.3-nogps"), rover):
+        pass
+    assert rover.origin is not None
+    assert (rover.origin.lat_deg, rover.origin.lon_deg) == pytest.approx((-35.363262, 149.165237))
+    assert rover.origin.alt_m == pytest.approx(584.0)
+    for now_ns, message in replay(read_tlog("px4-1.18-agp"), px4):
+        if message.get_type() == "ESTIMATOR_STATUS" and px4.accuracy_m(now_ns) is not None:
+            accuracies_m.append(px4.accuracy_m(now_ns))
+    assert len(accuracies_m) > 100
+    assert rover.accuracy_m(0) is None
+
+
+def test_the_distance_by_odometry_and_by_position_agree(read_tlog: ReadTlog) -> None:
+    """Of the recorded PX4: the same drive with ODOMETRY alone, and with what is better than it."""
+    whole, odometry = Vehicle(), Vehicle()
+    end_ns = 0
+    for end_ns, message in replay(read_tlog("px4-1.18-agp"), whole):
+        if message.get_type() not in ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "VFR_HUD"):
+            odometry.handle(message, end_ns)
+    driven_m = whole.driven_m(end_ns)
+    assert driven_m is not None and driven_m > 50
+    assert odometry.driven_m(end_ns) == pytest.approx(driven_m, rel=0.03)
+
+
+def test_the_distance_by_wheels_alone(read_tlog: ReadTlog) -> None:
+    whole, wheels = Vehicle(), Vehicle()
+    end_ns = 0
+    for end_ns, message in replay(read_tlog("ardurover-4.6.3-nogps"), whole):
+        if message.get_type() in ("HEARTBEAT", "WHEEL_DISTANCE"):
+            wheels.handle(message, end_ns)
+    assert wheels.distance_m(end_ns) == pytest.approx(whole.distance_m(end_ns), rel=0.06)
+
+
+def test_wheels_that_turn_against_each_other_turn_the_vehicle_on_the_spot() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for tenth in range(20, 60):
+        distances_m = [0.1 * tenth, -0.1 * tenth] + [0.0] * 14
+        message = speaker.say(mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 2, distances_m))
+        vehicle.handle(message, tenth * S // 10)
+    assert vehicle.distance_m(6 * S - S // 10) == 0.0
+
+
+def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    version = mavlink.MAVLink_autopilot_version_message(
+        0, 1 << 24 | 18 << 16 | 255, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
+    )
+    vehicle.handle(speaker.say(version), 2 * S)
+    vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(10, 20, 30_000)), 2 * S)
+    vehicle.handle(speaker.say(mavlink.MAVLink_estimator_status_message(0, 0, 0, 0, 0, 0, 0, 0, 4.5, 1)), 2 * S)
+    assert vehicle.version == (1, 18)
+    assert vehicle.origin == Origin(1e-6, 2e-6, 30.0)
+    assert vehicle.accuracy_m(5 * S) == 4.5
+    assert vehicle.accuracy_m(5 * S + 1) is None, "stale"
+    vehicle.handle(speaker.position(500_000), 3 * S)
+    vehicle.handle(speaker.position(2_000), 3 * S)
+    assert vehicle.origin is None and vehicle.version is None
+    assert vehicle.accuracy_m(3 * S) is None
