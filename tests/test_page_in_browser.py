@@ -1,12 +1,13 @@
 """The live page of a real `lookback run`, in headless Chromium, at the width of a phone and of a desk.
 
-The daemon recognises a real corridor in real time; nothing is at the end of its serial line, which the page must say.
+The daemon recognises a real corridor in real time, with a simulated autopilot at its link, or with none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import socket
@@ -63,13 +64,14 @@ def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         images = FeedImages(query)
         for number in range(4 * len(query.rows)):
             writer.write(images.read(number % len(query.rows)), number * 250_000_000)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as free, socket.socket(type=socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        port, link_port = free.getsockname()[1], link.getsockname()[1]
     file = folder / "lookback.toml"
     file.write_text(
         '[camera]\nkind = "feed"\ndevice = "walk"\n[sampling]\nby = "frames"\n[map]\npath = "corridor.map"\n'
         "[sequence]\nlength = 10\n[acceptance]\nuniqueness_min = 1.02\nwindow_places = 6\n"
-        f'[telemetry]\nconnection = "serial:{folder}/no-port:57600"\njournal = ""\n[page]\nport = {port}\n'
+        f'[telemetry]\nconnection = "udpin:127.0.0.1:{link_port}"\njournal = ""\n[page]\nport = {port}\n'
     )
     return file
 
@@ -88,6 +90,17 @@ def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
         finally:
             process.send_signal(signal.SIGTERM)
             process.communicate(timeout=20)
+
+
+@contextlib.contextmanager
+def autopilot(config: Path) -> Iterator[None]:
+    link = re.findall(r"udpin:([\d.:]+)", config.read_text())[0]
+    command = [sys.executable, "-m", "edge", "sim", "autopilot", "--udp", link, "--speed", "1"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
 
 
 def is_up(url: str) -> bool:
@@ -128,18 +141,17 @@ PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).n
 
 @pytest.mark.parametrize(("width", "height", "dark"), [(390, 844, True), (1280, 900, False)])
 def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark: bool) -> None:
-    with daemon(config), browser(width, height, dark=dark) as driver:
+    with daemon(config), autopilot(config), browser(width, height, dark=dark) as driver:
         driver.get(url_of(config))
         until(driver, "status !== null && status.match !== null && status.match.accepted && past.length > 20")
         until(driver, PICTURES_SHOWN)
         assert until(driver, DRAWN)
         until(driver, f"status.frames_used > {driver.execute_script('return status.frames_used')}")
-        assert text(driver, "state") == "on the map"
+        until(driver, "status.state === 'on the map'")
         assert "place" in text(driver, "answer")
         health = text(driver, "health")
-        assert "closed, serial:" in health  # the autopilot's line, which is not there
+        assert "up, udpin:" in health
         assert "running" in health
-        assert driver.find_element("css selector", "#health .bad").text.startswith("closed")
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
         background = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
         assert (sum(map(int, background[4:-1].split(","))) < 200) == dark
@@ -164,9 +176,10 @@ def test_it_survives_a_restart_and_says_what_is_wrong(config: Path) -> None:
         assert "stale" in driver.find_element("id", "main").get_attribute("class")
         with daemon(config):
             until(driver, f"document.getElementById('silent').hidden && status.started_unix_s > {first}")
-            until(driver, "status.state === 'warming up'")
             assert until(driver, "past.length > 0 && past.length <= status.frames_used")
-            assert "the sequence is not full yet" in text(driver, "answer")
+            until(driver, "status.state === 'degraded'")  # there is no autopilot
+            assert "link: no autopilot heard" in text(driver, "answer")
+            assert driver.find_element("id", "state").get_attribute("class") == "warn"
 
 
 def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:

@@ -1,0 +1,88 @@
+"""Everything that the docs tell people to type is typed here, in an empty folder for each page, from top to bottom.
+
+A ```toml block that begins with `# NAME.toml` is that file; each ```sh block is run by bash and must succeed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+pytest.importorskip("panda3d")
+pytest.importorskip("gpxpy")
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+MOST_S = 240
+
+
+def script_of(page: Path, folder: Path) -> str:
+    """Writes the files that a page shows, and gives its commands."""
+    commands = []
+    for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+        assert kind in ("sh", "toml"), f"{page.name}: a block of {kind or 'nothing'} is not run by anything"
+        if kind == "toml":
+            name = re.match(r"# ([\w.]+\.toml)\n", text)
+            assert name, f"{page.name}: a toml block must begin with the name of its file"
+            (folder / name[1]).write_text(text, encoding="utf-8")
+        else:
+            commands.append(text)
+    # What was started in the background would keep the test waiting.
+    return "\n".join([*commands, "kill $(jobs -p) 2> /dev/null || true"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_works(page: Path, tmp_path: Path) -> None:
+    script = script_of(page, tmp_path)
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    with subprocess.Popen(
+        ["bash", "-euxo", "pipefail", "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        try:
+            output, _ = process.communicate(timeout=MOST_S)
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # its session, should it have been too slow
+                os.killpg(process.pid, signal.SIGTERM)
+    assert process.returncode == 0, output[-3000:]
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_state_is_explained() -> None:
+    from edge.health import HealthState
+
+    page = (ROOT / "docs/states.md").read_text(encoding="utf-8")
+    for state in get_args(HealthState):
+        assert f"| {state} |" in page
+
+
+def test_every_key_that_the_docs_name_exists() -> None:
+    """Words in code type that end like a key, such as `spacing_m`, are keys of the config or of a scenario."""
+    from edge.config import DEFAULT_TOML
+    from sim import scenario
+
+    known = set(re.findall(r"^(\w+) = ", DEFAULT_TOML.read_text(encoding="utf-8"), re.MULTILINE))
+    known |= set(scenario.Scenario.__struct_fields__) | {"system_status"}
+    for page in PAGES:
+        for word in re.findall(r"`(?:\[\w+\] )?([a-z]+(?:_[a-z]+)+)`", page.read_text(encoding="utf-8")):
+            assert word in known, f"{page.name}: {word}"
