@@ -98,17 +98,16 @@ def prepare_world(number: int, folder: Path, length_m: float = LENGTH_M) -> Worl
     return World(seed, home, read_feed(home_feed), open_map(map_path))
 
 
-def lay_course(world: World, seed: int, path: Path) -> Course:
+def lay_course(world: World, seed: int, path: Path, stretches: int = STRETCHES) -> Course:
     """Cut the map of one run out of the whole: known stretches, and one that claims to be FALSE_BY_M away.
 
     What was seen on the planted stretch is real, and so is matched with every confidence; its positions are not.
     """
     rng = np.random.default_rng([seed, 7])
-    slots = int(rng.integers(STRETCHES + 1))  # where among the stretches the planted one lies
-    scale = float(world.whole_map.places["route_m"][-1]) / LENGTH_M
-    lengths = np.full(STRETCHES + 1, KNOWN_M * scale)
-    lengths[slots] = PLANTED_M * scale
-    gaps = rng.dirichlet(np.full(STRETCHES + 2, 20.0)) * (LENGTH_M * scale - lengths.sum())
+    slots = int(rng.integers(stretches + 1))  # where among the stretches the planted one lies
+    lengths = np.full(stretches + 1, KNOWN_M)
+    lengths[slots] = PLANTED_M
+    gaps = rng.dirichlet(np.full(stretches + 2, 20.0)) * (world.home.length_m - lengths.sum())
     whole = world.whole_map
     planted = (0, 0)
     with MapBuilder(path, whole.header.model, whole.header.regions, whole.header.sampling, replace=True) as builder:

@@ -55,14 +55,14 @@ def test_gps_does_not_matter_to_who_asked_for_fixes_with_it() -> None:
 
 def test_a_map_without_positions_and_a_first_match() -> None:
     assert judged(msgspec.structs.replace(FIX, lat_deg=None, lon_deg=None)) == "no position in the map"
-    assert judged(msgspec.structs.replace(FIX, matches=2)) == "too few matches in a row"
+    assert judged(msgspec.structs.replace(FIX, matches=4)) == "too few matches in a row"
 
 
 @pytest.mark.parametrize(
     ("metres", "matches", "reason"),
     [
-        (14.0, 3, None),
-        (16.0, 3, "too few matches for a far fix"),
+        (14.0, 5, None),
+        (16.0, 5, "too few matches for a far fix"),
         (16.0, 11, "too few matches for a far fix"),
         (16.0, 12, None),
         (49.0, 12, None),
