@@ -6,7 +6,11 @@ from there in blocks.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import errno
+import fcntl
+import glob
 import os
 import shutil
 import tempfile
@@ -30,6 +34,7 @@ from edge.reference_map.verification import FileKey, sha256_of
 
 BLOCK = 256
 NAN = float("nan")
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
 """Equation 1, as the descriptor stage has it: raw (n, R, D), mean (R, D), deviation (R, D) -> (n, R, D)."""
@@ -77,9 +82,11 @@ class MapBuilder:
         self._thumbnail_at = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            _clear_leftovers(path)
             # Beside its place, since a rename cannot cross file systems.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".building", dir=path.parent))
             self._folder.chmod(0o755)
+            self._lock = _locked(self._folder)
             self._raw = (self._folder / store.RAW).open("wb")
             self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
         except OSError as error:
@@ -206,10 +213,31 @@ class MapBuilder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._raw.close()
-        self._thumbnails.close()
+        with contextlib.suppress(OSError):  # a full disk, once more
+            self._raw.close()
+        with contextlib.suppress(OSError):
+            self._thumbnails.close()
         # After `finish` this is the map that was replaced, or nothing.
         shutil.rmtree(self._folder, ignore_errors=True)
+        os.close(self._lock)
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            raise MapError(f"{self._path}: cannot write the map: {error.strerror}") from None
+
+
+def _locked(folder: Path) -> int:
+    """A descriptor of a folder that is being built; the lock goes with it, or with the process."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return descriptor
+
+
+def _clear_leftovers(path: Path) -> None:
+    """Remove what builders of this map have left that were killed, and nothing that is being built."""
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.building"):
+        with contextlib.suppress(OSError):
+            lock = _locked(folder)
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
 
 
 def _sync(path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -205,3 +207,27 @@ def test_positions_between_and_beyond_places(small_map: Path) -> None:
     assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
     assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
     assert np.hypot(*(route.east_north_m[5] - route.east_north_m[0])) == pytest.approx(10.0, abs=0.05)
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    """The largest file allowed stands in for the disk: writing fails at the same call, in the same way."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(MapError, match=r"big\.map: cannot write the map: File too large"):
+            build(tmp_path / "big.map", raw_descriptors(2000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_builder_has_left_is_cleared_and_what_is_being_built_is_not(tmp_path: Path) -> None:
+    (tmp_path / ".small.map.x.building").mkdir()
+    (tmp_path / ".small.map.x.building/raw.f16").write_bytes(b"half")
+    with MapBuilder(tmp_path / "small.map", MODEL, REGIONS, SamplingConfig()):
+        with MapBuilder(tmp_path / "small.map", MODEL, REGIONS, SamplingConfig()):
+            assert len([path for path in tmp_path.iterdir() if path.name.endswith(".building")]) == 2
+        build(tmp_path / "small.map", raw_descriptors(4))
+    assert [path.name for path in tmp_path.iterdir()] == ["small.map"]

@@ -1,0 +1,191 @@
+"""The fault bench: faults at the real boundary, with seeds and figures.
+
+Quick sizes run with all other tests; the full ones with `make soak`. Each test says at the end what it has measured,
+and a failing one how to run it again: LOOKBACK_SEED=... and its own name.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from edge.camera.feed import read_feed
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.map_command import build_map
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.store import ModelKey, RegionsKey
+
+FIGURES = pytest.StashKey[list[str]]()
+PERIOD_MS = 60
+PATIENCE_S = 60.0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash.setdefault(FIGURES, [])
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    lines = config.stash.get(FIGURES, [])
+    if lines:
+        terminalreporter.section("fault bench")
+        for line in lines:
+            terminalreporter.write_line(line)
+
+
+@pytest.fixture
+def figures(request: pytest.FixtureRequest) -> Callable[[str], None]:
+    """Tells what a test has measured, at the end of the run."""
+    request.config.stash.setdefault(FIGURES, [])
+    return lambda line: request.config.stash[FIGURES].append(f"{request.node.name}: {line}")
+
+
+@pytest.fixture
+def seed(request: pytest.FixtureRequest) -> int:
+    """A new seed each time; a failing test's output says how to have the same again."""
+    value = int(os.environ.get("LOOKBACK_SEED") or random.SystemRandom().randrange(2**32))
+    print(f"again: LOOKBACK_SEED={value} python -m pytest -m '' '{request.node.nodeid}'")
+    return value
+
+
+def resident_bytes(pid: int | str = "self") -> int:
+    """Resident memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def open_descriptors(pid: int | str = "self") -> int:
+    """How many descriptors a process has open."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
+
+
+@dataclass(frozen=True)
+class ProcessNumbers:
+    """What /proc says of a process."""
+
+    resident_bytes: Callable[..., int] = resident_bytes
+    open_descriptors: Callable[..., int] = open_descriptors
+
+
+@pytest.fixture
+def proc() -> ProcessNumbers:
+    return ProcessNumbers()
+
+
+@pytest.fixture(scope="session")
+def make_map() -> Callable[..., Path]:
+    """Writes a map of made-up descriptors; 12 places of 2 x 16 values unless told otherwise."""
+
+    def make(path: Path, places: int = 12, dimensions: int = 16, seed: int = 0, *, replace: bool = False) -> Path:
+        rng = np.random.default_rng(seed)
+        model, regions = ModelKey("made-up", "0" * 64, "fc6", dimensions), RegionsKey("left-right", 0.4, "set")
+        with MapBuilder(path, model, regions, SamplingConfig(), replace=replace) as builder:
+            builder.begin_segment("drive", "rear")
+            for row in range(places):
+                raw = np.maximum(rng.normal(size=(2, dimensions)), 0).astype(np.float32)
+                builder.add(raw, Place(row, -27.0 + row * 2e-5, 153.0, 10.0, 0.0, 2.0 * row, b"picture" * 9))
+            builder.finish(normalize, "test")
+        return path
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a feed and the map made of it."""
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "feed", range(80), period_ms=PERIOD_MS)
+    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
+    return folder
+
+
+@pytest.fixture
+def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Writes a configuration for the street's feed and map; sections are changed by keyword."""
+
+    def write(folder: Path = tmp_path, **sections: dict[str, Any]) -> Path:
+        settings: dict[str, dict[str, Any]] = {
+            "camera": {"kind": "feed", "device": str(street / "feed")},
+            "sampling": {"by": "frames"},
+            "map": {"path": str(street / "map")},
+            "sequence": {"length": 10},
+            "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
+            "telemetry": {"connection": "udp:127.0.0.1:9", "journal": "events.jsonl"},
+            "page": {"port": 0},
+        }
+        for name, changes in sections.items():
+            settings[name] = {**settings.get(name, {}), **changes}
+        path = folder / "lookback.toml"
+        path.write_text(tomli_w.dumps(settings))
+        return path
+
+    return write
+
+
+class Process:
+    """`lookback run` as its own process, with this test as its service manager."""
+
+    def __init__(self, config: Path, folder: Path, environment: dict[str, str], wrapper: list[str]) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(folder / "notify"))
+        self._errors = (folder / "stderr").open("w+")
+        self.popen = subprocess.Popen(
+            [*wrapper, sys.executable, "-m", "edge", "run", str(config)],
+            env={**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), **environment},
+            stderr=self._errors,
+        )
+
+    def word(self, timeout_s: float) -> str | None:
+        """The next thing it tells systemd; None when it says nothing for that long."""
+        self._socket.settimeout(timeout_s)
+        try:
+            return self._socket.recv(65536).decode()
+        except TimeoutError:
+            return None
+
+    def wait_for_word(self, beginning: str, timeout_s: float = PATIENCE_S) -> str:
+        """Wait until it says something that begins like that."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            word = self.word(0.2)
+            if word is not None and word.startswith(beginning):
+                return word
+            assert self.popen.poll() is None, self.told()
+        raise AssertionError(f"no {beginning!r} in {timeout_s} s: {self.told()}")
+
+    def told(self) -> str:
+        """What it has written to standard error so far."""
+        return Path(self._errors.name).read_text()
+
+    def close(self) -> None:
+        self.popen.kill()
+        self.popen.wait()
+        self._errors.close()
+        self._socket.close()
+
+
+@pytest.fixture
+def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Process]]:
+    """Starts daemons, and ends what a test has left running."""
+    running: list[Process] = []
+
+    def start_one(
+        config: Path, *, environment: dict[str, str] | None = None, wrapper: list[str] | None = None
+    ) -> Process:
+        running.append(Process(config, tmp_path_factory.mktemp("run"), environment or {}, wrapper or []))
+        return running[-1]
+
+    yield start_one
+    for process in running:
+        process.close()

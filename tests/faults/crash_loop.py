@@ -1,0 +1,127 @@
+"""Kills a writer again and again, at random moments, and looks at what it has left. Run by test_kill.py.
+
+    python crash_loop.py map|state|journal FOLDER KILLS SEED
+
+A process of its own, since it forks. Prints JSON: kills, how many hit a write that had not ended, and what was found
+to be old, new, or neither.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.errors import LookbackError
+from edge.kept_state import KeptState, Moment, StateFile, StateKey
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.store import ModelKey, RegionsKey, open_map
+from edge.telemetry.journal import Journal, read_journal
+
+NOW = Moment(1000.0, "boot", 10.0)
+SHAPE = (2, 4096)
+LONGEST_S = {"map": 0.1, "state": 0.03, "journal": 0.01}
+
+
+def write_map(folder: Path, version: int) -> None:
+    """Replace the map by one of `version` + 2 places."""
+    rng = np.random.default_rng(version)
+    model, regions = ModelKey("made-up", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4, "set")
+    with MapBuilder(folder / "map", model, regions, SamplingConfig(), replace=True) as builder:
+        builder.begin_segment("drive", "rear")
+        for row in range(version % 50 + 2):
+            builder.add(rng.random((2, 64), np.float32), Place(row, thumbnail=b"x" * 500))
+        builder.finish(normalize, str(version))
+
+
+def read_map(folder: Path) -> int:
+    """The map's version, after every checksum has been looked at."""
+    return int(open_map(folder / "map", every_file=True).header.lookback)
+
+
+def state_file(folder: Path) -> StateFile:
+    return StateFile(folder / "events.state", StateKey("m", "fc6", "left-right", 0.4, "h"), SHAPE)
+
+
+def write_state(folder: Path, version: int) -> None:
+    values = np.full(SHAPE, float(version))
+    state_file(folder).write(KeptState(version, values, values, "on the map", version), NOW)
+
+
+def read_state(folder: Path) -> int:
+    kept = state_file(folder).read(NOW, 60)
+    if kept is None or not (kept.mean == kept.count).all():
+        raise LookbackError("unreadable")
+    return kept.count
+
+
+def write_journal(folder: Path, version: int) -> None:
+    journal = Journal(folder / "events.jsonl")
+    journal.write({"event": "place", "version": version, "padding": "x" * 300})
+    journal.close()
+
+
+def read_last_line(folder: Path) -> int:
+    """The newest version; every older one must be there as well, in order."""
+    versions = [record["version"] for record in read_journal(folder / "events.jsonl")]
+    if versions != list(range(1, len(versions) + 1)):
+        raise LookbackError(f"lines are missing: {versions[-5:]}")
+    return int(versions[-1])
+
+
+WORK: dict[str, tuple[Callable[[Path, int], None], Callable[[Path], int]]] = {
+    "map": (write_map, read_map),
+    "state": (write_state, read_state),
+    "journal": (write_journal, read_last_line),
+}
+
+
+def write_until_killed(write: Callable[[Path, int], None], folder: Path, version: int, told: int) -> None:
+    """The child: says which version is begun, and which is done."""
+    while True:
+        version += 1
+        os.pwrite(told, version.to_bytes(8, "little"), 0)
+        write(folder, version)
+        os.pwrite(told, version.to_bytes(8, "little"), 8)
+
+
+def crash(what: str, folder: Path, kills: int, seed: int) -> dict[str, int]:
+    """Kill so many writers, each of which goes on from what the one before has left."""
+    write, read = WORK[what]
+    rng, found = random.Random(seed), Counter[str]()
+    told = os.open(folder / "told", os.O_RDWR | os.O_CREAT)
+    write(folder, 1)
+    version = 1
+    for _ in range(kills):
+        os.pwrite(told, version.to_bytes(8, "little") * 2, 0)
+        child = os.fork()
+        if child == 0:
+            write_until_killed(write, folder, version, told)
+        time.sleep(rng.uniform(0.0, LONGEST_S[what]))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        begun, done = (int.from_bytes(os.pread(told, 8, at), "little") for at in (0, 8))
+        found["in the middle of a write"] += begun > done
+        try:
+            version = read(folder)
+            found["new" if version == begun else "old" if version == done else "neither"] += 1
+        except (LookbackError, IndexError) as error:
+            print(error, file=sys.stderr)
+            found["unreadable"] += 1
+            break
+    found["left over"] = len([path for path in folder.iterdir() if path.name.endswith((".building", ".new"))])
+    return {"kills": kills, "versions": version, **found}
+
+
+if __name__ == "__main__":
+    print(json.dumps(crash(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))

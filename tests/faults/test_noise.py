@@ -1,0 +1,60 @@
+"""Random bytes on the serial line: nothing comes of them."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from edge.config import TelemetryConfig
+from edge.telemetry.autopilot import AutopilotConnection
+from sim.pty_link import PtyLink, open_pty
+
+MB = 1_000_000
+TURN_BYTES = 2048  # at 921600 baud, 20 ms
+
+
+@pytest.fixture
+def cable() -> Iterator[PtyLink]:
+    link = open_pty()
+    yield link
+    link.close()
+
+
+@pytest.mark.parametrize("megabytes", [20, pytest.param(100, marks=pytest.mark.soak)])
+def test_the_line_is_noise(
+    megabytes: int, cable: PtyLink, seed: int, proc: Any, figures: Callable[[str], None]
+) -> None:
+    rng = random.Random(seed)
+    recorded: list[msgspec.Struct] = []
+    now_ns = 10**12
+    connection = AutopilotConnection(
+        TelemetryConfig(connection=f"serial:{cable.device}:921600", emit="external_position"),
+        lambda: now_ns,
+        recorded.append,
+    )
+    began_s, sent, before = time.monotonic(), 0, 0
+    states = set()
+    while sent < megabytes * MB:
+        assert cable.send(rng.randbytes(TURN_BYTES))
+        sent += TURN_BYTES
+        now_ns += 20_000_000
+        connection.poll()
+        cable.receive()
+        states.add(connection.state)
+        if not before and sent > MB:
+            before = proc.resident_bytes()  # the parser and the queues have been used by now
+    grown = proc.resident_bytes() - before
+    connection.close()
+    took_s = time.monotonic() - began_s
+    figures(f"{sent / MB:.0f} MB of noise in {took_s:.0f} s; link {states}; RSS grew by {grown / MB:.2f} MB")
+    assert states == {"waiting"}
+    assert [type(record).__name__ for record in recorded] == ["LinkChanged"]
+    assert not connection.vehicle.connected
+    assert connection.vehicle.position(now_ns) is None
+    assert connection.vehicle.distance_m(now_ns) is None
+    assert grown < 5 * MB
