@@ -9,6 +9,7 @@ from pathlib import Path
 from edge.errors import ConfigError
 from sim.firmware import FIRMWARES
 from sim.trial.course import LIGHTS, RememberingNetwork, lay_course, prepare_world
+from sim.trial.live import drive_home_live
 from sim.trial.run import drive_home
 from sim.trial.score import RunScore, TrialScore
 
@@ -23,6 +24,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads that they share, default 5")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--emit", choices=WAYS, default="auto", help="as [telemetry] emit, default auto")
+    parser.add_argument("--live", action="store_true", help="in real time, the daemon as its own process")
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER")
     parser.set_defaults(run=_run)
 
@@ -37,7 +39,11 @@ def _run(args: argparse.Namespace) -> int:
         world = prepare_world(number, args.output)
         for seed in range(args.first_seed + number, args.first_seed + args.runs, args.worlds):
             course = lay_course(world, seed, args.output / "run.map")
-            scores.append(drive_home(world, course, seed, network, args.output, args.firmware, args.emit))
+            if args.live:
+                run = drive_home_live(world, course, seed, args.output, args.firmware, args.emit)
+            else:
+                run = drive_home(world, course, seed, network, args.output, args.firmware, args.emit)
+            scores.append(run)
             print(_line(scores[-1], world.home.light), flush=True)
         network.forget()
     trial = TrialScore(tuple(scores))

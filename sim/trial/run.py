@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +93,7 @@ def drive_home(
     journal.unlink(missing_ok=True)
     with ExitStack() as parts:
         link = parts.enter_context(closing(open_pty()))
-        autopilot = _autopilot(link, drive, epoch_s, clock, rng, firmware)
+        autopilot = seeded_autopilot(link, drive, epoch_s, clock, rng, firmware)
         latencies_s = rng.uniform(0.03, LONGEST_LATENCY_S, len(world.feed.rows)).tolist()
         frames = PlayedFrames(world.feed, clock, autopilot, latencies_s)
         config = trial_config(world, course, link, journal, emit)
@@ -103,15 +104,15 @@ def drive_home(
     return judge(seed, drive, epoch_s, course, autopilot, list(read_journal(journal)))
 
 
-def _autopilot(
-    link: PtyLink, drive: Drive, epoch_s: float, clock: SimulatedClock, rng: np.random.Generator, firmware: str
+def seeded_autopilot(
+    link: PtyLink, drive: Drive, epoch_s: float, clock_ns: Callable[[], int], rng: np.random.Generator, firmware: str
 ) -> SimulatedAutopilot:
     """Odometry that is wrong by DRIFT_PERCENT of the distance, in a direction of the run's own."""
     direction_rad = rng.uniform(-np.pi, np.pi)
     return SimulatedAutopilot(
         link,
         lambda now_s: drive.pose(now_s - epoch_s),
-        clock,
+        clock_ns,
         firmware=firmware,
         drift_percent=DRIFT_PERCENT * float(np.cos(direction_rad)),
         drift_sideways_percent=DRIFT_PERCENT * float(np.sin(direction_rad)),
