@@ -71,7 +71,8 @@ def _run(args: argparse.Namespace) -> int:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
         _print_offsets(offsets, seen)
         rig = rig_config(offsets)
-        lines |= {("rig", rig_key(offset)): getattr(rig, rig_key(offset)) for offset in offsets}
+        keys = [key for offset in offsets for key in (rig_key(offset), f"left_{offset.direction}_m")]
+        lines |= {("rig", key): getattr(rig, key) for key in (*keys, *(["sigma_across_m"] if keys else []))}
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
         print(f"threshold, from {curve.answers} answers ({curve.stretches} that share no frame):")
     else:
@@ -107,7 +108,8 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
         print(
             f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; left after it:"
             f" sigma {offset.sigma_m:.1f} m, 95 % within {offset.left_95_m:.1f} m"
-            f"  ({offset.used} matches, {offset.set_aside} set aside)"
+            f"  ({offset.used} matches, {offset.set_aside} set aside);"
+            f" the vehicle {abs(offset.aside_m):.1f} m {'left' if offset.aside_m >= 0 else 'right'} of the map's drive"
         )
 
 

@@ -30,6 +30,7 @@ SAME_ROAD_M = 15.0
 class Sighting:
     """One answer of the recogniser.
 
+    left_m: metres that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
     ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the matched place; NaN where
     the vehicle was not on that drive.
     """
@@ -39,6 +40,7 @@ class Sighting:
     ahead_m: float
     uniqueness: float
     accepted: bool
+    left_m: float = float("nan")
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -58,7 +60,8 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         if match is not None:
             further_m = drives.further_m(item.frame.index, match.place)
             ahead_m = further_m if match.direction == "forward" else -further_m
-            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted)
+            left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
+            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m)
 
 
 class MapDrives:
@@ -84,6 +87,17 @@ class MapDrives:
         passings = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
         further_m = [float(self._route_m[place] - route_m[run[nearest_m[run].argmin()]]) for run in passings]
         return min(further_m, key=abs)
+
+    def left_m(self, row: int, place: int) -> float:
+        """Metres that the vehicle was left of the place's drive, as the map's driver has it; NaN off that drive."""
+        drive = self._segment_of == self._segment_of[place]
+        line, point = self._places_m[drive], self._vehicle_m[row]
+        nearest_m, _ = _project(point, line, self._route_m[drive])
+        if nearest_m.min() > OFF_ROUTE_M:
+            return float("nan")
+        piece = int(nearest_m.argmin())
+        (east, north), (off_east, off_north) = line[piece + 1] - line[piece], point - line[piece]
+        return float((east * off_north - north * off_east) / max(np.hypot(east, north), 1e-9))
 
 
 def _project(

@@ -1,0 +1,53 @@
+"""How far beside the map's drive a vehicle drove, from positions alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.camera.feed import Feed, FeedHeader, FeedRow
+from edge.config import SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.store import ModelKey, RegionsKey, open_map
+from sim.calibration.offset import measure_offsets, rig_config
+from sim.calibration.sightings import MapDrives, Sighting
+
+METRE_NORTH_DEG, METRE_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> MapDrives:
+    """A map due north, and a feed that drives beside it, 3.5 m to the east, 1 m to the west, and far off."""
+    key = ModelKey("test", "0" * 64, "fc6", 8)
+    with MapBuilder(tmp_path / "map", key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+        builder.begin_segment("drive", "rear")
+        for row in range(20):
+            raw = np.random.default_rng(row).random((2, 8), np.float32)
+            builder.add(raw, Place(row, -27.0 + 2 * row * METRE_NORTH_DEG, 153.0, route_m=2.0 * row))
+        builder.finish(normalize, "test")
+    rows = tuple(
+        FeedRow("", index, lat_deg=-27.0 + 11 * METRE_NORTH_DEG, lon_deg=153.0 + east_m * METRE_EAST_DEG)
+        for index, east_m in enumerate((3.5, -1.0, 200.0))
+    )
+    return MapDrives(open_map(tmp_path / "map"), Feed(tmp_path, FeedHeader("beside", "front", 16, 16), rows))
+
+
+def test_left_is_left_for_who_made_the_map(drives: MapDrives) -> None:
+    assert drives.left_m(0, place=4) == pytest.approx(-3.5, abs=0.02)
+    assert drives.left_m(1, place=4) == pytest.approx(1.0, abs=0.02)
+    assert np.isnan(drives.left_m(2, place=4))
+
+
+def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
+    rng = np.random.default_rng(2)
+    home = [Sighting("reverse", "same", 0.0, 1.2, True, left_m) for left_m in rng.normal(3.5, 3.0, 400)]
+    again = [Sighting("forward", "swapped", 26.0, 1.2, True, 0.3) for _ in range(20)]
+    lost = [Sighting("forward", "swapped", 26.0, 1.2, True) for _ in range(20)]
+    rig = rig_config(measure_offsets([*home, *again, *lost]))
+    assert rig.left_reverse_m == pytest.approx(3.5, abs=0.4)
+    assert rig.left_forward_m == 0.3
+    assert rig.sigma_across_m == pytest.approx(3.0, abs=0.4)
+    assert rig_config(measure_offsets(again)).sigma_across_m == 2.0, "no lane is kept better"
