@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from edge.camera.feed import read_feed
-from edge.config import DescriptorConfig, RigConfig, SamplingConfig
+from edge.config import DescriptorConfig, PageConfig, RigConfig, SamplingConfig
 from edge.errors import ConfigError, LookbackError
 from edge.map_command import build_map
 from edge.reference_map.store import ReferenceMap, open_map
@@ -28,6 +30,7 @@ LENGTH_M = 1000.0
 SPEED_MPS = 25.0  # brisk, to keep the demo short
 MEASURED_M = 400.0  # of the route, for the rig's offset
 WATCH_S = 0.1
+PHOTOGRAPHED_AT = 6  # fixes of each drive
 MARKER = ".lookback-demo"
 
 MAP_DRIVE = Scenario(seed=SEED, length_m=LENGTH_M, view="rear", light="day", drive_seed=1)
@@ -44,6 +47,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = commands.add_parser("demo", help="the main job in simulation: map, drive back, fixes, report")
     parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="FOLDER")
     parser.add_argument("--require-good", action="store_true", help="exit 1 unless both drives gave right fixes (CI)")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write the README's pictures there as well")
     parser.set_defaults(run=_run)
 
 
@@ -58,7 +62,7 @@ def _run(args: argparse.Namespace) -> int:
     again_m, home_m = rig.ahead_forward_swapped_m, rig.ahead_reverse_same_m
     print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
     print("3. Live, without GPS, with the front camera: once more at dusk, and home at night (at the same time)")
-    lives = _drive(folder, reference_map, rig)
+    lives = _drive(folder, reference_map, rig, args.pictures)
     print("4. What they saw, held against the truth")
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
     for live, review in zip(lives, reviews, strict=True):
@@ -66,6 +70,10 @@ def _run(args: argparse.Namespace) -> int:
     from sim.demo.report import write_report  # matplotlib takes a third of a second, of every command's start
 
     report = write_report(folder / "report.html", reference_map, rig, lives, reviews)
+    if args.pictures:
+        from sim.demo.pictures import write_pictures
+
+        write_pictures(args.pictures, reference_map, lives, reviews)
     print(f"\nreport: {report}   ({time.monotonic() - started_s:.0f} s in all)")
     return 0 if not args.require_good or all(map(_is_good, lives, reviews)) else 1
 
@@ -101,13 +109,17 @@ def _record(scenario: Scenario, path: Path, distance_m: float) -> None:
     write_feed(scenario, drive, path, tqdm(times_s, unit="frame", desc=path.name, disable=None))
 
 
-def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig) -> list[LiveDrive]:
+def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[LiveDrive]:
     """Both drives at once, each with its own daemon and autopilot; fixes are printed as they arrive."""
+    port = PageConfig().port
+    print(f"   watch them: http://127.0.0.1:{port} and http://127.0.0.1:{port + 1}")
     with ExitStack() as running:
         lives = [
-            running.enter_context(start_drive(name, scenario, folder / name, reference_map.path, rig))
-            for name, scenario in (("again_dusk", DUSK), ("home_night", NIGHT))
+            running.enter_context(start_drive(name, scenario, folder / name, reference_map.path, rig, port + number))
+            for number, (name, scenario) in enumerate((("again_dusk", DUSK), ("home_night", NIGHT)))
         ]
+        if pictures:
+            running.enter_context(_photographer(lives, pictures))
         while any(live.process.poll() is None for live in lives):
             time.sleep(WATCH_S)
             for live in lives:
@@ -116,6 +128,25 @@ def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig) -> list[Li
         for live in lives:
             check_ended_well(live)
     return lives
+
+
+@contextmanager
+def _photographer(lives: list[LiveDrive], pictures: Path) -> Iterator[None]:
+    """Photographs the live page, for a desk and a phone, once both drives are well under way."""
+    from sim.demo.pictures import photograph_page
+
+    def photograph() -> None:
+        while min(len(live.fixes) for live in lives) < PHOTOGRAPHED_AT and all(
+            one.process.poll() is None for one in lives
+        ):
+            time.sleep(WATCH_S)
+        for live, (width, height) in zip(lives, ((1280, 1040), (390, 1500)), strict=True):
+            photograph_page(live.page, pictures / f"page_{live.name}.png", width, height)
+
+    thread = threading.Thread(target=photograph, name="photographer")
+    thread.start()
+    yield
+    thread.join()
 
 
 def _print_fix(live: LiveDrive, fix: ReceivedFix) -> None:

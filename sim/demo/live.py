@@ -56,6 +56,7 @@ class LiveDrive:
     epoch_s: float
     autopilot: SimulatedAutopilot
     process: subprocess.Popen[bytes]
+    page: str = ""
     fixes: list[ReceivedFix] = field(default_factory=list)
     _heard: int = 0
 
@@ -106,15 +107,20 @@ def error_m(drive: Drive, time_s: float, lat_deg: float, lon_deg: float) -> floa
 
 
 @contextmanager
-def start_drive(name: str, scenario: Scenario, folder: Path, map_path: Path, rig: RigConfig) -> Iterator[LiveDrive]:
-    """Start daemon and autopilot; leaving the context stops both. The vehicle sets off START_S from now, GPS off."""
+def start_drive(
+    name: str, scenario: Scenario, folder: Path, map_path: Path, rig: RigConfig, page_port: int = 0
+) -> Iterator[LiveDrive]:
+    """Start daemon and autopilot; leaving the context stops both. The vehicle sets off START_S from now, GPS off.
+
+    page_port: of the daemon's live page, 0 for none.
+    """
     epoch_ns = time.monotonic_ns() + round(START_S * 1e9)
     scenario = msgspec.structs.replace(scenario, epoch_ns=epoch_ns)
     drive = scenario.drive()
     folder.mkdir(parents=True)
     journal = folder / "journal.jsonl"
     link = open_pty()
-    config = _write_config(folder, scenario, map_path, rig, link, journal)
+    config = _write_config(folder, scenario, map_path, rig, link, journal, page_port)
     autopilot = SimulatedAutopilot(
         link, lambda now_s: drive.pose(now_s - epoch_ns / 1e9), gps=False, drift_percent=DRIFT_PERCENT
     )
@@ -124,7 +130,8 @@ def start_drive(name: str, scenario: Scenario, folder: Path, map_path: Path, rig
         process = subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=log)
         flying.start()
         try:
-            yield LiveDrive(name, scenario, drive, journal, epoch_ns / 1e9, autopilot, process)
+            page = f"http://127.0.0.1:{page_port}/"
+            yield LiveDrive(name, scenario, drive, journal, epoch_ns / 1e9, autopilot, process, page)
         finally:
             process.terminate()
             process.wait(10)
@@ -144,7 +151,7 @@ def check_ended_well(live: LiveDrive) -> None:
 
 
 def _write_config(
-    folder: Path, scenario: Scenario, map_path: Path, rig: RigConfig, link: PtyLink, journal: Path
+    folder: Path, scenario: Scenario, map_path: Path, rig: RigConfig, link: PtyLink, journal: Path, page_port: int
 ) -> Path:
     """The scenario for the camera, and the daemon's config; the same file a vehicle would have."""
     world = folder / "scenario.toml"
@@ -159,6 +166,7 @@ def _write_config(
             "fps": CAMERA_FPS,
         },
         "map": {"path": str(map_path.resolve())},
+        "page": {"port": page_port},
         "rig": msgspec.structs.asdict(rig),
         "telemetry": {
             "connection": f"serial:{link.device}:921600",

@@ -72,7 +72,7 @@ def write_report(
         acceptance=AcceptanceConfig(),
         tolerance_m=TOLERANCE_M,
         sections=[_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)],
-        curve=_curves(lives, reviews),
+        curve=_svg(curves(lives, reviews)),
     )
     path.write_text(page, encoding="utf-8")
     return path
@@ -92,8 +92,8 @@ def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Dr
         recall=f"{review.recall:.3f}",
         stages_ms=live.stages_ms(),
         pairs=_pairs(reference_map, review),
-        cost_matrix=_cost_matrix(reference_map, review),
-        route=_route(reference_map, live, review),
+        cost_matrix=_svg(cost_matrix(reference_map, review)),
+        route=_svg(route(reference_map, live, review)),
     )
 
 
@@ -112,7 +112,7 @@ def _pairs(reference_map: ReferenceMap, review: Review) -> list[Pair]:
     return pairs
 
 
-def _cost_matrix(reference_map: ReferenceMap, review: Review) -> str:
+def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
     """The whole matrix, the matches, and the line of one accepted match through it."""
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.subplots()
@@ -132,10 +132,11 @@ def _cost_matrix(reference_map: ReferenceMap, review: Review) -> str:
         axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
     axes.legend(loc="upper left", fontsize=8, facecolor=GREY)
-    return _svg(figure)
+    return figure
 
 
-def _route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> str:
+def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figure:
+    """The map's route from above, with the fixes."""
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.subplots()
     places = reference_map.places
@@ -152,10 +153,11 @@ def _route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> str:
     axes.plot(*metres[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=live.name.replace("_", " "))
     axes.legend(fontsize=8)
-    return _svg(figure)
+    return figure
 
 
-def _curves(lives: list[LiveDrive], reviews: list[Review]) -> str:
+def curves(lives: list[LiveDrive], reviews: list[Review]) -> Figure:
+    """Precision and recall of all drives, and the threshold in use."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
     for live, review, colour in zip(lives, reviews, (ORANGE, BLUE), strict=True):
@@ -164,7 +166,7 @@ def _curves(lives: list[LiveDrive], reviews: list[Review]) -> str:
         axes.plot(review.recall, review.precision, "o", color=colour)
     axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.legend(loc="lower left")
-    return _svg(figure)
+    return figure
 
 
 def _svg(figure: Figure) -> str:
