@@ -64,6 +64,11 @@ class AutopilotConnection:
         return self._port.why_closed if self.state == "closed" else ""
 
     @property
+    def uncertainty_m(self) -> float | None:
+        """One standard deviation of the autopilot's own position, None where nobody knows."""
+        return self._positions.uncertainty_m(self._clock_ns())
+
+    @property
     def positions_enabled(self) -> bool:
         """Whether positions go out at all: there is a way, and the autopilot has not refused it for good."""
         return self._positions.enabled
@@ -194,7 +199,8 @@ class AutopilotConnection:
 def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: Callable[[], int]) -> Port:
     """The port of a link, not opened yet; ConfigError for a malformed connection, or a key that cannot be used."""
     signer = None
+    where = "[[telemetry.links]] connection" if number else "[telemetry] connection"
     if link.signing_key:
         signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number)
     codec = MavlinkCodec(FIRST_SYSTEM_ID, config.component_id, signer)
-    return Port(parse_connection(link.connection), codec, clock_ns)
+    return Port(parse_connection(link.connection, where), codec, clock_ns)

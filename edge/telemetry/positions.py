@@ -55,6 +55,7 @@ class PositionSender:
     def _start_over(self) -> None:
         self._back_off = BackOff()
         self._last_sent_ns: int | None = None
+        self._told_ns: int | None = None
         self._waiting: tuple[PlaceFix, int, bool] | None = None  # sent and not answered: fix, when, second try
         self._jump: tuple[PlaceFix, Jump, int] | None = None
 
@@ -84,6 +85,10 @@ class PositionSender:
         """Whether positions go out at all, gates permitting."""
         return self.way is not None and not self._disabled
 
+    def uncertainty_m(self, now_ns: int) -> float | None:
+        """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
+        return self._uncertainty.at(self._vehicle.driven_m(now_ns), self._vehicle.accuracy_m(now_ns))
+
     def wanted(self, now_ns: int) -> Moment | None:
         """The moment of which a fix is due: that of the newest exposure, or now. None while none is."""
         if self.way is None or self._disabled or self._waiting is not None or self._back_off.holds(now_ns):
@@ -93,17 +98,20 @@ class PositionSender:
 
     def offer(self, fix: PlaceFix, now_ns: int) -> list[Message]:
         """The messages that tell the fix, if every gate lets it pass."""
-        if self.wanted(now_ns) is None or self.way is None:
-            return []
+        if self.wanted(now_ns) is None or self.way is None or fix.stamp_ns == self._told_ns:
+            return []  # the last exposure has been told: it says nothing new
         held = self._refusal(fix, now_ns, self.way)
         if held is not None:
             self._withhold(fix, held)
             return []
         self._held = ""
-        messages = [*self._select_sources(2), *self._send(fix, now_ns, self.way)]
-        if messages and self.way.acknowledged:
+        messages = self._send(fix, now_ns, self.way)
+        if not messages:
+            return []
+        self._told_ns = fix.stamp_ns
+        if self.way.acknowledged:
             self._waiting = fix, now_ns, False
-        return messages
+        return [*self._select_sources(2), *messages]
 
     def _period_s(self, way: Way) -> float:
         return self._gates.min_interval_s if way.period_s is None else way.period_s
@@ -115,7 +123,7 @@ class PositionSender:
             vehicle.gps_healthy(now_ns),
             vehicle.speed_mps(now_ns),
             vehicle.position(now_ns),
-            self._uncertainty.at(vehicle.driven_m(now_ns), vehicle.accuracy_m(now_ns)),
+            self.uncertainty_m(now_ns),
             self._last_sent_ns,
         )
 

@@ -213,3 +213,24 @@ def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
     assert rig.connection.send_position(rig.fix())
     rig.run(0.5)
     assert not rig.journalled("fix_answered")
+
+
+def test_an_exposure_is_told_once(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
+    rig.run(4.0)
+    fix = rig.fix()
+    assert rig.connection.send_position(fix)
+    rig.run(0.5)
+    assert rig.connection.position_wanted() == "exposure"
+    assert not rig.connection.send_position(fix)
+    rig.run(0.5)
+    assert len(fixes_received(rig)) == 1
+
+
+def test_sources_are_not_chosen_for_a_position_that_cannot_be_told(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="vision_position", gates=OFTEN, gps=False, has_origin=False)
+    rig.run(4.0)
+    assert not rig.connection.send_position(rig.fix(age_s=0.0))
+    rig.run(0.5)
+    assert rig.autopilot.inputs.source_set == 1
+    assert not rig.received("VISION_POSITION_ESTIMATE")
