@@ -6,8 +6,9 @@ structs. Paths are relative to the folder of the config file that names them.
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -201,7 +202,31 @@ def parse_config(text: str, path: Path) -> Config:
         raise ConfigError(f"{path}: not TOML: {error}") from None
     except msgspec.ValidationError as error:
         raise ConfigError(f"{path}: {_explain(str(error))}") from None
+    for where, why in _unusable_paths(config):
+        raise ConfigError(f"{path}: {where}: {why}")
     return _resolve_paths(config, path.parent)
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """What turns out to be wrong with a key only when it is used is said of its file as well."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}" if str(error).startswith("[") else str(error)) from None
+
+
+def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
+    """Texts that no file or device can be called: the key, and what is wrong."""
+    for section, keys in msgspec.to_builtins(config).items():
+        for key, value in keys.items():
+            # Also in the tables and lists that are values themselves.
+            if "\\u0000" in msgspec.json.encode(value).decode().replace("\\\\", ""):
+                yield f"[{section}] {key}", "has a null character in it"
+    if not config.camera.device and config.camera.kind in ("v4l2", "feed", "sim"):
+        yield "[camera] device", "is empty; name the device, or the folder of the feed"
+    if not config.map.path:
+        yield "[map] path", "is empty; name the map's folder"
 
 
 def checked_option(config: ConfigStruct, option: str, **changes: object) -> ConfigStruct:

@@ -22,7 +22,7 @@ import msgspec
 from edge.camera import Frame, open_camera
 from edge.camera.newest import CameraHealth, NewestFrame
 from edge.condition import Condition
-from edge.config import Config, load_config
+from edge.config import Config, load_config, naming
 from edge.descriptor.network import Head, Network
 from edge.live_status import LiveStatus, open_page
 from edge.memory import Memory
@@ -266,6 +266,7 @@ def _run(args: argparse.Namespace) -> int:
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, told_to_stop)
-    stopped = run(config, stop, opened.set)
+    with naming(args.config):
+        stopped = run(config, stop, opened.set)
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0

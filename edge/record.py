@@ -23,7 +23,7 @@ from tqdm import tqdm
 from edge.camera import Frame, open_camera
 from edge.camera.feed import FeedHeader, FeedWriter
 from edge.camera.newest import NewestFrame
-from edge.config import Config, load_config
+from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
 from edge.sampling import Sampler
 from edge.telemetry.autopilot import AutopilotConnection
@@ -186,6 +186,7 @@ def _run(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
+    with naming(args.config):
+        done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)
     return 1 if done.why == "disk nearly full" else 0

@@ -56,18 +56,16 @@ class Connection:
         return f"{self.kind}:{self.target}:{self.number}"
 
 
-def parse_connection(connection: str) -> Connection:
-    """Check a connection string without opening anything; ConfigError names [telemetry] connection."""
+def parse_connection(connection: str, where: str = "[telemetry] connection") -> Connection:
+    """Check a connection string without opening anything; ConfigError names the key, which is at `where`."""
     kind, _, rest = connection.partition(":")
     target, _, number = rest.rpartition(":")
     if kind not in ("serial", "udp", "udpin") or not target:
-        raise ConfigError(
-            f"[telemetry] connection: {connection!r} is not serial:DEVICE:BAUD, udp:HOST:PORT or udpin:HOST:PORT"
-        )
+        raise ConfigError(f"{where}: {connection!r} is not serial:DEVICE:BAUD, udp:HOST:PORT or udpin:HOST:PORT")
     limit = 12_000_000 if kind == "serial" else 65_535
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):
         what = "baud rate" if kind == "serial" else "port"
-        raise ConfigError(f"[telemetry] connection: {connection!r}: {number!r} is not a {what} from 1 to {limit}")
+        raise ConfigError(f"{where}: {connection!r}: {number!r} is not a {what} from 1 to {limit}")
     return Connection(kind, target.strip("[]"), int(number))  # type: ignore[arg-type]  # narrowed above
 
 
