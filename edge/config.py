@@ -70,6 +70,7 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     path: str = "/var/lib/lookback/map"
     places_per_frame: Annotated[int, Meta(ge=100, le=1_000_000)] = 20_000
+    search_radius_m: Annotated[float, Meta(ge=10, le=100_000)] = 500.0
 
 
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -28,9 +28,10 @@ from edge.live_status import LiveStatus, open_page
 from edge.memory import Memory
 from edge.observation import observation
 from edge.place_fixes import place_fix, tracked_fix
+from edge.place_search import Near
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.route import Route
-from edge.reference_map.store import open_map
+from edge.reference_map.store import open_unverified
 from edge.sampling import Sampler
 from edge.service import notify
 from edge.stage_times import StageTimes
@@ -41,6 +42,8 @@ from edge.tracking import RouteTracker
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
 CLOSE_S = 1.5  # a camera that does not let go must not keep the program from ending
 EXTEND_EACH_S = 20
+CHECK_BYTES = 8 << 20  # of the map, a few milliseconds, in a turn without a frame
+SURE_SIGMAS = 3.0
 log = logging.getLogger(__name__)
 
 
@@ -113,7 +116,8 @@ class Daemon:
     def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
         config = self._config
         network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        reference_map = open_map(Path(config.map.path))
+        reference_map, self._unverified = open_unverified(Path(config.map.path))
+        parts.callback(self._unverified.close)
         self._map_rows: list[int] = reference_map.places["row"].tolist()
         self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
         self._memory = Memory(config, self._recognizer, reference_map.header)
@@ -156,6 +160,8 @@ class Daemon:
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if self._sampler.take(frame.stamp_ns, distance_m):
                 self._use(frame, distance_m)
+        else:
+            self._unverified.step(CHECK_BYTES)
         hang = self._own_camera.hang(self._clock_ns()) if self._own_camera else ""
         if self.condition.update(self._recognizer.state, self._camera.health, hang):
             self._forget()
@@ -194,13 +200,14 @@ class Daemon:
         self._times.start()
         began_ns = self._clock_ns()
         self._frames_used += 1
-        match = self._recognizer.observe(frame.image, frame.stamp_ns)
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near())
         self._tracker.see(match, frame.stamp_ns, distance_m)
         self._watch.note(frame, match)
         if self._journal and self._config.telemetry.journal_frames:
             seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
         if match is not None and match.accepted:
+            self._verify()
             self._newest = match
             if match.event:
                 self._events += 1
@@ -209,6 +216,20 @@ class Daemon:
         now_ns = self._clock_ns()
         self.condition.used((now_ns - began_ns) / 1e9)
         self._memory.keep_if_due(now_ns, self.condition.health.state, self._newest)
+
+    def _near(self) -> Near | None:
+        """Where the autopilot may be, None where it does not know or nobody knows how well."""
+        position = self._autopilot.vehicle.position(self._clock_ns())
+        sigma_m = self._autopilot.uncertainty_m
+        if position is None or sigma_m is None:
+            return None
+        radius_m = max(self._config.map.search_radius_m, SURE_SIGMAS * sigma_m)
+        return Near(position.lat_deg, position.lon_deg, radius_m)
+
+    def _verify(self) -> None:
+        """Nothing is told of a map before every checksum has been seen to hold. MapError when one does not."""
+        while not self._unverified.step(CHECK_BYTES):
+            self._tell_manager()
 
     def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
         """An event, for people and the journal: with the tracked position, or with the place's own."""

@@ -39,7 +39,15 @@ class Near:
 class PlaceSearch:
     """Cost rows, sequence search and acceptance, over as much of the map as a frame may cost."""
 
-    def __init__(self, reference_map: ReferenceMap, route: Route, config: Config) -> None:
+    def __init__(
+        self,
+        reference_map: ReferenceMap,
+        route: Route,
+        config: Config,
+        stopwatch: Callable[[str], None] = lambda stage: None,
+    ) -> None:
+        """`stopwatch("matching")` is called when the costs of a frame are there, and its search begins."""
+        self._stopwatch = stopwatch
         header = reference_map.header
         self._header, self._route, self._config = header, route, config
         self._matcher = CostMatcher.of(reference_map)
@@ -97,6 +105,7 @@ class PlaceSearch:
         rows = NormalizedRows(ring(), replaces_ring=True) if self._is_fresh else change
         self._is_fresh = False
         costs = self._costs(rows.rows, self._part.ranges)
+        self._stopwatch("matching")
         self.newest_costs = costs[-1]
         return self._part.advance(costs, replaces_ring=rows.replaces_ring)
 

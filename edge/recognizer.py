@@ -74,7 +74,7 @@ class PlaceRecognizer:
         self._config = config
         self._stopwatch = stopwatch
         self._route = Route(reference_map)
-        self.places = PlaceSearch(reference_map, self._route, config)
+        self.places = PlaceSearch(reference_map, self._route, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
             config.sequence.length,
@@ -103,7 +103,7 @@ class PlaceRecognizer:
         normalized = self._normalizer.push(raw)
         self._stopwatch("normalization")
         match = self.places.push(normalized, self._normalizer.rows, near)
-        self._stopwatch("matching")
+        self._stopwatch("search")
         if match is None:
             self.state = "searching" if self.places.part is None and self._normalizer.is_full else "warming up"
             return None

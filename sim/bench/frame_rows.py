@@ -67,7 +67,7 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
         times = Times(tuple(frame.get(stage, 0.0) for frame in measured))
         floor_ms = floors.get(stage)
         of_floor = (f"its floor, {floor_ms:.2f} ms", times.median_ms / floor_ms) if floor_ms else ("", None)
-        rows.append(Row(f"{stage}{' and search' if stage == 'matching' else ''}", times, *of_floor))
+        rows.append(Row(stage, times, *of_floor))
     slowest = statistics.quantiles(whole.runs_ms, n=20)[-1]
     rows.append(
         Row(

@@ -1,0 +1,113 @@
+"""`lookback run` and its map: checked before anything is told, and searched around the autopilot's position."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from edge.camera.feed import read_feed
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network
+from edge.descriptor.normalize import normalize
+from edge.map_command import build_map
+from edge.recognizer import model_key
+from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.store import DESCRIPTORS, RegionsKey
+from edge.telemetry.journal import read_journal
+from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.autopilot import SimulatedAutopilot
+from sim.pty_link import PtyLink, open_pty
+
+FRAMES, PERIOD_MS = 80, 60
+PLACES, APART_M = 300, 40.0
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "feed", range(FRAMES), period_ms=PERIOD_MS)
+    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
+    return folder
+
+
+@pytest.fixture
+def cable() -> Iterator[PtyLink]:
+    link = open_pty()
+    yield link
+    link.close()
+
+
+def start(folder: Path, feed: Path, path: Path, connection: str, **of_map: Any) -> subprocess.Popen[str]:
+    config = {
+        "camera": {"kind": "feed", "device": str(feed)},
+        "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
+        "map": {"path": str(path), **of_map},
+        "sequence": {"length": 10},
+        "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
+        "telemetry": {"connection": connection, "journal": "events.jsonl"},
+    }
+    (folder / "lookback.toml").write_text(tomli_w.dumps(config))
+    command = [sys.executable, "-m", "edge", "run", str(folder / "lookback.toml")]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def states(folder: Path) -> set[str]:
+    return {record["state"] for record in read_journal(folder / "events.jsonl") if record["event"] == "state"}
+
+
+def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(street: Path, tmp_path: Path) -> None:
+    shutil.copytree(street / "map", tmp_path / "map")
+    data = bytearray((tmp_path / "map" / DESCRIPTORS).read_bytes())
+    data[-1] ^= 1
+    (tmp_path / "map" / DESCRIPTORS).write_bytes(data)
+    process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 78, said
+    assert f"{DESCRIPTORS}: damaged" in said.splitlines()[-1]
+    assert "Traceback" not in said
+    assert not [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "place"]
+
+
+@pytest.fixture(scope="module")
+def long_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """12 km of places that look like nothing, around the place where the simulated autopilot stands."""
+    path = tmp_path_factory.mktemp("long") / "map"
+    rng = np.random.default_rng(0)
+    regions = RegionsKey("left-right", 0.4, "set")
+    with MapBuilder(path, model_key(Network.load()), regions, SamplingConfig()) as builder:
+        builder.begin_segment("nowhere", "front")
+        for index in range(PLACES):
+            north_deg = (index - PLACES / 2) * APART_M / 110_800
+            place = Place(index, ORIGIN_LAT_DEG + north_deg, ORIGIN_LON_DEG, route_m=index * APART_M)
+            builder.add(rng.random((2, 4096), dtype=np.float32), place)
+        builder.finish(normalize, "test")
+    return path
+
+
+@pytest.mark.parametrize("gps", [True, False])
+def test_a_large_map_is_searched_where_the_autopilot_says(
+    street: Path, long_map: Path, tmp_path: Path, cable: PtyLink, gps: bool
+) -> None:
+    """With a position there is an answer, "off the map"; without, this map is still being gone through."""
+    autopilot = SimulatedAutopilot(cable, lambda _: Pose(0.0, 0.0, 0.0, 5.0, 0.0), gps=gps)
+    stop = threading.Event()
+    flying = threading.Thread(target=autopilot.run, args=(stop,))
+    flying.start()
+    try:
+        connection = f"serial:{cable.device}:921600"
+        process = start(tmp_path, street / "feed", long_map, connection, places_per_frame=250, search_radius_m=10.0)
+        said = process.communicate(timeout=60)[1]
+    finally:
+        stop.set()
+        flying.join()
+    assert process.returncode == 0, said
+    assert ("off the map" in states(tmp_path)) == gps
