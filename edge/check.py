@@ -9,6 +9,7 @@ from edge.config import DEFAULT_TOML, load_config
 from edge.descriptor.network import Head, Network
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
+from edge.telemetry.autopilot import AutopilotConnection
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,6 +31,7 @@ def _run(args: argparse.Namespace) -> int:
     network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
     reference_map = open_map(Path(config.map.path), every_file=True)
     PlaceRecognizer(network, Head.load(network), reference_map, config)
+    AutopilotConnection(config.telemetry)  # reads connections and keys, and opens nothing yet
     print(f"{args.config}: good; model {network.info.name}, map of {reference_map.header.places} places")
     wanted, theirs = config.sampling, reference_map.header.sampling
     if wanted != theirs:

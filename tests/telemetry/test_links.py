@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import LinkConfig
+from edge.errors import ConfigError
 from edge.telemetry.codec import MavlinkCodec
 
 OpenRig: TypeAlias = Callable[..., Any]
@@ -117,3 +118,8 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
     assert rig.connection.positions_enabled
     assert [record["result"] for record in rig.journalled("fix_answered")] == ["ACCEPTED"]
     assert not [message for message in rig.received("TIMESYNC") if message.ts1 == 5], "asked by another, not for us"
+
+
+def test_a_wrong_link_is_named(open_rig: OpenRig) -> None:
+    with pytest.raises(ConfigError, match=r"^\[\[telemetry\.links\]\] connection: 'tcp:here:1' is not"):
+        open_rig(config={"links": (LinkConfig("udp:127.0.0.1:1"), LinkConfig("tcp:here:1"))})
