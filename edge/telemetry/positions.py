@@ -186,11 +186,9 @@ class PositionSender:
         if way.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
-        driven_m = self._vehicle.driven_m(now_ns)
-        uncertainty_m = self._uncertainty.at(driven_m, self._vehicle.accuracy_m(now_ns))
         if distance_m <= fix.sigma_m * self._gates.near_sigmas:
-            self._uncertainty.bind(max(fix.sigma_m, distance_m), driven_m)
-        elif self._last_sent_ns is None or uncertainty_m is None or self._is_new_stream(now_ns):
+            self._uncertainty.bind(max(fix.sigma_m, distance_m), self._vehicle.driven_m(now_ns))
+        elif self._is_new_stream(now_ns):
             self._reset_counter = (self._reset_counter + 1) % 256
 
     def _is_new_stream(self, now_ns: int) -> bool:
