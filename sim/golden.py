@@ -1,0 +1,123 @@
+"""`lookback golden`: a recording becomes a test. A folder keeps what to replay and what came out when it was right.
+
+    golden.toml     the reference feeds, the query feed and the settings; paths are relative to the folder
+    expected.jsonl  a line for every frame, as `replay --all` writes it
+
+`lookback golden FOLDER` replays it and says where the two first differ; tests/test_golden.py does so for each folder
+under tests/golden. `--rebuild` accepts what comes out now.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from itertools import zip_longest
+from pathlib import Path
+
+import msgspec
+import tomli_w
+
+from edge.camera.feed import read_feed
+from edge.config import DescriptorConfig, SamplingConfig, SequenceConfig, checked_option
+from edge.descriptor.network import Head, Network
+from edge.errors import ConfigError
+from edge.map_command import add_spacing_options, build_map, sampling_from
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.store import open_map
+from edge.replay import config_for_map, replay
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SETTINGS, EXPECTED = "golden.toml", "expected.jsonl"
+
+
+class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """`golden.toml`."""
+
+    reference: tuple[str, ...]
+    query: str
+    length: int = SequenceConfig().length
+    sampling: SamplingConfig = SamplingConfig()
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback golden` to the command line; an entry point of `lookback.commands`."""
+    parser = commands.add_parser("golden", help="make a recording a test of the recogniser, or run one")
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make one: of these feeds the map")
+    parser.add_argument("--query", type=Path, metavar="FEED", help="and this feed to be recognised in it")
+    parser.add_argument("--sequence-length", type=int, default=SequenceConfig().length, metavar="L")
+    parser.add_argument("--rebuild", action="store_true", help="keep what comes out now as right")
+    add_spacing_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def load_golden(folder: Path) -> Golden:
+    """Read `golden.toml`. ConfigError names it."""
+    file = folder / SETTINGS
+    try:
+        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), Golden)
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot read it: {error.strerror}; make one with --reference and --query") from None
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: {error}") from None
+
+
+def replay_golden(folder: Path, golden: Golden) -> str:
+    """The lines that come out now."""
+    reference = [read_feed(folder / path) for path in golden.reference]
+    query = read_feed(folder / golden.query)
+    with tempfile.TemporaryDirectory() as scratch:
+        build_map(reference, Path(scratch) / "map", DescriptorConfig(), golden.sampling)
+        reference_map = open_map(Path(scratch) / "map")
+        config = config_for_map(reference_map.header, golden.length)
+        config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=query.header.view))
+        network = Network.load()
+        recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+        seen = replay(recognizer, query, golden.sampling, reference_map.places["row"].tolist())
+        return "".join(msgspec.json.encode(line).decode() + "\n" for line in seen)
+
+
+def first_difference(expected: str, now: str) -> str:
+    """Where the two first differ, and both lines; "" if they do not."""
+    for number, (old, new) in enumerate(zip_longest(expected.splitlines(), now.splitlines()), start=1):
+        if old != new:
+            return f"line {number}:\n  expected {old}\n  now      {new}"
+    return ""
+
+
+def _run(args: argparse.Namespace) -> int:
+    if (args.reference is None) != (args.query is None):
+        raise ConfigError("--reference and --query: name both to make a golden test, or none to run one")
+    if args.query is not None:
+        _make(args)
+    golden = load_golden(args.folder)
+    now = replay_golden(args.folder, golden)
+    expected = args.folder / EXPECTED
+    if args.query is not None or args.rebuild:
+        expected.write_text(now, encoding="utf-8")
+        print(f"{expected}: {len(now.splitlines())} lines kept as right; look at them before you commit them")
+        return 0
+    difference = first_difference(expected.read_text(encoding="utf-8"), now)
+    print(f"{args.folder}: {difference or 'as it was'}")
+    return 1 if difference else 0
+
+
+def _make(args: argparse.Namespace) -> None:
+    file = args.folder / SETTINGS
+    if file.exists() and not args.rebuild:
+        raise ConfigError(f"{file}: there is one here already; name another folder, or use --rebuild")
+    checked_option(SequenceConfig(), "--sequence-length", length=args.sequence_length)
+    args.folder.mkdir(parents=True, exist_ok=True)
+    golden = Golden(
+        reference=tuple(os.path.relpath(path, args.folder) for path in args.reference),
+        query=os.path.relpath(args.query, args.folder),
+        length=args.sequence_length,
+        sampling=sampling_from(args, SamplingConfig()),
+    )
+    file.write_text(tomli_w.dumps(msgspec.to_builtins(golden)), encoding="utf-8")
