@@ -35,7 +35,7 @@ $(BIN)/python:
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
 $(VENV)/.demo: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install -qq --editable '.[sim]'
+	$(BIN)/python -m pip install -qq --editable '.[sim,page,desk]'
 	touch $@
 
 $(VENV)/.bench: $(BIN)/python pyproject.toml
