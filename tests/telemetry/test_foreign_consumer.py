@@ -28,6 +28,7 @@ from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import Link
 from sim.pty_link import open_pty
 
+ORIGIN = (-27.478, 153.028, 20.0)
 LONG_TEXT = "Lookback has a text that needs three messages of fifty bytes each, since it fills two of them wholly"
 
 
@@ -70,7 +71,7 @@ class Setting:
     def __init__(self, foreigner: Foreigner, connection: str, emit: Any, cable: tuple[Link, ...] = ()) -> None:
         self.foreigner = foreigner
         self.connection = connection
-        self.ours = AutopilotConnection(TelemetryConfig(connection=connection, emit=emit))
+        self.ours = AutopilotConnection(TelemetryConfig(connection=connection, emit=emit, origin=ORIGIN))
         self.cable = cable
 
     def until(self, condition: Callable[[], Any], seconds: float = 15.0) -> None:
@@ -236,3 +237,13 @@ def position_sent(setting: Setting, name: str) -> list[dict[str, Any]]:
     assert ours.send_position(place_fix(time.monotonic_ns()))
     setting.until(lambda: foreigner.read(name))
     return foreigner.read(name)
+
+
+def test_an_origin_is_understood(setting: Setting) -> None:
+    """It is set only after the autopilot has been asked for its own, and told none for five seconds."""
+    ours, foreigner = setting.ours, setting.foreigner
+    setting.until(lambda: foreigner.subscribed() and ours.state == "up")
+    setting.until(lambda: foreigner.read("SET_GPS_GLOBAL_ORIGIN"))
+    message = foreigner.read("SET_GPS_GLOBAL_ORIGIN")[0]
+    assert (message["target_system"], message["latitude"], message["longitude"]) == (1, -274780000, 1530280000)
+    assert message["altitude"] == 20_000
