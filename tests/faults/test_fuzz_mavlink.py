@@ -33,7 +33,7 @@ def frame(system: int, component: int, number: int, payload: bytes) -> bytes:
 HEARTBEAT = frame(1, 1, 0, bytes([0, 0, 0, 0, 10, 3, 0, 4, 3]))
 
 
-@pytest.mark.parametrize("cases", [300, pytest.param(10_000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("cases", [150, pytest.param(10_000, marks=pytest.mark.soak)])
 def test_any_content(cases: int, seed: int, figures: Callable[[str], None]) -> None:
     cable = open_pty()
     ticks = count(10**12, TURN_NS)

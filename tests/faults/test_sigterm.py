@@ -1,0 +1,57 @@
+"""Told to stop at any moment: gone within three seconds, and all files whole."""
+
+from __future__ import annotations
+
+import random
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from edge.telemetry.journal import read_journal
+
+GONE_WITHIN_S = 3.0
+LATEST_S = 4.0
+
+
+@pytest.mark.parametrize("times", [6, pytest.param(200, marks=pytest.mark.soak)])
+def test_sigterm_at_any_moment(
+    times: int,
+    write_config: Callable[..., Path],
+    start: Callable[..., Any],
+    tmp_path: Path,
+    seed: int,
+    figures: Callable[[str], None],
+) -> None:
+    rng = random.Random(seed)
+    config = write_config(telemetry={"journal_frames": True})
+    slowest_s, early = 0.0, 0
+    for _ in range(times):
+        process = start(config)
+        time.sleep(rng.uniform(0.0, LATEST_S))
+        process.popen.send_signal(signal.SIGTERM)
+        told_s = time.monotonic()
+        code = process.popen.wait(GONE_WITHIN_S)
+        slowest_s = max(slowest_s, time.monotonic() - told_s)
+        early += code == -signal.SIGTERM  # before Python could know of any signal
+        assert code in (0, -signal.SIGTERM), process.told()
+        assert "Traceback" not in process.told()
+        process.close()
+        check_files(tmp_path)
+    figures(f"{times} times, gone after {slowest_s:.2f} s at most, {early} before the program had begun")
+
+
+def check_files(folder: Path) -> None:
+    journal = folder / "events.jsonl"
+    if journal.exists():
+        lines = journal.read_bytes().splitlines()
+        assert len(list(read_journal(journal))) == len(lines)
+        assert not lines or journal.read_bytes().endswith(b"\n")
+    state = folder / "events.state"
+    if state.exists():
+        assert msgspec.json.decode(state.read_bytes().partition(b"\n")[0])["format"] == "lookback-state"
+    assert {path.name for path in folder.iterdir()} <= {"lookback.toml", "events.jsonl", "events.state"}
