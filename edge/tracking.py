@@ -143,7 +143,8 @@ class RouteTracker:
             return None
         self._lose_if_due(stamp_ns)
         odometer_m = self._odometer_m + driven_m - self._driven_m
-        return self._position(stamp_ns, odometer_m, odometer_m - self._matched[1])
+        carried_m = odometer_m - self._matched[1]
+        return self._position(stamp_ns, odometer_m, carried_m) if carried_m <= self._config.lost_after_m else None
 
     def _move(self, match: PlaceMatch | None, driven_m: float | None) -> None:
         if driven_m is not None and self._driven_m is not None and driven_m >= self._driven_m:

@@ -249,6 +249,14 @@ def test_after_a_silence_it_is_lost(open_tracker: Callable[..., RouteTracker]) -
     assert drive.tracker.at(drive.stamp_ns + 2 * S + 1, drive.driven_m) is None
 
 
+def test_it_is_not_moved_on_further_than_it_may_go_unseen(open_tracker: Callable[..., RouteTracker]) -> None:
+    """A camera that stalls leaves the odometer running."""
+    drive = warm(open_tracker(lost_after_m=20.0))
+    driven_m = drive.driven_m or 0.0
+    assert drive.tracker.at(drive.stamp_ns + S, driven_m + 20.0) is not None
+    assert drive.tracker.at(drive.stamp_ns + S, driven_m + 20.1) is None
+
+
 def test_beyond_the_end_of_the_drive_nothing_is_known(open_tracker: Callable[..., RouteTracker]) -> None:
     drive = warm(open_tracker(), place=145)
     assert drive.place == 195
