@@ -37,14 +37,18 @@ def encode(descriptors: NDArray[np.float32]) -> NDArray[np.int8]:
 
     A row that is all zero stays so; NaN and infinity become 0, so that one bad number cannot poison a sequence.
     """
-    rows = np.nan_to_num(descriptors, nan=0.0, posinf=0.0, neginf=0.0)
-    planes = rows.swapaxes(0, 1)
-    if len(planes) == 2:
-        left, right = np.multiply(planes, np.float32(0.5))  # halves first: no sum of two halves overflows
-        planes = np.stack([left + right, left - right])
-    largest = np.abs(planes).max(axis=(0, 2), initial=0.0)
+    # Halves first: no sum of two halves overflows.
+    regions = np.where(np.isfinite(descriptors), descriptors, 0).swapaxes(0, 1) * np.float32(0.5)
+    planes = np.empty(regions.shape, dtype=np.float32)
+    if len(regions) == 2:
+        np.add(regions[0], regions[1], out=planes[0])
+        np.subtract(regions[0], regions[1], out=planes[1])
+    else:
+        planes[:] = regions
+    largest = np.maximum(planes.max(axis=(0, 2), initial=0.0), -planes.min(axis=(0, 2), initial=0.0))
     scale = np.divide(np.float32(127), largest, out=np.zeros_like(largest), where=largest > NOTHING)
-    encoded: NDArray[np.int8] = np.rint(planes * scale[:, np.newaxis]).astype(np.int8)
+    planes *= scale[:, np.newaxis]
+    encoded: NDArray[np.int8] = np.rint(planes, out=planes).astype(np.int8)
     return encoded
 
 

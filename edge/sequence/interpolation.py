@@ -28,11 +28,23 @@ def end_between_places(costs: NDArray[np.int32], place: int) -> float:
     if len(known) < 4:
         return 0.0
     steps = known + first - place
-    curvature, slope, _ = np.polyfit(steps, around[known].astype(np.float64), 2)
+    curvature, slope = _parabola(steps.tolist(), around[known].tolist())
     if curvature <= 0:
         return 0.0
     # Beyond the places that were looked at there is nothing to be known.
-    return float(np.clip(-slope / (2 * curvature), steps[0], steps[-1]))
+    return min(max(-slope / (2 * curvature), float(steps[0])), float(steps[-1]))
+
+
+def _parabola(steps: list[int], costs: list[int]) -> tuple[float, float]:
+    """Coefficients of x**2 and x of the parabola with the least squares, over a positive common factor.
+
+    The normal equations by Cramer's rule, in Python's integers: for so few points a library's solver is all overhead.
+    """
+    s0, s1, s2, s3, s4 = (sum(step**power for step in steps) for power in range(5))
+    t0, t1, t2 = (sum(cost * step**power for step, cost in zip(steps, costs, strict=True)) for power in range(3))
+    curvature = t2 * (s2 * s0 - s1**2) - t1 * (s3 * s0 - s1 * s2) + t0 * (s3 * s1 - s2**2)
+    slope = s4 * (t1 * s0 - t0 * s1) - s3 * (t2 * s0 - t0 * s2) + s2 * (t2 * s1 - t1 * s2)
+    return float(curvature), float(slope)
 
 
 def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) -> float:

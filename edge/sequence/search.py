@@ -51,30 +51,40 @@ class Lines:
 
 
 class _Sums:
-    """The running sums of one slope, (planes, places) int32. Moving them on by places moves only where they begin."""
+    """The running sums of every slope, each (planes, places) int32. Moving them on moves only where they begin."""
 
-    def __init__(self, planes: int, places: int) -> None:
+    def __init__(self, slopes: int, planes: int, places: int) -> None:
         self._places = places
         self._slack = max(1024, places // 4)
-        self._memory = np.zeros((planes, self._slack + places), dtype=np.int32)
-        self.clear()
+        self._memory = np.zeros((slopes, planes, self._slack + places), dtype=np.int32)
+        self._starts = [self._slack] * slopes
 
     def clear(self) -> None:
         """Begin again with 0."""
         self._memory[:] = 0
-        self._start = self._slack
-        self.now = self._memory[:, self._start :]
+        self._starts = [self._slack] * len(self._starts)
 
-    def shift(self, step: int) -> NDArray[np.int32]:
-        """now[:, i] = before[:, i - step], 0 before the first; the view is good until the next shift."""
-        if step > self._start:
+    def of(self, slope: int) -> NDArray[np.int32]:
+        """The sums of one slope, a view that is good until the next shift."""
+        start = self._starts[slope]
+        return self._memory[slope, :, start : start + self._places]
+
+    def shift(self, slope: int, step: int) -> NDArray[np.int32]:
+        """Sums of which i is what i - step was, 0 before the first."""
+        if step > self._starts[slope]:
             # Once in a quarter of the map, so that it hardly counts.
-            self._memory[:, self._slack :] = self.now.copy()
-            self._start = self._slack
-        self._memory[:, self._start - step : self._start] = 0
-        self._start -= step
-        self.now = self._memory[:, self._start : self._start + self._places]
-        return self.now
+            self._memory[slope, :, self._slack :] = self.of(slope).copy()
+            self._starts[slope] = self._slack
+        start = self._starts[slope]
+        self._memory[slope, :, start - step : start] = 0
+        self._starts[slope] = start - step
+        return self.of(slope)
+
+    def at(self, planes: NDArray[np.intp], places: NDArray[np.intp]) -> NDArray[np.int32]:
+        """Sums at some places of some planes (n,), of every slope: (slopes, n)."""
+        slopes, count, width = self._memory.shape
+        begins = np.arange(slopes) * (count * width) + self._starts
+        return self._memory.reshape(-1).take(begins[:, np.newaxis] + (planes * width + places))
 
 
 class SequenceSearch:
@@ -105,7 +115,7 @@ class SequenceSearch:
         if possible is not None and not possible.all():
             self._impossible = ~np.stack([self._mirror(*of) for of in zip(self.planes, possible, strict=True)])
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
-        self._sums = [_Sums(len(self.planes), self._places) for _ in self._slopes]
+        self._sums = _Sums(len(self._slopes), len(self.planes), self._places)
         self._frame = frame
         self._rows = 0
 
@@ -113,8 +123,7 @@ class SequenceSearch:
         """Forget all rows: the next line begins with the next row."""
         self._rows = 0
         self._ring[:] = 0
-        for sums in self._sums:
-            sums.clear()
+        self._sums.clear()
 
     def push(self, costs: NDArray[np.int32]) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame."""
@@ -122,9 +131,9 @@ class SequenceSearch:
         frame = self._frame
         entering = self._by_plane(costs)
         leaving = self._ring[frame % self.length]  # the row of frame T-L, all zero while the ring is filling
-        for of_slope, slope in zip(self._sums, self._slopes, strict=True):
+        for k, slope in enumerate(self._slopes):
             span = _rounded(slope, frame) - _rounded(slope, frame - self.length)
-            sums = of_slope.shift(_rounded(slope, frame) - _rounded(slope, frame - 1))
+            sums = self._sums.shift(k, _rounded(slope, frame) - _rounded(slope, frame - 1))
             sums += entering
             if span < self._places:
                 sums[:, span:] -= leaving[:, : self._places - span]
@@ -140,18 +149,18 @@ class SequenceSearch:
             frame = self._frame - age
             row = self._ring[frame % self.length]
             row[:] = self._by_plane(costs)
-            for sums, slope in zip(self._sums, self._slopes, strict=True):
+            for k, slope in enumerate(self._slopes):
                 offset = _rounded(slope, self._frame) - _rounded(slope, frame)
                 if offset < self._places:
-                    sums.now[:, offset:] += row[:, : self._places - offset]
+                    self._sums.of(k)[:, offset:] += row[:, : self._places - offset]
 
     def lines(self) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full."""
         if self._rows < self.length:
             return None
-        best = self._sums[0].now.copy()
-        for sums in self._sums[1:]:
-            np.minimum(best, sums.now, out=best)
+        best = self._sums.of(0).copy()
+        for k in range(1, len(self._slopes)):
+            np.minimum(best, self._sums.of(k), out=best)
         best[self._near_start] = self._whole_near_start()
         if self._impossible is not None:
             best[self._impossible] = NO_LINE
@@ -163,16 +172,15 @@ class SequenceSearch:
 
     def _whole_near_start(self) -> NDArray[np.int32]:
         """The best of those lines that do not begin before their segment, (near,), NO_LINE where there is none."""
-        room = self._room[self._near_start]
-        best = np.full(len(room), NO_LINE, dtype=np.int32)
-        for sums, reach in zip(self._sums, self._reaches(), strict=True):
-            np.minimum(best, sums.now[self._near_start], out=best, where=room >= reach)
+        is_whole = self._room[self._near_start] >= self._reaches()[:, np.newaxis]
+        best: NDArray[np.int32] = np.where(is_whole, self._sums.at(*self._near_start), NO_LINE).min(axis=0)
         return best
 
-    def _reaches(self) -> list[int]:
+    def _reaches(self) -> NDArray[np.int32]:
         """How many places the line of each slope has passed within the ring."""
         first = self._frame - self.length + 1
-        return [_rounded(slope, self._frame) - _rounded(slope, first) for slope in self._slopes]
+        reaches = [_rounded(slope, self._frame) - _rounded(slope, first) for slope in self._slopes]
+        return np.array(reaches, dtype=np.int32)
 
     def recent(self, plane: Plane) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
@@ -182,12 +190,9 @@ class SequenceSearch:
     def slope(self, plane: int, place: int) -> float:
         """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
         at = place if self.planes[plane][0] == "forward" else self._places - 1 - place
-        whole = [
-            (int(sums.now[plane, at]), slope)
-            for sums, slope, reach in zip(self._sums, self._slopes, self._reaches(), strict=True)
-            if self._room[plane, at] >= reach
-        ]
-        return min(whole)[1]
+        sums = self._sums.at(np.array([plane]), np.array([at]))[:, 0]
+        whole = np.where(self._room[plane, at] >= self._reaches(), sums, NO_LINE)
+        return self._slopes[int(whole.argmin())]
 
     def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
         """One cost row (orders, N) as each plane needs it: (planes, N), mirrored for the way back."""

@@ -27,9 +27,14 @@ class Times:
         """The run that as many were faster than as were slower."""
         return statistics.median(self.runs_ms)
 
+    @property
+    def least_ms(self) -> float:
+        """The fastest run."""
+        return min(self.runs_ms)
+
     def __str__(self) -> str:
         """Least, median and most."""
-        return f"{_digits(min(self.runs_ms))} / {_digits(self.median_ms)} / {_digits(max(self.runs_ms))}"
+        return f"{_digits(self.least_ms)} / {_digits(self.median_ms)} / {_digits(max(self.runs_ms))}"
 
     def ratio(self, to: Times) -> float:
         """Median of the ratios of runs that followed each other."""
