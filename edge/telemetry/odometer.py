@@ -8,6 +8,7 @@ FRESH_NS = 1_000_000_000  # how long a speed holds beyond its stamp
 BRIDGE_NS = 2_000_000_000  # the longest silence that two speeds are believed to span
 STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
 KEPT = 1024
+FASTEST_MPS = 350.0  # a speed beyond it is damage, or not a number
 
 
 class Odometer:
@@ -22,6 +23,8 @@ class Odometer:
 
     def add(self, stamp_ns: int, speed_mps: float, source: int) -> None:
         """A ground speed; `source` ranks its origin, 0 the best, and a worse one counts only after silence."""
+        if not 0 <= speed_mps <= FASTEST_MPS:
+            return
         if not self._stamps_ns:
             self._append(stamp_ns, 0.0, speed_mps, source)
             return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from edge.telemetry.odometer import Odometer
@@ -47,3 +49,13 @@ def test_a_day_of_reports_is_counted_and_not_kept() -> None:
         odometer.add(tenth * S // 10, 5.0, GOOD)
     assert odometer.distance_m(1999 * S) == pytest.approx(5.0 * 1999)
     assert odometer.distance_m(10 * S) is None, "forgotten"
+
+
+@pytest.mark.parametrize("speed_mps", [math.nan, math.inf, -1.0, 1e30])
+def test_a_speed_that_is_none_is_left_out(speed_mps: float) -> None:
+    odometer = Odometer()
+    odometer.add(1_000_000_000, 10.0, source=0)
+    odometer.add(1_500_000_000, speed_mps, source=0)
+    odometer.add(2_000_000_000, 10.0, source=0)
+    assert odometer.distance_m(2_000_000_000) == pytest.approx(10.0)
+    assert odometer.speed_mps(2_000_000_000) == 10.0

@@ -1,0 +1,73 @@
+"""The wall clock is stepped under a running daemon: no event is lost, told twice, or late."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.telemetry.journal import read_journal
+
+SHIM = Path(__file__).with_name("clock_shim.c")
+HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
+HOLD_OFF_S = 0.2
+PERIOD_S = 0.06
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library that stands between a process and its wall clock."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    library = tmp_path_factory.mktemp("shim") / "clock_shim.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(SHIM), "-ldl"], check=True)
+    return library
+
+
+@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S, TEN_YEARS_S, -TEN_YEARS_S])
+def test_the_wall_clock_is_stepped(
+    step_s: int,
+    shim: Path,
+    write_config: Callable[..., Path],
+    start: Callable[..., Any],
+    tmp_path: Path,
+    figures: Callable[[str], None],
+) -> None:
+    config = write_config(telemetry={"journal_frames": True}, acceptance={"hold_off_s": HOLD_OFF_S})
+    steps = tmp_path / "step"
+    steps.write_text("0")
+    process = start(config, environment={"LD_PRELOAD": str(shim), "LOOKBACK_CLOCK_STEP": str(steps)})
+    process.wait_for_word("STATUS=on the map")
+    steps.write_text(str(step_s))
+    assert process.popen.wait(60) == 0, process.told()
+    records = list(read_journal(tmp_path / "events.jsonl"))
+    frames = [record for record in records if record["event"] == "frame"]
+    places = [record for record in records if record["event"] == "place"]
+
+    # The step has been seen, once.
+    jumps_s = [after["unix_s"] - before["unix_s"] for before, after in itertools.pairwise(records)]
+    assert [round(jump_s / step_s) for jump_s in jumps_s if abs(jump_s) > HOUR_S / 2] == [1]
+    stamps_ns = [frame["stamp_ns"] for frame in frames]
+    assert stamps_ns == sorted(set(stamps_ns))
+    # Every frame that was believed is an event, unless it came within the hold-off of the one before.
+    due, last_ns = [], -(10**18)
+    for frame in frames:
+        if frame["accepted"] and frame["stamp_ns"] - last_ns >= HOLD_OFF_S * 1e9:
+            due.append(frame["stamp_ns"])
+            last_ns = frame["stamp_ns"]
+    assert [place["stamp_ns"] for place in places] == due
+    # Told when they were seen: the journal's clock, less the step, runs with the frames' clock.
+    late_s = [place["unix_s"] - place["stamp_ns"] / 1e9 for place in places]
+    late_s = [
+        late - step_s if late - late_s[0] > HOUR_S / 2 or late - late_s[0] < -HOUR_S / 2 else late for late in late_s
+    ]
+    spread_s = max(late_s) - min(late_s)
+    figures(f"{len(places)} events of {len(frames)} frames; told within {spread_s:.2f} s of each other's delay")
+    assert len(places) >= 5
+    assert spread_s < 1.0
