@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -168,6 +169,6 @@ def _read_messages(path: Path) -> Iterator[tuple[str, int, Fields]]:
                 yield channel.topic, message.log_time, msgspec.json.decode(message.data)
     except OSError as error:
         raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
-    except (McapError, msgspec.DecodeError) as error:
+    except (McapError, struct.error, msgspec.DecodeError) as error:  # struct's: a record without its end
         if not count:
             raise FeedError(f"{path}: not an MCAP file: {error}") from None
