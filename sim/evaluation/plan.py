@@ -85,10 +85,11 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
 class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
 
-    truth: positions (latitude and longitude of both feeds, metres); route_m (a column of both, metres along one
-    route); rows (equal row of the feed, frames); anchors (frames). anchors: [row of the query, row of the reference] in
-    the order of the query, interpolated between; queries outside have no truth. loop: rows of the reference after
-    which it is at its first place again, 0 where it is no loop; anchors then go on counting from lap to lap.
+    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, metres); route_m
+    (a column of both, metres along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
+    anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
+    have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
+    anchors then go on counting from lap to lap.
     warm_start: a traverse that this vehicle drove before, for the statistics of methods that start warm.
     figure: of the paper; published: method -> its max-F1 there, shown beside ours as from another data set unless
     `dataset` says that this is the paper's own.

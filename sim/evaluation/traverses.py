@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from edge.camera.feed import Feed, FeedRow, read_feed
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
-from edge.reference_map.route import east_north
 from edge.traverse import driven_m, traverse
+from sim.datasets import TruthKind
+from sim.datasets.truth import Truth, truth_between
 from sim.evaluation.plan import Pair, TraversePlan
 from sim.evaluation.seqslam import describe
 
@@ -62,22 +63,12 @@ def load_traverse(
 def true_errors(reference: Traverse, query: Traverse, pair: Pair) -> NDArray[np.float64]:
     """Distance from each query's true position to each place, (Q, N), metres or frames as `Pair.truth` has it.
 
-    NaN throughout the row of a query whose true position is not known, inf where a place's is not. ConfigError if the
-    feeds do not have what `truth` needs.
+    NaN throughout the row of a query whose true position is not known, inf where a place's is not. ConfigError names
+    the pair and the feed that does not have what `truth` needs.
     """
-    if pair.truth == "positions":
-        places, positions = _positions(reference, query, pair)
-        offsets = positions[:, np.newaxis] - places
-        return np.asarray(np.hypot(offsets[..., 0], offsets[..., 1]))
-    if pair.truth == "route_m":
-        there, at = _column(query, pair), _column(reference, pair)
-        away = np.abs(there[:, np.newaxis] - at)
-        away[:, np.isnan(at)] = np.inf
-        away[np.isnan(there)] = np.nan
-        return np.asarray(away)
-    if pair.truth == "rows":
-        return np.asarray(np.abs(query.rows[:, np.newaxis] - reference.rows).astype(np.float64))
-    return anchored_errors(pair, query.rows, reference.rows)
+    if pair.truth == "anchors":
+        return anchored_errors(pair, query.rows, reference.rows)
+    return _truth(pair.truth, reference, query, pair).errors()
 
 
 def anchored_errors(pair: Pair, query_rows: NDArray[np.intp], rows: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -96,34 +87,24 @@ def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float
 
     In metres, or in frames where the truth is: a loop is then a circle of so many frames.
     """
-    count = len(reference.rows)
-    if pair.truth == "positions":
+    unknown = np.full((len(reference.rows), 2), np.nan)
+    if pair.truth != "anchors":
+        at = _truth(pair.truth, reference, reference, pair).reference_at
+        if pair.truth != "positions":
+            return unknown, at[:, 0]
         metres = driven_m(reference.feed) or [np.nan] * len(reference.feed.rows)
-        return _positions(reference, reference, pair)[0], np.array(metres)[reference.rows]
-    if pair.truth == "route_m":
-        return np.full((count, 2), np.nan), _column(reference, pair)
+        return at, np.array(metres)[reference.rows]
     along = reference.rows.astype(np.float64)
     if not pair.loop:
-        return np.full((count, 2), np.nan), along
+        return unknown, along
     angle = along * (2 * np.pi / pair.loop)
     return np.column_stack([np.cos(angle), np.sin(angle)]) * (pair.loop / (2 * np.pi)), along
 
 
-def _positions(reference: Traverse, query: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Metres east and north of both traverses, from one origin: (N, 2), (Q, 2)."""
-    degrees = []
-    for one in (reference, query):
-        known = [(row.lat_deg, row.lon_deg) for row in one.feed_rows() if row.lat_deg is not None]
-        if len(known) < len(one.rows):
-            raise ConfigError(f'pair {pair.name!r}: truth = "positions", but {one.feed.path} has rows without one')
-        degrees.append(np.array(known, dtype=np.float64))
-    lat_deg, lon_deg = np.concatenate(degrees).T
-    metres = east_north(lat_deg, lon_deg)
-    return metres[: len(reference.rows)], metres[len(reference.rows) :]
-
-
-def _column(one: Traverse, pair: Pair) -> NDArray[np.float64]:
+def _truth(kind: TruthKind, reference: Traverse, query: Traverse, pair: Pair) -> Truth:
+    """The truth between the chosen rows; ConfigError names the pair that asks for it."""
     try:
-        return np.array([float(row.extra["route_m"] or "nan") for row in one.feed_rows()])
-    except (KeyError, ValueError):
-        raise ConfigError(f'pair {pair.name!r}: truth = "route_m", but {one.feed.path} has no such column') from None
+        between = truth_between(kind, reference.feed, query.feed, pair.tolerance)
+    except FeedError as error:
+        raise ConfigError(f'pair {pair.name!r}: truth = "{kind}": {error}') from None
+    return between.take(query.rows, reference.rows)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from edge.camera.feed import FeedHeader, FeedWriter
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from sim.evaluation.plan import Pair, TraversePlan
@@ -66,9 +67,36 @@ def test_what_a_feed_has_not_got_is_named(write_feed: Any, tmp_path: Path) -> No
     blank = [rows[0], *(",".join([*row.split(",")[:2], *[""] * 7]) for row in rows[1:])]
     (path / "frames.csv").write_text("\n".join(blank) + "\n")
     there = load(path)
-    with pytest.raises(ConfigError, match=r"positions.*there"):
+    with pytest.raises(
+        ConfigError, match=r"pair 'p': truth = \"positions\": .*there/frames\.csv: no positions in any row"
+    ):
         true_errors(there, there, pair("positions"))
-    assert np.isnan(true_errors(there, there, pair("route_m"))).all()
-    (path / "frames.csv").write_text("\n".join(row.rpartition(",")[0] for row in rows) + "\n")
-    with pytest.raises(ConfigError, match=r"route_m.*there"):
-        true_errors(load(path), load(path), pair("route_m"))
+    with pytest.raises(ConfigError, match=r"there/frames\.csv: no column route_m in any row"):
+        true_errors(there, there, pair("route_m"))
+
+
+def test_a_feed_without_degrees_is_judged_by_its_own_metres(tmp_path: Path) -> None:
+    metres = [("0.0", "0.0"), ("3.0", "4.0"), ("", "")]
+    there = load(_write(tmp_path / "there", [{"local_x_m": x, "local_y_m": y} for x, y in metres]))
+    here = load(
+        _write(tmp_path / "here", [{"local_x_m": "", "local_y_m": ""}, {"local_x_m": "3.0", "local_y_m": "0.0"}])
+    )
+    errors = true_errors(there, here, pair("positions"))
+    assert np.isnan(errors[0]).all()  # nobody knows where this query was taken
+    np.testing.assert_allclose(errors[1], [3.0, 4.0, np.inf])
+    np.testing.assert_array_equal(place_coordinates(there, pair("positions"))[0], [[0, 0], [3, 4], [np.nan, np.nan]])
+
+
+def test_aligned_feeds_are_judged_by_the_frame_they_were_made_from(tmp_path: Path) -> None:
+    there = load(_write(tmp_path / "there", [{"source_frame": number} for number in ("0", "5", "10")]))
+    here = load(_write(tmp_path / "here", [{"source_frame": number} for number in ("4", "10")]))
+    np.testing.assert_array_equal(true_errors(there, here, pair("rows")), [[4, 1, 6], [10, 5, 0]])
+    np.testing.assert_array_equal(place_coordinates(there, pair("rows"))[1], [0, 5, 10])
+
+
+def _write(path: Path, extras: list[dict[str, str]]) -> Path:
+    picture = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    with FeedWriter(path, FeedHeader(path.name, "front", 64, 48), extra_columns=tuple(extras[0])) as writer:
+        for index, extra in enumerate(extras):
+            writer.write(picture, index * 500_000_000, extra=extra)
+    return path
