@@ -23,7 +23,7 @@ from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
 
 TEXT_NS = 5_000_000_000
-"""At most one line about the state in this time: at the edge of a map it changes with every frame."""
+"""At most one line about each state in this time: at the edge of a map it changes with every frame."""
 JOURNAL_RETRY_NS = 5_000_000_000
 SEVERITIES: dict[HealthState, int] = {"degraded": mavlink.MAV_SEVERITY_WARNING, "failed": mavlink.MAV_SEVERITY_CRITICAL}
 log = logging.getLogger(__name__)
@@ -64,7 +64,8 @@ class Condition:
         self._was_blind = False
         self._link_up_ns = clock_ns()
         self._link_was_up = False
-        self._text_told, self._text_due_ns = "", 0
+        self._text_told = ""
+        self._text_due_ns: dict[HealthState, int] = {}
         self._journal_retry_ns = 0
         self._told: Health | None = None
         self.health = STARTING
@@ -160,6 +161,6 @@ class Condition:
             notify(f"STATUS={health}")
             if self._journal is not None:
                 self._journal.write(StateChanged(health.state, health.why))
-        if str(health) != self._text_told and now_ns >= self._text_due_ns:
-            self._text_told, self._text_due_ns = str(health), now_ns + TEXT_NS
+        if str(health) != self._text_told and now_ns >= self._text_due_ns.get(health.state, 0):
+            self._text_told, self._text_due_ns[health.state] = str(health), now_ns + TEXT_NS
             self._autopilot.status_text(f"Lookback {health}", SEVERITIES.get(health.state, mavlink.MAV_SEVERITY_NOTICE))

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,21 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from edge.camera import Frame
 from edge.camera.feed import read_feed
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.camera.newest import CameraHealth
+from edge.config import DescriptorConfig, SamplingConfig, load_config
+from edge.daemon import Daemon
 from edge.descriptor.normalize import normalize
 from edge.map_command import build_map
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
+from sim import Pose
+from sim.autopilot import SimulatedAutopilot
+from sim.pty_link import open_pty
 
 FIGURES = pytest.StashKey[list[str]]()
 PERIOD_MS = 60
@@ -189,3 +198,60 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Pr
     yield start_one
     for process in running:
         process.close()
+
+
+class ScriptedFrames:
+    """A camera whose time is the test's: what it shows and how it is are set from outside."""
+
+    def __init__(self, clock_ns: Callable[[], int]) -> None:
+        self._clock_ns = clock_ns
+        self.health = CameraHealth("running", "", clock_ns())
+        self.ended = False
+        self.next: Frame | None = None
+
+    def take(self, timeout_s: float) -> Frame | None:
+        frame, self.next = self.next, None
+        return frame
+
+    def close(self) -> None:
+        self.ended = True
+
+
+class Bench:
+    """A daemon in this process, with its autopilot, on a clock that the test moves: 5 frames a second."""
+
+    def __init__(self, config: Path, parts: ExitStack, network: Any, speed_mps: float) -> None:
+        self.now_ns = 10**12
+        self.cable = open_pty()
+        parts.callback(self.cable.close)
+        self.moves = True
+        self._speed_mps = speed_mps
+        settings = load_config(config)
+        telemetry = replace(settings.telemetry, connection=f"serial:{self.cable.device}:921600")
+        self.frames = ScriptedFrames(self.clock_ns)
+        self.autopilot = SimulatedAutopilot(self.cable, self._pose, self.clock_ns, gps=False)
+        self.daemon = Daemon(
+            replace(settings, telemetry=telemetry), parts, self.clock_ns, frames=self.frames, network=network
+        )
+
+    def clock_ns(self) -> int:
+        return self.now_ns
+
+    def _pose(self, time_s: float) -> Pose:
+        driven_m = self._speed_mps * (time_s - 1000.0)
+        return Pose(0.0, driven_m, 0.0, self._speed_mps if self.moves else 0.0, driven_m)
+
+    def step(self, image: NDArray[np.uint8] | None, index: int, turns: int = 2) -> None:
+        """A fifth of a second with a picture at its beginning, or with none."""
+        for turn in range(turns):
+            self.now_ns += 200_000_000 // turns
+            if image is not None and turn == 0:
+                self.frames.next = Frame(image, self.now_ns, index)
+            self.autopilot.step()
+            self.daemon.turn()
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Callable[..., Bench]]:
+    with ExitStack() as parts:
+        yield lambda config, network=None, speed_mps=10.0: Bench(config, parts, network, speed_mps)
