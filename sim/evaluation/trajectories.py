@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
 import msgspec
@@ -18,7 +19,9 @@ import numpy as np
 
 from edge.camera.feed import FeedRow
 from edge.reference_map.route import east_north
-from sim.evaluation.bench import Outcome
+
+if TYPE_CHECKING:
+    from sim.evaluation.bench import Outcome
 
 
 @dataclass(frozen=True)
