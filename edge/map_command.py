@@ -16,9 +16,11 @@ from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.descriptor.regions import cut_regions
+from edge.errors import ConfigError
 from edge.recognizer import model_key
 from edge.reference_map.build import NAN, MapBuilder, Place
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
+from edge.shrinking import price_of_shrinking
 from edge.traverse import TraverseFrame, driven_m, traverse
 
 THUMBNAIL_WIDTH_PX = 120
@@ -34,6 +36,12 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     build.add_argument("--config", type=Path, help="take [descriptor] and [sampling] from this file")
     build.add_argument("--regions", choices=("left-right", "whole"), help="what is described (default left-right)")
     add_spacing_options(build)
+    build.add_argument(
+        "--dimensions",
+        type=int,
+        metavar="D",
+        help="shrink the descriptor of each region to D values, and say the price",
+    )
     build.add_argument("--replace", action="store_true", help="replace the map at MAP, in one step")
     build.set_defaults(run=_build)
 
@@ -78,13 +86,17 @@ def build_map(
     sampling: SamplingConfig,
     *,
     must_have_distance: bool = False,
+    dimensions: int | None = None,
     replace: bool = False,
 ) -> MapHeader:
-    """Describe every chosen frame of the feeds and write the map at `output`."""
+    """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`."""
     network = Network.load(Path(descriptor.model) if descriptor.model else None)
     is_set = descriptor.normalization == "online"
     regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
-    with MapBuilder(output, model_key(network), regions, sampling, replace=replace) as builder:
+    if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:
+        raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
+    key = model_key(network)
+    with MapBuilder(output, key, regions, sampling, dimensions=dimensions, replace=replace) as builder:
         for feed in feeds:
             _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
         return builder.finish(normalize, edge.__version__)
@@ -150,9 +162,13 @@ def _build(args: argparse.Namespace) -> int:
         descriptor,
         sampling,
         must_have_distance=args.spacing_m is not None,
+        dimensions=args.dimensions,
         replace=args.replace,
     )
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
+    price = price_of_shrinking(open_map(args.output))
+    if price is not None:
+        print(f"price of {header.dimensions} of {header.model.dimensions} dimensions: {price}")
     return 0
 
 
@@ -161,7 +177,8 @@ def _extend(args: argparse.Namespace) -> int:
     network = Network.load(args.model)
     feeds = [read_feed(path) for path in args.feeds]
     header = old.header
-    with MapBuilder(args.map, model_key(network), header.regions, header.sampling, replace=True) as builder:
+    key, kept = model_key(network), header.dimensions
+    with MapBuilder(args.map, key, header.regions, header.sampling, dimensions=kept, replace=True) as builder:
         builder.add_map(old)
         for feed in feeds:
             _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
@@ -184,6 +201,8 @@ def _info(args: argparse.Namespace) -> int:
     print(
         f"regions   {header.regions.kind}, width {header.regions.width:g}, normalization {header.regions.normalization}"
     )
+    if header.dimensions < header.model.dimensions:
+        print(f"shrunk    to {header.dimensions} of {header.model.dimensions} dimensions a region")
     print(f"sampling  {sampling[header.sampling.by]}")
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
     for segment in header.segments:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 SPARE = 16
 """More directions than asked for are followed, which makes the last of them come out right sooner."""
-ITERATIONS = 3
+ITERATIONS = 2
 SEED = 20180521
 
 
@@ -23,16 +23,20 @@ def principal_directions(
 ) -> NDArray[np.float32]:
     """(kept, dimensions) orthonormal rows of the set whose blocks (n, R, dimensions) `blocks()` goes through."""
     width = min(dimensions, kept + SPARE)
-    found = np.random.default_rng(SEED).normal(size=(dimensions, width)).astype(np.float32)
+    basis = _orthonormal(np.random.default_rng(SEED).normal(size=(dimensions, width)).astype(np.float32))
     for _ in range(ITERATIONS):
-        basis = _orthonormal(found)
-        found = np.zeros_like(basis)
+        product = np.zeros_like(basis)
         for block in blocks():
             rows = block.reshape(-1, dimensions)
-            found += rows.T @ (rows @ basis)
-    # Columns of Q R whose Q are ordered by what they carry: the singular directions of the last product.
-    left, _, _ = np.linalg.svd(found.astype(np.float64), full_matrices=False)
-    return np.ascontiguousarray(left[:, :kept].T, dtype=np.float32)
+            product += rows.T @ (rows @ basis)
+        basis = _orthonormal(product)
+    # What is left is to turn the basis so that its first directions carry the most.
+    carried = np.zeros((width, width))
+    for block in blocks():
+        rows = block.reshape(-1, dimensions) @ basis
+        carried += rows.T @ rows
+    _, turn = np.linalg.eigh(carried)
+    return np.ascontiguousarray((basis @ turn[:, ::-1][:, :kept].astype(np.float32)).T)
 
 
 def project(rows: NDArray[np.float32], projection: NDArray[np.float32]) -> NDArray[np.float32]:
