@@ -5,10 +5,6 @@ of the two, the offset, is constant while the vehicle stays on the drive, so mat
 other, averaged, and moved on between frames:
 
     along the drive = offset + metres driven (forward), offset - metres driven (reverse)
-
-A line through the last frames is best known in its middle: one that is too steep by a little ends too far by half its
-length times that. The odometer knows the slope better than the pictures do, so the line is turned about its middle to
-the odometer's slope. On simulated drives home (night, dusk, rain) the end is then right to 3.0 m where it was to 5.0.
 """
 
 from __future__ import annotations
@@ -19,20 +15,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 
 from edge.config import RigConfig, TrackingConfig
+from edge.line_ends import LineEnds
 from edge.recognizer import PlaceMatch
 from edge.reference_map.route import Position, Route
 from edge.sequence import Direction
 
-WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
-"""Deviation over the match's width, alone and once the line is turned: measured on the same drives."""
-STEEPEST = 0.2
-"""A line whose slope differs from the odometer's by more than this share is no sighting: so look the first lines on a
-stretch, which lean on the few frames that are on the map already, and were up to 20 m off."""
-PUSHED = 3.0
-"""Places from the end of a drive, within which a line that begins there may have been pushed."""
 AGREE_SIGMAS = 3.0
 TAKEN_OVER_BY = 3
 """So many matches in a row that agree with each other but not with the track begin a new one."""
@@ -97,22 +86,20 @@ class RouteTracker:
     def __init__(self, route: Route, tracking: TrackingConfig, rig: RigConfig, length: int) -> None:
         """length: frames in a sequence."""
         self._route = route
-        self._readings_m: deque[float] = deque(maxlen=length)  # the odometer at the frames of the line
+        self._ends = LineEnds(route, length)
         self._config = tracking
         self._rig = rig
         self._track: _Track | None = None
         self._rival: _Track | None = None
-        self._odometer_m = 0.0
-        self._driven_m: float | None = None
         self._matched: tuple[int, float, int] = (0, 0.0, 0)  # of the last match that agreed: when, odometer, place
-        self._spacing_m = 0.0
 
     def see(self, match: PlaceMatch | None, stamp_ns: int, driven_m: float | None) -> None:
         """Take in the answer to one used frame; driven_m is the odometer at its exposure, None where nobody tells.
 
         Without an odometer the line's own slope tells how far the vehicle has come.
         """
-        self._move(match, driven_m)
+        if not self._ends.move(match, driven_m):
+            self.forget()
         self._lose_if_due(stamp_ns)
         if match is None or not match.accepted:
             return
@@ -121,10 +108,12 @@ class RouteTracker:
             return
         if self._track is None:
             self._follow(sighting, stamp_ns, match.place)
-        elif self._track.agrees(sighting, self._config.drift_percent / 100 * (self._odometer_m - self._matched[1])):
+        elif self._track.agrees(
+            sighting, self._config.drift_percent / 100 * (self._ends.odometer_m - self._matched[1])
+        ):
             self._track.take_in(sighting)
             self._rival = None
-            self._matched = stamp_ns, self._odometer_m, match.place
+            self._matched = stamp_ns, self._ends.odometer_m, match.place
         else:
             self._dispute(sighting, stamp_ns, match.place)
 
@@ -139,81 +128,35 @@ class RouteTracker:
 
     def at(self, stamp_ns: int, driven_m: float | None) -> TrackedPosition | None:
         """The position at another moment, moved on by what has been driven since; None while that is not known."""
-        if driven_m is None or self._driven_m is None:
+        odometer_m = self._ends.odometer_at(driven_m)
+        if odometer_m is None:
             return None
         self._lose_if_due(stamp_ns)
-        odometer_m = self._odometer_m + driven_m - self._driven_m
         carried_m = odometer_m - self._matched[1]
         return self._position(stamp_ns, odometer_m, carried_m) if carried_m <= self._config.lost_after_m else None
-
-    def _move(self, match: PlaceMatch | None, driven_m: float | None) -> None:
-        if driven_m is not None and self._driven_m is not None and driven_m >= self._driven_m:
-            self._odometer_m += driven_m - self._driven_m
-        elif driven_m is None and match is not None:
-            self._odometer_m += match.slope * self._spacing_m
-        else:
-            self._track = self._rival = None  # counted anew, or known only from now on
-            self._readings_m.clear()
-        self._driven_m = driven_m
-        if not self._readings_m or self._odometer_m > self._readings_m[-1]:  # a frame while standing is in no line
-            self._readings_m.append(self._odometer_m)
 
     def _lose_if_due(self, stamp_ns: int) -> None:
         matched_ns, odometer_m, _ = self._matched
         silent = not 0 <= stamp_ns - matched_ns <= self._config.lost_after_s * 1e9
-        if silent or self._odometer_m - odometer_m > self._config.lost_after_m:
+        if silent or self._ends.odometer_m - odometer_m > self._config.lost_after_m:
             self._track = None
 
     def _sighting(self, match: PlaceMatch) -> _Track | None:
-        """A track of this one match; None where the map knows no metres."""
-        route_m, segment_of = self._route.route_m, self._route.segment_of
-        segment = int(segment_of[match.place])
-        first, end = np.searchsorted(segment_of, [segment, segment + 1])
-        if end - first < 2 or math.isnan(route_m[match.place]):
+        """A track of this one match."""
+        end = self._ends.end_of(match)
+        if end is None:
             return None
-        self._spacing_m = float(np.nanmedian(np.abs(np.diff(route_m[first:end]))))
         sign = 1 if match.direction == "forward" else -1
-        beyond_m, width_share = self._beyond_m(match, sign)
-        seen_m = float(route_m[match.place]) + beyond_m
-        if math.isnan(beyond_m) or not self._begins_within(seen_m, sign, route_m[first:end]):
-            return None
         # What is seen lies ahead of the vehicle.
-        along_m = seen_m - sign * self._rig.ahead_m(match.direction, match.order)
-        sigma_m = math.hypot(
-            self._spacing_m / math.sqrt(12), self._rig.sigma_along_m, width_share * match.width * self._spacing_m
-        )
+        along_m = end.along_m - sign * self._rig.ahead_m(match.direction, match.order)
+        sigma_m = math.hypot(end.spacing_m / math.sqrt(12), self._rig.sigma_along_m, end.width_m)
         kept = self._config.matches
-        offsets_m = deque([along_m - sign * self._odometer_m], maxlen=kept)
-        return _Track(segment, match.direction, offsets_m, deque([sigma_m], maxlen=kept), matches=1)
-
-    def _beyond_m(self, match: PlaceMatch, sign: int) -> tuple[float, float]:
-        """Metres of the drive by which the line ends beyond its place, and what its width then tells of the error.
-
-        NaN for a line that is nowhere near as steep as the odometer says.
-        """
-        steps = len(self._readings_m) - 1
-        if self._driven_m is None or steps < 1:
-            return match.beyond * self._spacing_m, WIDTH_SHARE
-        driven_m = self._readings_m[-1] - self._readings_m[0]
-        too_far_m = (match.slope * self._spacing_m * steps - driven_m) / 2
-        if abs(2 * too_far_m) > STEEPEST * driven_m:
-            return math.nan, WIDTH_SHARE_TURNED
-        return -sign * too_far_m, WIDTH_SHARE_TURNED
-
-    def _begins_within(self, seen_m: float, sign: int, segment_m: NDArray[np.float64]) -> bool:
-        """Whether the line begins well inside its drive; one at the very end may have been pushed there.
-
-        Where only the newer frames are on the map, a whole line can but begin at its end, and ends too far.
-        """
-        if self._driven_m is None:
-            return True
-        begins_m = seen_m - sign * (self._readings_m[-1] - self._readings_m[0])
-        margin_m = PUSHED * self._spacing_m
-        return bool(np.nanmin(segment_m) + margin_m <= begins_m <= np.nanmax(segment_m) - margin_m)
+        offsets_m = deque([along_m - sign * self._ends.odometer_m], maxlen=kept)
+        return _Track(end.segment, match.direction, offsets_m, deque([sigma_m], maxlen=kept), matches=1)
 
     def _follow(self, track: _Track, stamp_ns: int, place: int) -> None:
         self._track, self._rival = track, None
-        self._matched = stamp_ns, self._odometer_m, place
+        self._matched = stamp_ns, self._ends.odometer_m, place
 
     def _dispute(self, sighting: _Track, stamp_ns: int, place: int) -> None:
         """A match that disagrees with the track: an error, unless more of its kind follow."""

@@ -13,6 +13,7 @@ from edge.camera.feed import Feed
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Head, Network
 from edge.errors import FeedError, MapError
+from edge.line_ends import LineEnds
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.route import Route, east_north
 from edge.reference_map.store import ReferenceMap
@@ -31,8 +32,8 @@ class Sighting:
     """One answer of the recogniser.
 
     left_m: metres that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
-    ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the matched place; NaN where
-    the vehicle was not on that drive.
+    ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the line's end as the daemon
+    would have it; NaN where the vehicle was not on that drive. tracked: whether the daemon would follow this match.
     """
 
     direction: Direction
@@ -41,6 +42,7 @@ class Sighting:
     uniqueness: float
     accepted: bool
     left_m: float = float("nan")
+    tracked: bool = True
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -55,13 +57,19 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
     drives = MapDrives(reference_map, feed)
+    ends = LineEnds(Route(reference_map), config.sequence.length)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        ends.move(match, item.distance_m)
         if match is not None:
-            further_m = drives.further_m(item.frame.index, match.place)
+            end = ends.end_of(match)
+            beyond_m = end.along_m - float(places["route_m"][match.place]) if end else 0.0
+            further_m = drives.further_m(item.frame.index, match.place) + beyond_m
             ahead_m = further_m if match.direction == "forward" else -further_m
             left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
-            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m)
+            yield Sighting(
+                match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m, end is not None
+            )
 
 
 class MapDrives:
