@@ -8,6 +8,7 @@ from pathlib import Path
 from edge.config import DEFAULT_TOML, load_config
 from edge.descriptor.network import Head, Network
 from edge.recognizer import PlaceRecognizer
+from edge.reference_map.signature import check_signature
 from edge.reference_map.store import open_map
 from edge.telemetry.autopilot import AutopilotConnection
 
@@ -30,6 +31,8 @@ def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
     reference_map = open_map(Path(config.map.path), every_file=True)
+    if config.map.require_signature_by:
+        check_signature(reference_map, Path(config.map.require_signature_by))
     PlaceRecognizer(network, Head.load(network), reference_map, config)
     AutopilotConnection(config.telemetry)  # reads connections and keys, and opens nothing yet
     print(f"{args.config}: good; model {network.info.name}, map of {reference_map.header.places} places")

@@ -69,6 +69,7 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[map]: the reference map to recognise places of."""
 
     path: str = "/var/lib/lookback/map"
+    require_signature_by: str = ""
     places_per_frame: Annotated[int, Meta(ge=100, le=1_000_000)] = 20_000
     search_radius_m: Annotated[float, Meta(ge=10, le=100_000)] = 500.0
 
@@ -264,7 +265,11 @@ def _resolve_paths(config: Config, folder: Path) -> Config:
         config,
         camera=camera,
         descriptor=msgspec.structs.replace(config.descriptor, model=resolve(config.descriptor.model)),
-        map=msgspec.structs.replace(config.map, path=resolve(config.map.path)),
+        map=msgspec.structs.replace(
+            config.map,
+            path=resolve(config.map.path),
+            require_signature_by=resolve(config.map.require_signature_by),
+        ),
         telemetry=_resolve_telemetry(config.telemetry, resolve),
     )
 

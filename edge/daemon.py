@@ -31,6 +31,7 @@ from edge.place_fixes import place_fix, tracked_fix
 from edge.place_search import Near
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.route import Route
+from edge.reference_map.signature import check_signature
 from edge.reference_map.store import open_unverified
 from edge.sampling import Sampler
 from edge.service import notify
@@ -118,6 +119,8 @@ class Daemon:
         network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
         reference_map, self._unverified = open_unverified(Path(config.map.path))
         parts.callback(self._unverified.close)
+        if config.map.require_signature_by:
+            check_signature(reference_map, Path(config.map.require_signature_by))
         self._map_rows: list[int] = reference_map.places["row"].tolist()
         self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
         self._memory = Memory(config, self._recognizer, reference_map.header)

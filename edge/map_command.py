@@ -21,6 +21,7 @@ from edge.recognizer import model_key
 from edge.reference_map.build import NAN, MapBuilder, Place
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
 from edge.shrinking import price_of_shrinking
+from edge.signing_commands import add_actions
 from edge.traverse import TraverseFrame, driven_m, traverse
 
 THUMBNAIL_WIDTH_PX = 120
@@ -58,6 +59,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     verify = actions.add_parser("verify", help="check every byte of a map against its checksums")
     verify.add_argument("map", type=Path, metavar="MAP")
     verify.set_defaults(run=_verify)
+    add_actions(actions)
 
 
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,104 @@
+"""Who made a map: an Ed25519 signature over its header, and so over every byte, since the header has all checksums.
+
+`map.json.sig` lies in the map's folder: 128 hexadecimal digits. A key is a file of 64 hexadecimal digits; the secret
+one has mode 0600, the public one beside it is called NAME.pub and goes onto the vehicle. Building, extending or
+replacing a map makes a new folder without a signature: what was signed is what is there.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import ModuleType
+
+import msgspec
+
+from edge.errors import ConfigError, MapError
+from edge.reference_map.store import HEADER, MapHeader, ReferenceMap, encode_header, open_map
+
+SIGNATURE = f"{HEADER}.sig"
+KEY_BYTES, SIGNATURE_BYTES = 32, 64
+
+
+def make_key(path: Path) -> Path:
+    """Write a new secret key at `path` and the public one beside it, whose path is returned. ConfigError."""
+    key = _ed25519().Ed25519PrivateKey.generate()
+    public = path.with_name(f"{path.name}.pub")
+    try:
+        for file, mode, value in ((path, 0o600, key.private_bytes_raw()), (public, 0o644, _raw(key))):
+            descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+            with os.fdopen(descriptor, "w", encoding="ascii") as stream:
+                stream.write(f"{value.hex()}\n")
+    except FileExistsError as error:
+        raise ConfigError(f"{error.filename}: there is a key here already; name another file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write a key here: {error.strerror}") from None
+    return public
+
+
+def sign_map(path: Path, key_file: Path) -> None:
+    """Check every byte of a map and sign it; ConfigError for the key, MapError for the map."""
+    key = _ed25519().Ed25519PrivateKey.from_private_bytes(_read_key(key_file, secret=True))
+    header = open_map(path, every_file=True).header
+    new = path / f"{SIGNATURE}.new"
+    try:
+        with new.open("w", encoding="ascii") as stream:
+            stream.write(f"{key.sign(_signed_bytes(header)).hex()}\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        new.replace(path / SIGNATURE)
+    except OSError as error:
+        raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
+
+
+def check_signature(reference_map: ReferenceMap, key_file: Path) -> None:
+    """MapError unless an open map is signed by the owner of the public key; ConfigError for the key."""
+    from cryptography.exceptions import InvalidSignature
+
+    where = "[map] require_signature_by"
+    key = _ed25519().Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
+    file = reference_map.path / SIGNATURE
+    try:
+        signature = file.read_bytes()[: 4 * SIGNATURE_BYTES].decode("ascii")
+        key.verify(bytes.fromhex(signature), _signed_bytes(reference_map.header))
+    except FileNotFoundError:
+        raise MapError(f"{reference_map.path}: not signed, and {where} asks for it; use `lookback map sign`") from None
+    except OSError as error:
+        raise MapError(f"{file}: cannot read it: {error.strerror}") from None
+    except (InvalidSignature, ValueError):
+        raise MapError(f"{reference_map.path}: its signature is not that of {key_file}, which {where} names") from None
+
+
+def _signed_bytes(header: MapHeader) -> bytes:
+    """The bytes of `map.json`, which opening has held against the header: no second look at the file."""
+    return encode_header(msgspec.structs.replace(header, header_sha256=""))
+
+
+def _read_key(file: Path, *, secret: bool) -> bytes:
+    try:
+        text, mode = file.read_bytes()[: 4 * KEY_BYTES], file.stat().st_mode
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot read this key: {error.strerror}") from None
+    if secret and mode & 0o077:
+        raise ConfigError(f"{file}: others may read this key; chmod 600 {file}")
+    try:
+        key = bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        key = b""
+    if len(key) != KEY_BYTES:
+        raise ConfigError(f"{file}: not a key of {2 * KEY_BYTES} hexadecimal digits; make one with `map keygen`")
+    return key
+
+
+def _ed25519() -> ModuleType:
+    """Loaded only where a map is signed, or must be."""
+    try:
+        from cryptography.hazmat.primitives.asymmetric import ed25519
+    except ImportError:
+        raise ConfigError("signed maps need the package cryptography: pip install 'lookback[signing]'") from None
+    return ed25519
+
+
+def _raw(key: object) -> bytes:
+    public: bytes = key.public_key().public_bytes_raw()  # type: ignore[attr-defined]
+    return public
