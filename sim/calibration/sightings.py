@@ -33,7 +33,7 @@ class Sighting:
 
     left_m: metres that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
     ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the line's end as the daemon
-    would have it; NaN where the vehicle was not on that drive. tracked: whether the daemon would follow this match.
+    would have it; NaN where the vehicle was not on that drive.
     """
 
     direction: Direction
@@ -42,7 +42,6 @@ class Sighting:
     uniqueness: float
     accepted: bool
     left_m: float = float("nan")
-    tracked: bool = True
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -67,9 +66,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             further_m = drives.further_m(item.frame.index, match.place) + beyond_m
             ahead_m = further_m if match.direction == "forward" else -further_m
             left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
-            yield Sighting(
-                match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m, end is not None
-            )
+            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m)
 
 
 class MapDrives:
