@@ -201,6 +201,6 @@ def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: 
     signer = None
     where = "[[telemetry.links]] connection" if number else "[telemetry] connection"
     if link.signing_key:
-        signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number)
+        signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number, clock_ns=clock_ns)
     codec = MavlinkCodec(FIRST_SYSTEM_ID, config.component_id, signer)
     return Port(parse_connection(link.connection, where), codec, clock_ns)

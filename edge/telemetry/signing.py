@@ -19,6 +19,8 @@ from edge.errors import ConfigError
 
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
 TICKS_PER_S = 100_000
+AHEAD_TICKS = 60 * TICKS_PER_S
+AHEAD_FOR_TICKS = 3 * TICKS_PER_S
 KEPT_AHEAD = 20 * TICKS_PER_S
 """How far ahead of use the file is written, and so how seldom: autopilots take frames dated up to a minute ahead."""
 KEY_BYTES = 32
@@ -28,28 +30,56 @@ log = logging.getLogger(__name__)
 
 
 class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's codec, but a frame with a wrong signature leaves no trace.
+    """pymavlink's codec, but a frame that is refused leaves no trace, and one from the future is refused.
 
-    pymavlink notes a frame's timestamp before it checks the signature, so that one forged frame dated far ahead would
-    lock the real sender out.
+    pymavlink notes a frame's timestamp before it checks the signature, and believes any timestamp with a good one, so
+    that one frame dated far ahead would lock the real sender out, for ever. But it may be our clock that is wrong: who
+    goes on sending in a time of his own for a while is believed.
     """
+
+    clock_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
+    wall_clock: Callable[[], int] | None = None
+    """Now, as a timestamp; with it, frames from the future are refused."""
+    _ahead: tuple[int, int] | None = None  # the first timestamp of those that were too far ahead, and when it came
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
         """Whether the frame is signed with our key and newer than the last of its stream."""
-        before = dict(self.signing.stream_timestamps)
+        streams, newest = dict(self.signing.stream_timestamps), self.signing.timestamp
         good = bool(super().check_signature(msgbuf, srcSystem, srcComponent))
+        # 48 bits, before the 6 bytes of the signature.
+        if good and self._is_from_the_future(int.from_bytes(msgbuf[-12:-6], "little"), newest):
+            good = False
         if not good:
-            self.signing.stream_timestamps = before
+            self.signing.stream_timestamps, self.signing.timestamp = streams, newest
         return good
+
+    def _is_from_the_future(self, timestamp: int, newest: int) -> bool:
+        """Whether a timestamp is over a minute ahead, and not of a sender that has been so for a while."""
+        if self.wall_clock is None or timestamp <= max(newest, self.wall_clock()) + AHEAD_TICKS:
+            self._ahead = None
+            return False
+        now_ns = self.clock_ns()
+        first, first_ns = self._ahead or (timestamp, now_ns)
+        elapsed = (now_ns - first_ns) * TICKS_PER_S // 10**9
+        if abs(timestamp - first - elapsed) > TICKS_PER_S:
+            first, first_ns, elapsed = timestamp, now_ns, 0
+        self._ahead = first, first_ns
+        return elapsed < AHEAD_FOR_TICKS
 
 
 class Signer:
     """Signs what one codec sends; what arrives unsigned, altered, replayed or old is dropped by the codec."""
 
     def __init__(
-        self, key: bytes, timestamp_file: Path, link_id: int, unix_time_s: Callable[[], float] = time.time
+        self,
+        key: bytes,
+        timestamp_file: Path,
+        link_id: int,
+        unix_time_s: Callable[[], float] = time.time,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`link_id` tells the links of one system apart, 0 to 255."""
+        self._clock_ns = clock_ns
         self._key = key
         self._file = timestamp_file
         self._link_id = link_id
@@ -59,6 +89,7 @@ class Signer:
 
     def attach(self, codec: mavlink.MAVLink) -> None:
         """Have the codec sign, and refuse what is not signed."""
+        codec.wall_clock, codec.clock_ns = self._now, self._clock_ns
         signing = codec.signing
         signing.secret_key, signing.sign_outgoing, signing.link_id = self._key, True, self._link_id
         signing.timestamp = max(self._now(), self._first)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,8 @@ def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes,
     (tmp_path / "key").write_bytes(KEY)
     (tmp_path / "key").chmod(0o600)
     config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
-    rig = open_rig(emit="external_position", gps=False, config=config, codec=codec(tmp_path, "theirs", key))
+    theirs = codec(tmp_path, "theirs", key, now_s=time.time())
+    rig = open_rig(emit="external_position", gps=False, config=config, codec=theirs)
     assert rig.run(0.8) is False
     rig.run(6.0)
     assert (rig.connection.state == "up") is up
@@ -136,7 +138,32 @@ def test_the_peer_is_heard_before_anything_is_signed(tmp_path: Path, open_rig: C
     (tmp_path / "key").write_bytes(KEY)
     (tmp_path / "key").chmod(0o600)
     config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
-    rig = open_rig(config=config, codec=codec(tmp_path, "theirs", now_s=4_000_000_000.0))
-    heard = rig.run(4.0, lambda: bool(rig.received("HEARTBEAT")))
+    rigs: list[Any] = []
+    ahead = Signer(KEY, tmp_path / "theirs", 0, lambda: 4_000_000_000.0 + (rigs[0].now_ns / 1e9 if rigs else 0.0))
+    rigs.append(rig := open_rig(config=config, codec=MavlinkCodec(1, 1, ahead)))
+    heard = rig.run(8.0, lambda: bool(rig.received("HEARTBEAT")))
     assert heard
     assert stamp_of(rig.connection._port.codec.encode(BEAT)) > (4_000_000_000 - EPOCH_S) * TICKS_PER_S
+
+
+def test_a_frame_from_the_future_with_our_key_is_refused_and_leaves_no_trace(tmp_path: Path) -> None:
+    ours, theirs = codec(tmp_path, "ours"), codec(tmp_path, "theirs")
+    from_the_future = codec(tmp_path, "future", now_s=NOW_S + 86400).encode(BEAT)
+    assert ours.decode(theirs.encode(BEAT))
+    assert not ours.decode(from_the_future)
+    assert ours.decode(theirs.encode(BEAT)), "a good one still is"
+    assert stamp_of(ours.encode(BEAT)) < (NOW_S + 60 - EPOCH_S) * TICKS_PER_S
+
+
+def test_a_computer_without_a_clock_believes_a_peer_that_goes_on_in_its_own_time(tmp_path: Path) -> None:
+    now_ns = 0
+    ours = codec(tmp_path, "ours", now_s=EPOCH_S + 1e6)
+    ours._mavlink.clock_ns = lambda: now_ns
+    heard = []
+    for second in range(8):
+        now_ns = second * 1_000_000_000
+        frame = codec(tmp_path, f"theirs{second}", now_s=NOW_S + second).encode(BEAT)
+        heard.append(bool(ours.decode(frame)))
+    assert heard == [False] * 3 + [True] * 5
+    old = codec(tmp_path, "old", now_s=EPOCH_S + 1e6).encode(BEAT)
+    assert not ours.decode(old)
