@@ -169,6 +169,13 @@ class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
     hosts: tuple[str, ...] = ()
 
 
+class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[recording]: the frames that `lookback run` uses, kept as a feed for each run."""
+
+    folder: str = ""
+    min_free_mb: NotNegative = 500.0
+
+
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
     """The whole configuration."""
 
@@ -183,6 +190,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     gates: GatesConfig = GatesConfig()
     telemetry: TelemetryConfig = TelemetryConfig()
     page: PageConfig = PageConfig()
+    recording: RecordingConfig = RecordingConfig()
 
 
 def load_config(path: Path) -> Config:
@@ -271,6 +279,7 @@ def _resolve_paths(config: Config, folder: Path) -> Config:
             require_signature_by=resolve(config.map.require_signature_by),
         ),
         telemetry=_resolve_telemetry(config.telemetry, resolve),
+        recording=msgspec.structs.replace(config.recording, folder=resolve(config.recording.folder)),
     )
 
 

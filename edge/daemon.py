@@ -30,6 +30,7 @@ from edge.observation import observation
 from edge.place_fixes import place_fix, tracked_fix
 from edge.place_search import Near
 from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.recording import RunRecording
 from edge.reference_map.route import Route
 from edge.reference_map.signature import check_signature
 from edge.reference_map.store import open_unverified
@@ -150,6 +151,9 @@ class Daemon:
         self._page = open_page(config.page, reference_map)
         if self._page is not None:
             parts.enter_context(closing(self._page))
+        self._recording: RunRecording | None = None
+        if config.recording.folder:
+            self._recording = parts.enter_context(closing(RunRecording(config.recording, config.camera)))
         self._frames_used = 0
         self._events = 0
         self._is_ready = False
@@ -206,6 +210,8 @@ class Daemon:
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near())
         self._tracker.see(match, frame.stamp_ns, distance_m)
         self._watch.note(frame, match)
+        if self._recording is not None:
+            self._recording.keep(frame, self._autopilot.vehicle.position(began_ns), distance_m)
         if self._journal and self._config.telemetry.journal_frames:
             seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})

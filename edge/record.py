@@ -25,6 +25,7 @@ from edge.camera.feed import FeedHeader, FeedWriter
 from edge.camera.newest import NewestFrame
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
+from edge.recording import feed_header, write_frame
 from edge.sampling import Sampler
 from edge.telemetry.autopilot import AutopilotConnection
 
@@ -103,29 +104,15 @@ class Recorder:
             self._writer = self._parts.enter_context(FeedWriter(self._path, self._header(frame)))
         position = self._autopilot.vehicle.position(self._clock_ns())
         try:
-            if position is None:
-                self._writer.write(frame.image, frame.stamp_ns, distance_m=distance_m)
-            else:
-                self._writer.write(
-                    frame.image,
-                    frame.stamp_ns,
-                    lat_deg=position.lat_deg,
-                    lon_deg=position.lon_deg,
-                    alt_m=position.alt_m,
-                    heading_deg=position.heading_deg,
-                    speed_mps=position.speed_mps,
-                    distance_m=distance_m,
-                )
+            write_frame(self._writer, frame, position, distance_m)
         except OSError as error:
             raise FeedError(f"{self._path}: stopped after {self.frames} frames: {error.strerror}") from None
         self.frames += 1
         self.with_position += position is not None
 
     def _header(self, frame: Frame) -> FeedHeader:
-        camera = self._config.camera
-        height, width = frame.image.shape[:2]
         notes = "; ".join(self._camera.health.differences)
-        return FeedHeader(self._path.name, camera.view, width, height, f"{camera.kind} {camera.device}", notes)
+        return feed_header(self._path.name, self._config.camera, frame, notes)
 
     def _tell_camera(self) -> None:
         health = self._camera.health
