@@ -151,6 +151,21 @@ def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look:
     assert abs(last.place - 5099) <= 1
 
 
+@pytest.mark.parametrize("broken", [0.0, math.nan, math.inf])
+def test_a_frame_that_says_nothing_is_as_good_as_none(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], broken: float
+) -> None:
+    def look_or_fail(place: int) -> np.ndarray:
+        return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else look(place)
+
+    whole = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES))
+    matches = Drive(long_map, look_or_fail, whole).go(range(1000, 1060))
+    assert all(
+        match is not None and match.accepted and abs(match.place - place) <= 1
+        for match, place in zip(matches[LENGTH:], range(1000 + LENGTH, 1060), strict=True)
+    )
+
+
 def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
     drive = Drive(long_map, look)
     drive.go(range(2500, 2600))

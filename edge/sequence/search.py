@@ -6,9 +6,9 @@ frames but two, and with d = r(T) - r(T-1), D = r(T) - r(T-L):
 
     S(T, i) = S(T-1, i - d) + cost(T, i) - cost(T-L, i - D)
 
-Costs are integers, so the running sums equal the direct ones to the bit, also after they have wrapped around. Places
-before the first count as cost 0 in the sums; lines that would need them, or would cross from one map segment into the
-next, are left out in the end. The way back along the map is the same search in mirrored rows.
+Costs are integers, so the running sums equal the direct ones to the bit for ever. Places before the first count as
+cost 0 in the sums; lines that would need them, or would cross from one map segment into the next, are left out in the
+end. The way back along the map is the same search in mirrored rows.
 """
 
 from __future__ import annotations

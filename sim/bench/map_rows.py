@@ -67,7 +67,11 @@ def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Sec
 
 
 def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
-    opening = race({"open": lambda: open_unverified(path)}, max(2, rounds // 3), wall_ns)["open"]
+    def open_it() -> PlaceSearch:
+        reference_map = open_unverified(path)[0]
+        return PlaceSearch(reference_map, Route(reference_map), Config())
+
+    opening = race({"open": open_it}, max(2, rounds // 3), wall_ns)["open"]
     start = wall_ns()
     open_unverified(path)[1].finish()
     verifying = Times(((wall_ns() - start) / 1e6,))
@@ -75,7 +79,7 @@ def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> lis
         value = f"{opening.median_ms / 1e3:.2f} s, then {verifying.median_ms / 1e3:.1f} s between frames"
         targets.append(Target("opening a map of 100,000 places", "0.5 s or less", value, opening.median_ms <= 500))
     return [
-        Row(f"{places:,} places: opening", opening, note="wall-clock time, files in the page cache"),
+        Row(f"{places:,} places: opening, with its search", opening, note="wall-clock time, files in the page cache"),
         Row(f"{places:,} places: checksum of the descriptors, between frames", verifying, note="wall-clock time"),
     ]
 

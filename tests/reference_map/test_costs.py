@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
+import numkong
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -97,6 +99,42 @@ def test_costs_are_exact_to_the_bit(
     np.testing.assert_array_equal(matcher.costs_of_encoded(query), expected)
     for row in range(rows):  # one row alone goes through another kernel than several
         np.testing.assert_array_equal(matcher.costs_of_encoded(query[:, row : row + 1])[0], expected[row])
+
+
+@pytest.fixture
+def kernels() -> Iterator[list[str]]:
+    """The families of kernels that this processor has; on again in the end, whichever were turned off."""
+    found = [name for name, on in numkong.get_capabilities().items() if on and name != "serial"]
+    yield found
+    for name in found:
+        numkong.enable_capability(name)
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+def test_every_kernel_gives_the_same_bits(kernels: list[str], rows: int) -> None:
+    """From the newest down to plain C, as an older processor would run them."""
+    rng = np.random.default_rng(rows)
+    reference = rng.integers(-127, 128, (2, 300, 4096), dtype=np.int8)
+    query = rng.integers(-127, 128, (2, rows, 4096), dtype=np.int8)
+    matcher = CostMatcher(reference, squared_norms(reference))
+    expected = matcher.costs_of_encoded(query)
+    for name in kernels:
+        numkong.disable_capability(name)
+        np.testing.assert_array_equal(matcher.costs_of_encoded(query), expected, err_msg=f"without {name}")
+    np.testing.assert_array_equal(
+        expected[:, 0], slow_costs_by_integers(query, reference, (1, 1)), err_msg="same order"
+    )
+    np.testing.assert_array_equal(expected[:, 1], slow_costs_by_integers(query, reference, (1, -1)), err_msg="swapped")
+
+
+def slow_costs_by_integers(
+    query: NDArray[np.int8], reference: NDArray[np.int8], signs: tuple[int, int]
+) -> NDArray[np.int32]:
+    """One order of encoded rows by NumPy's own 64-bit integers: (n, N)."""
+    wide_query, wide = query.astype(np.int64), reference.astype(np.int64)
+    scale = (1 / np.sqrt((wide_query**2).sum(axis=(0, 2))))[:, None] * (COST_ONE / np.sqrt((wide**2).sum(axis=(0, 2))))
+    shares = [(wide_query[plane] @ wide[plane].T) * scale * signs[plane] for plane in range(2)]
+    return np.floor((COST_ONE + 0.5 - shares[0]) - shares[1]).astype(np.int32)
 
 
 @settings(max_examples=20, deadline=None)

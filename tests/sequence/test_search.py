@@ -91,10 +91,10 @@ def test_running_sums_are_the_direct_sums(
         assert again[0, place] == costs[place]
 
 
-def test_still_exact_after_a_billion_frames() -> None:
+@pytest.mark.parametrize("start", [10**9, 2**31 - 20, 2**32 - 20, 2**40])
+def test_still_exact_after_years_and_where_counters_of_32_bits_would_wrap(start: int) -> None:
     rng = np.random.default_rng(1)
     slopes = slopes_around_diagonal(0.2, 5)
-    start = 10**9  # years of driving
     search = SequenceSearch([(0, 40)], ONE_REGION, 6, slopes, frame=start - 1)
     rows = [rng.integers(0, 2**15, (1, 40), dtype=np.int32) for _ in range(50)]
     for row in rows:
@@ -102,6 +102,30 @@ def test_still_exact_after_a_billion_frames() -> None:
     np.testing.assert_array_equal(
         searched_lines(search)[0], direct_lines(rows[-6:], start + 44, [(0, 40)], slopes, ONE_REGION).min(axis=0)
     )
+
+
+@pytest.mark.parametrize("slope_limit_rad", [0.2, 0.6])
+def test_exact_for_thousands_of_frames_through_gaps_and_ends(slope_limit_rad: float) -> None:
+    """So many that the sums have come to the end of their memory and begun again several times."""
+    rng = np.random.default_rng(5)
+    segments, length = [(0, 17), (17, 20), (20, 60)], 7
+    slopes = slopes_around_diagonal(slope_limit_rad, 5)
+    search = SequenceSearch(segments, ALL_PLANES, length, slopes)
+    rows: list[NDArray[np.int32]] = []
+    for frame in range(4001):
+        rows = [*rows, rng.integers(0, 2**15 + 1, (2, 60), dtype=np.int32)][-length:]
+        search.push(rows[-1])
+        if frame % 800 == 799 or frame in (1000, 1001, 1002):
+            direct = direct_lines(rows, frame - length + 2, segments, slopes, ALL_PLANES)
+            np.testing.assert_array_equal(searched_lines(search)[0], direct.min(axis=0))
+
+
+def test_the_largest_costs_of_the_longest_sequence_fit() -> None:
+    search = SequenceSearch([(0, 1000)], ONE_REGION, 500, (1.0,))
+    for _ in range(600):
+        search.push(np.full((1, 1000), 1 << 15, dtype=np.int32))
+    costs, _ = searched_lines(search)
+    assert set(costs.tolist()) == {500 << 15}
 
 
 def test_after_clear_a_line_needs_all_its_frames_again() -> None:

@@ -80,7 +80,7 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
         map_rows.measure(tmp_path, [300], 2, KEY),
     ]
     text = page(MACHINE, sections, "Made by a test.")
-    for what in ("L = 80", "whole frame", "300 places: opening"):
+    for what in ("L = 80", "whole frame", "300 places: opening, with its search"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
 
