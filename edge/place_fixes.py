@@ -7,6 +7,9 @@ from edge.recognizer import PlaceMatch
 from edge.telemetry import PlaceFix
 from edge.tracking import TrackedPosition
 
+UNTRACKED_SIGMA_M = 10.0
+"""Of a match that the tracker does not follow: the first lines on a stretch were up to 20 m off."""
+
 
 def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig) -> PlaceFix:
     """A match as it is, where nothing has been tracked."""
@@ -16,7 +19,7 @@ def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig) -> PlaceFix:
         lat_deg=match.lat_deg,
         lon_deg=match.lon_deg,
         heading_deg=match.heading_deg,
-        sigma_along_m=rig.sigma_along_m,
+        sigma_along_m=max(rig.sigma_along_m, UNTRACKED_SIGMA_M),
         sigma_across_m=rig.sigma_across_m,
         direction=match.direction,
         order=match.order,
