@@ -30,7 +30,15 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S, TEN_YEARS_S, -TEN_YEARS_S])
+@pytest.mark.parametrize(
+    "step_s",
+    [
+        HOUR_S,
+        -TEN_YEARS_S,
+        pytest.param(-HOUR_S, marks=pytest.mark.soak),
+        pytest.param(TEN_YEARS_S, marks=pytest.mark.soak),
+    ],
+)
 def test_the_wall_clock_is_stepped(
     step_s: int,
     shim: Path,

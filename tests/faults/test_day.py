@@ -19,7 +19,7 @@ from edge.telemetry.journal import read_journal
 DAY = 24 * 3600 * 5
 SLOPE_BYTES = 1_000_000 / 100_000
 """Per frame."""
-WARM_UP = 1000
+WARM_UP = 500
 SAMPLES = 50
 
 
@@ -38,7 +38,7 @@ class RememberedNetwork:
         return self._known[key]
 
 
-@pytest.mark.parametrize("frames", [2500, pytest.param(DAY, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("frames", [1500, pytest.param(DAY, marks=pytest.mark.soak)])
 def test_a_day(
     frames: int,
     street: Path,

@@ -74,9 +74,9 @@ def test_attacks_on_a_signed_link(rounds: int, tmp_path: Path, seed: int, figure
         if name == "replayed" and old:
             cable.send(rng.choice(old))
         elif name == "altered" and old:
-            frame = bytearray(frames[0] if frames else old[-1])
-            frame[rng.randrange(10, len(frame))] ^= 1 << rng.randrange(8)
-            cable.send(bytes(frame))
+            altered = bytearray(frames[0] if frames else old[-1])
+            altered[rng.randrange(10, len(altered))] ^= 1 << rng.randrange(8)
+            cable.send(bytes(altered))
         elif name in attackers:
             for frame in attackers[name].frames(now_ns)[:1]:
                 cable.send(frame)
