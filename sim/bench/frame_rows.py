@@ -61,6 +61,8 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
     floors = {
         "network": machine.floor_ms(FC6_BYTES, 2 * MACS),
         "matching": machine.floor_ms(places * 2 * network.info.dimensions),
+        # Every running sum read and written once: 2 planes, int32.
+        "search": machine.floor_ms(2 * config.sequence.slopes * 2 * places * 4),
     }
     rows = []
     for stage in measured[-1]:
