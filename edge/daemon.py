@@ -11,6 +11,7 @@ import logging
 import signal
 import threading
 import time
+from array import array
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -31,7 +32,6 @@ from edge.place_fixes import place_fix, tracked_fix
 from edge.place_search import Near
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.recording import RunRecording
-from edge.reference_map.route import Route
 from edge.reference_map.signature import check_signature
 from edge.reference_map.store import open_unverified
 from edge.sampling import Sampler
@@ -122,11 +122,11 @@ class Daemon:
         parts.callback(self._unverified.close)
         if config.map.require_signature_by:
             check_signature(reference_map, Path(config.map.require_signature_by))
-        self._map_rows: list[int] = reference_map.places["row"].tolist()
+        self._map_rows = array("i", reference_map.places["row"].tobytes())
         self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
         self._memory = Memory(config, self._recognizer, reference_map.header)
         self._sampler = Sampler(config.sampling)
-        self._tracker = RouteTracker(Route(reference_map), config.tracking, config.rig, config.sequence.length)
+        self._tracker = RouteTracker(self._recognizer.route, config.tracking, config.rig, config.sequence.length)
         self._newest: PlaceMatch | None = None
         self._own_camera: NewestFrame | None = None
         if frames is None:

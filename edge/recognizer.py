@@ -73,8 +73,8 @@ class PlaceRecognizer:
         self._head = head
         self._config = config
         self._stopwatch = stopwatch
-        self._route = Route(reference_map)
-        self.places = PlaceSearch(reference_map, self._route, config, stopwatch)
+        self.route = Route(reference_map)
+        self.places = PlaceSearch(reference_map, self.route, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
             config.sequence.length,
@@ -147,7 +147,7 @@ class PlaceRecognizer:
         forward = match.direction == "forward"
         ahead_m = self._config.rig.ahead_m(match.direction, match.order)
         # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
-        position = self._route.position(match.place, -ahead_m if forward else ahead_m)
+        position = self.route.position(match.place, -ahead_m if forward else ahead_m)
         event = match.accepted and self._hold_off.passes(stamp_ns)
         return PlaceMatch(
             place=match.place,
