@@ -126,6 +126,8 @@ def load_key(name: str) -> bytes:
         folder = os.environ.get("CREDENTIALS_DIRECTORY")
         if not folder:
             raise ConfigError(f"{where}: systemd has given no credentials; use LoadCredential= in the unit, or a file")
+        if "/" in name:
+            raise ConfigError(f"{where}: the name of a credential has no / in it")
         path = Path(folder) / name.removeprefix(CREDENTIAL)
     try:
         data, mode = path.read_bytes(), path.stat().st_mode

@@ -62,6 +62,8 @@ def test_a_credential_of_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "mavlink").chmod(0o440)  # as systemd has it
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
     assert load_key("credential:mavlink") == KEY
+    with pytest.raises(ConfigError, match="no / in it"):
+        load_key("credential:../mavlink")
 
 
 def test_signed_frames_are_understood_and_others_are_not(tmp_path: Path) -> None:

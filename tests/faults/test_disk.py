@@ -1,0 +1,75 @@
+"""A disk that takes no more: the daemon goes on, says so, and writes again as soon as there is room."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.camera.feed import FeedWriter, read_feed
+from edge.camera.recorded import RecordedCamera
+from edge.telemetry.journal import read_journal
+
+WORDS = "journal: File too large"
+
+
+@pytest.fixture
+def long_feed(street: Path, tmp_path: Path) -> Path:
+    """The street's pictures three times over, so that there is time."""
+    feed = read_feed(street / "feed")
+    camera = RecordedCamera(feed)
+    frames = [camera.read() for _ in feed.rows]
+    path = tmp_path / "long"
+    with FeedWriter(path, feed.header) as writer:
+        for number in range(3 * len(frames)):
+            frame = frames[number % len(frames)]
+            assert frame is not None
+            writer.write(frame.image, number * 60_000_000)
+    return path
+
+
+def test_a_full_disk(
+    long_feed: Path,
+    write_config: Callable[..., Path],
+    start: Callable[..., Any],
+    tmp_path: Path,
+    figures: Callable[[str], None],
+) -> None:
+    """The largest file allowed stands in for the disk: the same call fails, and room can be given back."""
+    journal = tmp_path / "events.jsonl"
+    process = start(write_config(camera={"device": str(long_feed)}, telemetry={"journal_frames": True}))
+    process.wait_for_word("STATUS=on the map")
+    _, hard = resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE, (journal.stat().st_size, hard))
+    assert WORDS in process.wait_for_word("STATUS=degraded")
+    for _ in range(20):
+        process.wait_for_word("WATCHDOG=1", 2.0)
+    resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+    process.wait_for_word("STATUS=on the map")
+    assert process.popen.wait(60) == 0, process.told()
+    assert process.told().count("cannot write the journal") == 1
+    assert "writing again" in process.told()
+    records = list(read_journal(journal))
+    lines = journal.read_bytes().splitlines()
+    torn = len(lines) - len(records)
+    assert torn <= 1, "only the line that was being written"
+    assert records[-1]["event"] == "stopped"
+    numbers = [record["frame"] for record in records if record["event"] == "frame"]
+    lost = 3 * 80 - len(numbers)
+    figures(f"{lost} frame lines lost while the disk was full, {torn} torn")
+    assert 0 < lost < 200
+
+
+def test_no_room_from_the_start(write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path) -> None:
+    prlimit = shutil.which("prlimit")
+    if prlimit is None:
+        pytest.skip("needs prlimit")
+    process = start(write_config(), wrapper=[prlimit, "--fsize=0"])
+    process.wait_for_word("STATUS=degraded: journal: File too large; on the map")
+    assert process.popen.wait(60) == 0
+    assert (tmp_path / "events.jsonl").stat().st_size == 0
+    assert not (tmp_path / "events.state").exists()
