@@ -84,7 +84,8 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
             *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
             f"--user-data-dir={profile}",
             f"--window-size={width},{height}",
-            "--timeout=5000",  # the page never stops loading, since it never stops asking
+            # So much of its own time for the page to ask and draw; answers that are on their way stop that clock.
+            "--virtual-time-budget=4000",
             f"--screenshot={path}",
             url,
         ]
