@@ -1,0 +1,11 @@
+"""The shipped network made again, or one like it from other pictures: `lookback train`. PyTorch is an extra, `torch`.
+
+images    a folder of pictures for each class, read into one array
+views     random views of a picture: crop, mirror, light
+alexnet   the network with batch norm; batch norm folded away, and saved for `lookback model import`
+training  loss, schedule, averaged weights, checkpoints
+measure   what a trained network is worth on held-out pictures, and the ranges of its layers for int8
+command   the options
+
+The network is told categories apart, and two views of one picture from other pictures by fc6 as NSD sees it.
+"""
