@@ -1,6 +1,7 @@
 """Everything that the docs tell people to type is typed here, in an empty folder for each page, from top to bottom.
 
-A ```toml block that begins with `# NAME.toml` is that file; each ```sh block is run by bash and must succeed.
+A ```toml block that begins with `# NAME.toml` is that file, any other must be a good config; each ```sh block is run by
+bash and must succeed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+
+from edge.config import parse_config
 
 pytest.importorskip("panda3d")
 pytest.importorskip("gpxpy")
@@ -31,9 +34,10 @@ def script_of(page: Path, folder: Path) -> str:
     for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")):
         assert kind in ("sh", "toml"), f"{page.name}: a block of {kind or 'nothing'} is not run by anything"
         if kind == "toml":
-            name = re.match(r"# ([\w.]+\.toml)\n", text)
-            assert name, f"{page.name}: a toml block must begin with the name of its file"
-            (folder / name[1]).write_text(text, encoding="utf-8")
+            if name := re.match(r"# ([\w.]+\.toml)\n", text):
+                (folder / name[1]).write_text(text, encoding="utf-8")
+            else:
+                parse_config(text, page)
         else:
             commands.append(text)
     # What was started in the background would keep the test waiting.
@@ -77,12 +81,15 @@ def test_every_state_is_explained() -> None:
 
 
 def test_every_key_that_the_docs_name_exists() -> None:
-    """Words in code type that end like a key, such as `spacing_m`, are keys of the config or of a scenario."""
+    """Words in code type that look like a key, such as `spacing_m`, are one, or else a word of the program's."""
     from edge.config import DEFAULT_TOML
     from sim import scenario
 
     known = set(re.findall(r"^(\w+) = ", DEFAULT_TOML.read_text(encoding="utf-8"), re.MULTILINE))
-    known |= set(scenario.Scenario.__struct_fields__) | {"system_status"}
+    known |= set(scenario.Scenario.__struct_fields__)
+    # What journal and messages call things.
+    for source in (ROOT / "edge").rglob("*.py"):
+        known |= set(re.findall(r"\b([a-z]+(?:_[a-z]+)+)\b", source.read_text(encoding="utf-8")))
     for page in PAGES:
         for word in re.findall(r"`(?:\[\w+\] )?([a-z]+(?:_[a-z]+)+)`", page.read_text(encoding="utf-8")):
             assert word in known, f"{page.name}: {word}"
