@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Callable
 
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import Connection, Link
+from edge.telemetry.lookup import LookUp, Lookup, is_address, look_up
 
 RETRY_FIRST_NS = 500_000_000
 RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}
-"""Looking for a device costs nothing; looking up the name of a host can block for seconds."""
+"""Looking for a device costs nothing; asking for the name of a host is a packet on the network."""
 SIGNED_SILENCE_NS = 3_000_000_000
 """With signing, listen first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
 
@@ -21,7 +23,11 @@ log = logging.getLogger(__name__)
 class Port:
     """Messages in and out over a link that may come and go; LinkLost never leaves this class."""
 
-    def __init__(self, connection: Connection, codec: MavlinkCodec, clock_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, connection: Connection, codec: MavlinkCodec, clock_ns: Callable[[], int], look_up: LookUp = look_up
+    ) -> None:
+        self._look_up = look_up
+        self._lookup: Lookup | None = None
         self.connection = connection
         self.codec = codec
         self.why_closed = ""
@@ -42,10 +48,22 @@ class Port:
         if self._link is None and now_ns >= self._next_try_ns:
             log.debug("opening %s", self.connection)
             try:
-                self._link, self._opened_ns = self.connection.open(), now_ns
+                self._link, self._opened_ns = self._open(), now_ns
             except LinkLost as error:
                 self._lose(str(error))
         return self._link is not None
+
+    def _open(self) -> Link | None:
+        """A link, or None while its host is still looked up; LinkLost."""
+        connection = self.connection
+        if connection.kind == "serial" or is_address(connection.target):
+            return connection.open()
+        self._lookup, lookup = None, self._lookup or Lookup(connection.target, self._look_up)
+        address = lookup.address()
+        if address is None:
+            self._lookup = lookup
+            return None
+        return dataclasses.replace(connection, target=address).open()
 
     def receive(self) -> list[Message]:
         """The messages that have arrived since the last call."""
