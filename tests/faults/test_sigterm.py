@@ -30,8 +30,10 @@ def test_sigterm_at_any_moment(
     rng = random.Random(seed)
     config = write_config(telemetry={"journal_frames": True})
     slowest_s, early = 0.0, 0
-    for _ in range(times):
+    for number in range(times):
         process = start(config)
+        if number % 4:
+            process.wait_for_word("STATUS=")  # from here on it knows of the signal
         time.sleep(rng.uniform(0.0, LATEST_S))
         process.popen.send_signal(signal.SIGTERM)
         told_s = time.monotonic()
@@ -42,6 +44,7 @@ def test_sigterm_at_any_moment(
         assert "Traceback" not in process.told()
         process.close()
         check_files(tmp_path)
+    assert early <= times / 4
     figures(f"{times} times, gone after {slowest_s:.2f} s at most, {early} before the program had begun")
 
 
