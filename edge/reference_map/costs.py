@@ -30,7 +30,7 @@ for _family in numkong.get_capabilities():
 COST_ONE = 1 << 14
 """Integer cost of a cosine distance of 1 (nothing in common); distances of 0 to 2 are 0 to 32768."""
 
-BLOCK = 1 << 16
+BLOCK = 1 << 14
 """Costs made at a time: so many float64 stay in a core's own cache between one operation and the next."""
 
 NOTHING = 1e-36
