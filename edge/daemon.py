@@ -35,7 +35,7 @@ from edge.recording import RunRecording
 from edge.reference_map.signature import check_signature
 from edge.reference_map.store import open_unverified
 from edge.sampling import Sampler
-from edge.service import notify
+from edge.service import Supervision, notify
 from edge.stage_times import StageTimes
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
@@ -43,7 +43,6 @@ from edge.tracking import RouteTracker
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
 CLOSE_S = 1.5  # a camera that does not let go must not keep the program from ending
-EXTEND_EACH_S = 20
 CHECK_BYTES = 8 << 20  # of the map, a few milliseconds, in a turn without a frame
 SURE_SIGMAS = 3.0
 log = logging.getLogger(__name__)
@@ -156,8 +155,7 @@ class Daemon:
             self._recording = parts.enter_context(closing(RunRecording(config.recording, config.camera)))
         self._frames_used = 0
         self._events = 0
-        self._is_ready = False
-        self._extended_ns = 0
+        self._supervision = Supervision()
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
@@ -186,22 +184,8 @@ class Daemon:
         self._newest = None
 
     def _tell_manager(self) -> None:
-        """Ready once the link is open as well; and alive, if every part of the pipeline has moved.
-
-        This thread moves all but the camera: had it hung anywhere, it would not come here.
-        """
-        if not self._is_ready and self._autopilot.state != "closed":
-            self._is_ready = True
-            notify("READY=1")
-        if self.condition.hangs:
-            return
-        now_ns = self._clock_ns()
-        if self._is_ready:
-            notify("WATCHDOG=1")
-        elif now_ns - self._extended_ns >= EXTEND_EACH_S * 1e9:
-            # The port may come much later than the computer; the start must not time out meanwhile.
-            self._extended_ns = now_ns
-            notify(f"EXTEND_TIMEOUT_USEC={2 * EXTEND_EACH_S * 1_000_000}")
+        """This thread moves all but the camera: had it hung anywhere, it would not come here."""
+        self._supervision.tell(self._autopilot.state != "closed", self.condition.hangs, self._clock_ns())
 
     def _use(self, frame: Frame, distance_m: float | None) -> None:
         self._times.start()

@@ -5,6 +5,32 @@ from __future__ import annotations
 import os
 import socket
 
+EXTEND_EACH_S = 20
+
+
+class Supervision:
+    """What a service owes systemd from turn to turn: that it is ready, and that it is alive."""
+
+    def __init__(self) -> None:
+        self._is_ready = False
+        self._extended_ns: int | None = None
+
+    def tell(self, can_work: bool, hangs: bool, now_ns: int) -> None:
+        """Ready from the first turn in which it can work; alive unless a part of it hangs.
+
+        What it waits for may come much later than the computer: its start must not time out meanwhile.
+        """
+        if can_work and not self._is_ready:
+            self._is_ready = True
+            notify("READY=1")
+        if hangs:
+            return
+        if self._is_ready:
+            notify("WATCHDOG=1")
+        elif self._extended_ns is None or now_ns - self._extended_ns >= EXTEND_EACH_S * 1e9:
+            self._extended_ns = now_ns
+            notify(f"EXTEND_TIMEOUT_USEC={2 * EXTEND_EACH_S * 1_000_000}")
+
 
 def notify(state: str) -> None:
     """Send one message, such as "READY=1" or "STATUS=on the map", to the socket that systemd named."""
