@@ -73,7 +73,7 @@ class PlaceSearch:
         if self._is_small and self._part:
             self._part.clear()
         else:
-            self._part = None
+            self._part = self._reach = None
 
     def push(
         self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None

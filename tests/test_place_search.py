@@ -172,3 +172,18 @@ def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[in
     assert drive.search.part is not None
     drive.search.clear()
     assert drive.search.part is None
+
+
+def test_after_a_gap_the_position_is_searched_around_again(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    if math.isnan(long_map.places["lat_deg"][0]):
+        pytest.skip("needs positions")
+    drive = Drive(long_map, look)
+    drive.go(range(2500, 2530), close_to)
+    drive.search.clear()
+    drive._ring.clear()
+    matches = drive.go(range(2540, 2540 + LENGTH), close_to)
+    assert drive.search.part is not None
+    assert matches[-1] is not None
+    assert matches[-1].place == 2540 + LENGTH - 1
