@@ -83,7 +83,9 @@ class Recorder:
         self._sampler = Sampler(config.sampling)
         self._writer: FeedWriter | None = None
         self._autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry, clock_ns)))
-        self._camera = parts.enter_context(closing(NewestFrame(lambda: open_camera(config.camera), clock_ns=clock_ns)))
+        reopens = config.camera.kind != "feed"  # which would begin anew
+        camera = NewestFrame(lambda: open_camera(config.camera), reopens=reopens, clock_ns=clock_ns)
+        self._camera = parts.enter_context(closing(camera))
         self._camera_state = ""
         self.frames = 0
         self.with_position = 0
