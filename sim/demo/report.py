@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import logging
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
-import jinja2
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -22,93 +18,108 @@ from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.live import LiveDrive
 from sim.demo.review import TOLERANCE_M, Review
+from sim.evaluation import results
+from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
+from sim.evaluation.report import render_page
 
-mpl.use("svg")
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it talks about its font cache
 BLUE, ORANGE, GREY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A frame beside the place that it was taken for; pictures as data URIs."""
-
-    query: str
-    reference: str
-    words: str
-
-
-@dataclass(frozen=True)
-class DriveSection:
-    """What the page shows of one drive."""
-
-    name: str
-    light: str
-    direction: str
-    frames: int
-    fixes: int
-    median_m: str
-    worst_m: str
-    precision: str
-    recall: str
-    stages_ms: dict[str, float]
-    pairs: list[Pair]
-    cost_matrix: str
-    route: str
 
 
 def write_report(
     path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[LiveDrive], reviews: list[Review]
 ) -> Path:
     """Write the page for all drives and return its path."""
-    templates = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    page = templates.get_template("report.html.j2").render(
-        version=edge.__version__,
-        header=reference_map.header,
-        rig=rig,
-        sequence=SequenceConfig(),
-        acceptance=AcceptanceConfig(),
-        tolerance_m=TOLERANCE_M,
-        sections=[_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)],
-        curve=_svg(curves(lives, reviews)),
-    )
-    path.write_text(page, encoding="utf-8")
+    header = reference_map.header
+    about = {
+        "version": edge.__version__,
+        "map": f"{header.places} places",
+        "model": f"{header.model.name}, sha256 {header.model.sha256}",
+    }
+    sections = [
+        _overview(reference_map, rig, lives, reviews),
+        *(_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)),
+        results.Section("Precision and recall", figures=[_curves(lives, reviews)]),
+    ]
+    path.write_text(render_page("Lookback demo", about, sections), encoding="utf-8")
     return path
 
 
-def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> DriveSection:
-    errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
-    return DriveSection(
-        name=live.name.replace("_", " "),
-        light=live.scenario.light,
-        direction=live.scenario.direction,
-        frames=len(review.seen),
-        fixes=len(live.fixes),
-        median_m=f"{np.median(errors_m):.1f}",
-        worst_m=f"{np.percentile(errors_m, 95):.1f}",
-        precision=f"{review.precision:.3f}",
-        recall=f"{review.recall:.3f}",
-        stages_ms=live.stages_ms(),
-        pairs=_pairs(reference_map, review),
-        cost_matrix=_svg(cost_matrix(reference_map, review)),
-        route=_svg(route(reference_map, live, review)),
+def _overview(
+    reference_map: ReferenceMap, rig: RigConfig, lives: Sequence[LiveDrive], reviews: Sequence[Review]
+) -> results.Section:
+    text = (
+        "A vehicle drove out along a street by day with a camera that looks back, and a map was made of"
+        f" {reference_map.header.places} places. Then it drove without GPS with a camera that looks ahead: the same way"
+        " again at dusk, and home at night. Lookback ran as its own process, and told a simulated autopilot where it"
+        " was over a serial line."
     )
+    note = (
+        f"Sequence of {SequenceConfig().length} frames, uniqueness from {AcceptanceConfig().uniqueness_min} on. The"
+        f" matched place lies {rig.ahead_forward_swapped_m:.0f} m ahead of the vehicle when it drives the same way, and"
+        f" {rig.ahead_reverse_same_m:.0f} m on the way home: measured on two short drives with GPS, since a front and a"
+        " rear camera see the same thing at different times."
+    )
+    by_drive = [_numbers(live, review) for live, review in zip(lives, reviews, strict=True)]
+    rows = [[label, *(numbers[label] for numbers in by_drive)] for label in by_drive[0]]
+    columns = ("", *(_name(live) for live in lives))
+    return results.Section("The drives", text, tables=[results.Table("drives", "In numbers", columns, rows, note)])
 
 
-def _pairs(reference_map: ReferenceMap, review: Review) -> list[Pair]:
+def _name(live: LiveDrive) -> str:
+    return live.name.replace("_", " ")
+
+
+def _numbers(live: LiveDrive, review: Review) -> dict[str, results.Cell]:
+    """What the table says of one drive, by row."""
+    errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
+    return {
+        "light, direction along the map": f"{live.scenario.light}, {live.scenario.direction}",
+        "frames used": len(review.seen),
+        "fixes that reached the autopilot": len(live.fixes),
+        "error of the fixes, median, m": float(np.median(errors_m)),
+        "error of the fixes, 95 %, m": float(np.percentile(errors_m, 95)),
+        f"precision: accepted frames within {TOLERANCE_M:.0f} m": review.precision,
+        "recall: accepted and right, of all frames": review.recall,
+        **{f"time per frame, ms: {stage}": ms for stage, ms in live.stages_ms().items()},
+    }
+
+
+def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> results.Section:
+    figures = [
+        results.Figure(
+            f"{live.name}_costs",
+            "Cost matrix",
+            to_png(cost_matrix(reference_map, review)),
+            "The better region order of each cell, with the best match of each frame and the line behind one of them.",
+        ),
+        results.Figure(
+            f"{live.name}_route", "The route from above, with the fixes", to_png(route(reference_map, live, review))
+        ),
+    ]
+    return results.Section(_name(live), figures=figures, pictures=_pairs(reference_map, review))
+
+
+def _curves(lives: list[LiveDrive], reviews: list[Review]) -> results.Figure:
+    note = "Over all used frames, the warm-up included; the dots are the threshold in use."
+    return results.Figure("precision_recall", "Every uniqueness threshold", to_png(curves(lives, reviews)), note)
+
+
+def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[results.Picture]]:
+    """Frames beside the places that they were taken for."""
     feed = read_feed(reference_map.path.with_suffix(""))  # the demo keeps the feed beside the map made of it
     images = FeedImages(feed)
     pairs = []
     for row, picture in review.pictures.items():
         seen = review.seen[row]
         if seen.map_row is not None:
-            words = (
-                f"at {review.route_m[row]:.0f} m taken for place {seen.place}: {review.error_m[row]:.1f} m off, "
-                f"uniqueness {seen.uniqueness:.2f}, {seen.direction}, {seen.order} order, {seen.category}"
+            taken_for = (
+                f"taken for place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
+                f" {seen.direction}, {seen.order} order, {seen.category}"
             )
-            pairs.append(Pair(_jpeg(picture), _jpeg(images.read(seen.map_row)), words))
+            here = results.Picture(_jpeg(picture), f"at {review.route_m[row]:.0f} m")
+            pairs.append([here, results.Picture(_jpeg(images.read(seen.map_row)), taken_for)])
     return pairs
 
 
@@ -151,7 +162,7 @@ def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figur
     )
     axes.plot(*metres[count:][right].T, "o", color=BLUE, ms=5, label="fix")
     axes.plot(*metres[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
-    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=live.name.replace("_", " "))
+    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=_name(live))
     axes.legend(fontsize=8)
     return figure
 
@@ -162,20 +173,12 @@ def curves(lives: list[LiveDrive], reviews: list[Review]) -> Figure:
     axes = figure.subplots()
     for live, review, colour in zip(lives, reviews, (ORANGE, BLUE), strict=True):
         curve = precision_recall(review.answers)
-        axes.plot(curve.recall_of_places, curve.precision, color=colour, label=live.name.replace("_", " "))
+        axes.plot(curve.recall_of_places, curve.precision, color=colour, label=_name(live))
         axes.plot(review.recall, review.precision, "o", color=colour)
     axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.legend(loc="lower left")
     return figure
 
 
-def _svg(figure: Figure) -> str:
-    """The figure as a data URI; pictures inside it are PNG, so that a matrix does not become a path a cell."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", dpi=120)
-    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _jpeg(image: NDArray[np.uint8]) -> str:
-    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
-    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+def _jpeg(image: NDArray[np.uint8]) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
