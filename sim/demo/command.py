@@ -52,6 +52,12 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(args: argparse.Namespace) -> int:
+    try:
+        # Here and not above: matplotlib would take a third of a second of every command's start.
+        from sim.demo.report import write_report
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        raise ConfigError(f"demo: needs the package {package}: pip install 'lookback[sim]'") from None
     folder: Path = args.output
     started_s = time.monotonic()
     _make_folder(folder)
@@ -67,8 +73,6 @@ def _run(args: argparse.Namespace) -> int:
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
     for live, review in zip(lives, reviews, strict=True):
         _print_table(live, review)
-    from sim.demo.report import write_report  # matplotlib takes a third of a second, of every command's start
-
     report = write_report(folder / "report.html", reference_map, rig, lives, reviews)
     if args.pictures:
         from sim.demo.pictures import write_pictures

@@ -143,7 +143,11 @@ sys.exit(main())
     ("command", "code", "says"),
     [
         (["check", "--default"], 0, "[camera]"),
-        (["demo", "-o", "folder"], EXIT_SETUP, "lookback: demo: needs the package jinja2: pip install 'lookback[sim]'"),
+        (
+            ["demo", "-o", "folder"],
+            EXIT_SETUP,
+            "lookback: demo: needs the package matplotlib: pip install 'lookback[sim]'",
+        ),
     ],
 )
 def test_a_vehicle_needs_no_desk_packages(command: list[str], code: int, says: str) -> None:
