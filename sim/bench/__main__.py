@@ -66,7 +66,7 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
     model = model_key(Network.load())
     usual = min(10_000, max(places))
     sections: dict[str, Callable[[], Section]] = {
-        "network": lambda: network_rows.measure(machine, rounds),
+        "network": lambda: network_rows.measure(rounds),
         "matching": lambda: matching_rows.measure(machine, places, rounds),
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(machine, folder, usual, args.frames or (60 if args.quick else 300)),

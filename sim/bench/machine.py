@@ -41,7 +41,7 @@ def measure_machine(memory_bytes: int, rounds: int) -> Machine:
     memory = np.ones(memory_bytes, dtype=np.int8)
     reading = race({"read": lambda: read_all(memory)}, rounds)["read"]
     # Not in turns with the reading, which would throw it out of the cache.
-    multiplying = race({"multiply": _product_of_matrices()}, 5 * rounds)["multiply"]
+    multiplying = race({"multiply": product_of_matrices(SIDE)}, 5 * rounds)["multiply"]
     return Machine(machine_name(), memory_bytes / reading.least_ms, SIDE**3 / multiplying.least_ms)
 
 
@@ -62,18 +62,18 @@ def machine_name() -> str:
     )
 
 
-def _product_of_matrices() -> Callable[[], object]:
-    """uint8 times constant int8 under ONNX Runtime: what its int8 layers come down to."""
+def product_of_matrices(side: int) -> Callable[[], object]:
+    """uint8 times constant int8, side**3 products, under ONNX Runtime: what its int8 layers come down to."""
     import onnx
     from onnx import helper
 
     rng = np.random.default_rng(0)
-    given = helper.make_tensor_value_info("given", onnx.TensorProto.UINT8, [SIDE, SIDE])
-    product = helper.make_tensor_value_info("product", onnx.TensorProto.INT32, [SIDE, SIDE])
-    weights = onnx.numpy_helper.from_array(rng.integers(-60, 60, (SIDE, SIDE), dtype=np.int8), "weights")
+    given = helper.make_tensor_value_info("given", onnx.TensorProto.UINT8, [side, side])
+    product = helper.make_tensor_value_info("product", onnx.TensorProto.INT32, [side, side])
+    weights = onnx.numpy_helper.from_array(rng.integers(-60, 60, (side, side), dtype=np.int8), "weights")
     node = helper.make_node("MatMulInteger", ["given", "weights"], ["product"])
     graph = helper.make_graph([node], "product", [given], [product], [weights])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     session = open_session(model.SerializeToString())
-    rows = rng.integers(0, 120, (SIDE, SIDE), dtype=np.uint8)
+    rows = rng.integers(0, 120, (side, side), dtype=np.uint8)
     return lambda: session.run(None, {"given": rows})
