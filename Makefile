@@ -21,10 +21,10 @@ check: $(VENV)/.dev
 	$(BIN)/python -m pytest
 	$(BIN)/lookback demo -o demo --require-good
 
-bench: $(VENV)/.bench
+bench: $(VENV)/.dev
 	$(BIN)/python -m sim.bench -o docs/bench.md
 
-bench-quick: $(VENV)/.bench
+bench-quick: $(VENV)/.dev
 	$(BIN)/python -m sim.bench --quick
 
 clean:
@@ -37,10 +37,6 @@ $(BIN)/python:
 $(VENV)/.demo: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install -qq --editable '.[sim,page,desk]'
 	touch $@
-
-$(VENV)/.bench: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable '.[dev,bench]'
-	touch $@ $(VENV)/.dev $(VENV)/.demo
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install -qq --editable '.[dev]'
