@@ -75,3 +75,12 @@ def test_no_command_loads_what_only_another_needs() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_front_door_names_every_room() -> None:
+    told = (ast.get_docstring(ast.parse((ROOT / "edge/__init__.py").read_text(encoding="utf-8"))) or "").replace(
+        ",", " "
+    )
+    words = set(told.replace("(", " ").replace(")", " ").split())
+    rooms = {file.stem for file in (ROOT / "edge").glob("*.py")} - {"__init__", "__main__"}
+    assert rooms <= words, f"edge/__init__.py does not say what {rooms - words} are for"
