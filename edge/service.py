@@ -6,6 +6,9 @@ import os
 import socket
 
 EXTEND_EACH_S = 20
+FED_EACH_S = 0.1
+MANAGER_S = 1.0
+"""A service manager that does not read fills its socket: nothing is worth waiting for it for longer."""
 
 
 class Supervision:
@@ -14,6 +17,7 @@ class Supervision:
     def __init__(self) -> None:
         self._is_ready = False
         self._extended_ns: int | None = None
+        self._fed_ns: int | None = None
 
     def tell(self, can_work: bool, hangs: bool, now_ns: int) -> None:
         """Ready from the first turn in which it can work; alive unless a part of it hangs.
@@ -26,20 +30,29 @@ class Supervision:
         if hangs:
             return
         if self._is_ready:
-            notify("WATCHDOG=1")
+            self._feed(now_ns)
         elif self._extended_ns is None or now_ns - self._extended_ns >= EXTEND_EACH_S * 1e9:
             self._extended_ns = now_ns
             notify(f"EXTEND_TIMEOUT_USEC={2 * EXTEND_EACH_S * 1_000_000}")
 
+    def _feed(self, now_ns: int) -> None:
+        if self._fed_ns is None or now_ns - self._fed_ns >= FED_EACH_S * 1e9:
+            self._fed_ns = now_ns
+            notify("WATCHDOG=1", wait_s=0.0)
 
-def notify(state: str) -> None:
-    """Send one message, such as "READY=1" or "STATUS=on the map", to the socket that systemd named."""
+
+def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
+    """Send one message, such as "READY=1" or "STATUS=on the map", to the socket that systemd named.
+
+    What it does not take within `wait_s` seconds is dropped.
+    """
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return
     # A leading @ means the abstract namespace.
     name = "\0" + address[1:] if address.startswith("@") else address
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
+        sock.settimeout(wait_s)
         try:
             sock.connect(name)
             sock.sendall(state.encode())

@@ -6,6 +6,7 @@ and a failing one how to run it again: LOOKBACK_SEED=... and its own name.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import socket
@@ -38,7 +39,7 @@ from sim.autopilot import SimulatedAutopilot
 from sim.pty_link import open_pty
 
 FIGURES = pytest.StashKey[list[str]]()
-PERIOD_MS = 60
+PERIOD_MS = 40
 PATIENCE_S = 60.0
 
 
@@ -145,9 +146,17 @@ def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
 class Process:
     """`lookback run` as its own process, with this test as its service manager."""
 
-    def __init__(self, config: Path, folder: Path, environment: dict[str, str], wrapper: list[str]) -> None:
+    def __init__(
+        self, config: Path, folder: Path, environment: dict[str, str], wrapper: list[str], manager_reads: bool
+    ) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(folder / "notify"))
+        if not manager_reads:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender, contextlib.suppress(BlockingIOError):
+                sender.connect(str(folder / "notify"))
+                sender.setblocking(False)
+                while True:
+                    sender.send(b"STATUS=full")
         self._errors = (folder / "stderr").open("w+")
         self.popen = subprocess.Popen(
             [*wrapper, sys.executable, "-m", "edge", "run", str(config)],
@@ -160,7 +169,7 @@ class Process:
         self._socket.settimeout(timeout_s)
         try:
             return self._socket.recv(65536).decode()
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             return None
 
     def wait_for_word(self, beginning: str, timeout_s: float = PATIENCE_S) -> str:
@@ -190,9 +199,14 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Pr
     running: list[Process] = []
 
     def start_one(
-        config: Path, *, environment: dict[str, str] | None = None, wrapper: list[str] | None = None
+        config: Path,
+        *,
+        environment: dict[str, str] | None = None,
+        wrapper: list[str] | None = None,
+        manager_reads: bool = True,
     ) -> Process:
-        running.append(Process(config, tmp_path_factory.mktemp("run"), environment or {}, wrapper or []))
+        folder = tmp_path_factory.mktemp("run")
+        running.append(Process(config, folder, environment or {}, wrapper or [], manager_reads))
         return running[-1]
 
     yield start_one

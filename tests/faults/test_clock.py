@@ -16,7 +16,6 @@ from edge.telemetry.journal import read_journal
 SHIM = Path(__file__).with_name("clock_shim.c")
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
 HOLD_OFF_S = 0.2
-PERIOD_S = 0.06
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from edge.errors import FrameError, LookbackError
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
 
-CASES = [150, pytest.param(10_000, marks=pytest.mark.soak)]
+CASES = [100, pytest.param(10_000, marks=pytest.mark.soak)]
 Fuzz = Callable[[Callable[..., None], Any], None]
 
 

@@ -15,10 +15,10 @@ import pytest
 from edge.telemetry.journal import read_journal
 
 GONE_WITHIN_S = 3.0
-LATEST_S = 3.0
+LATEST_S = 2.0
 
 
-@pytest.mark.parametrize("times", [5, pytest.param(200, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("times", [3, pytest.param(200, marks=pytest.mark.soak)])
 def test_sigterm_at_any_moment(
     times: int,
     write_config: Callable[..., Path],
