@@ -5,11 +5,11 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numkong
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from edge.descriptor.network import open_session
@@ -57,7 +57,7 @@ def machine_name() -> str:
     kernels = [name for name, on in numkong.get_capabilities().items() if on and name != "serial"]
     return (
         f"{cpu}, {cores} cores, {memory_kb / 2**20:.0f} GiB, {platform.system()} {platform.machine()}, Python"
-        f" {platform.python_version()}, NumPy {np.__version__}, ONNX Runtime {onnxruntime.__version__}, numkong for"
+        f" {platform.python_version()}, NumPy {np.__version__}, ONNX Runtime {version('onnxruntime')}, numkong for"
         f" {', '.join(kernels) or 'any processor'}"
     )
 
