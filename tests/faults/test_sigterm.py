@@ -44,7 +44,7 @@ def test_sigterm_at_any_moment(
         assert "Traceback" not in process.told()
         process.close()
         check_files(tmp_path)
-    assert early <= times / 4
+    assert early <= -(-times // 4), "those that were not waited for"
     figures(f"{times} times, gone after {slowest_s:.2f} s at most, {early} before the program had begun")
 
 
