@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +105,3 @@ def position_of(place: int) -> tuple[float, float]:
     street, along_m = divmod(place * SPACING_M, STREET_M)
     lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
     return float(lat_deg), float(lon_deg)
-
-
-def side_by_side(radius_m: float) -> int:
-    """About how many places lie within a radius, away from the edges of the map."""
-    return round(math.pi * radius_m**2 / APART_M / SPACING_M)

@@ -20,8 +20,7 @@ from edge.descriptor.weights import FC6, FC7, FC8, Weights
 
 Floats = NDArray[np.float32]
 
-POOLED = "features.10.maxpool"
-GRID = 6  # of pool5: 256 channels of 6 x 6
+POOLED = "features.10.maxpool"  # pool5: 256 channels of 6 x 6
 
 
 def pooled_features(weights: Weights, info: ModelInfo, image: NDArray[np.uint8]) -> Floats:
