@@ -7,7 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.camera import Frame
+from edge.camera import Camera, Frame
+from edge.camera.feed import read_feed
+from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from sim.drive import Drive
@@ -17,9 +19,15 @@ if TYPE_CHECKING:
     from sim.world.renderer import Renderer
 
 
-def open_camera(config: CameraConfig) -> SimCamera:
-    """The entry point of `lookback.cameras`; ConfigError when the scenario is wrong or Panda3D is not installed."""
-    return SimCamera(load_scenario(Path(config.device)), config)
+def open_camera(config: CameraConfig) -> Camera:
+    """The entry point of `lookback.cameras`: renders the scenario's drive, or plays it if it was rendered before.
+
+    ConfigError when the scenario is wrong or Panda3D is not installed; FeedError for its feed.
+    """
+    scenario = load_scenario(Path(config.device))
+    if scenario.feed:
+        return RecordedCamera(read_feed(Path(scenario.feed)), real_time=True, begins_ns=scenario.epoch_ns)
+    return SimCamera(scenario, config)
 
 
 def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:

@@ -14,6 +14,7 @@
     fov_deg = 80.0           # horizontal, 30 to 120
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
     epoch_ns = 0             # CLOCK_MONOTONIC at the start; left out: when the camera opens
+    feed = ""                # this very drive, rendered before: its pictures are played, and nothing is rendered
 
 Processes that share a scenario with `epoch_ns` agree on where the vehicle is at any moment.
 """
@@ -58,6 +59,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
+    feed: str = ""
 
     def drive(self) -> Drive:
         """The motion that this scenario describes."""

@@ -28,13 +28,15 @@ class RecordedCamera:
         feed: Feed,
         *,
         real_time: bool = False,
+        begins_ns: int | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         """Open the feed's pictures; FeedError if its video cannot be opened.
 
-        real_time: the first read() starts the clock; each frame then comes when it is due and is stamped with that
-        moment of `clock_ns`. A frame that is asked for late comes at once, with the stamp that it was due at.
+        real_time: each frame comes when it is due and is stamped with that moment of `clock_ns`, the first at
+        `begins_ns` or else with the first read(). A frame that is asked for late comes at once, with the stamp that it
+        was due at.
         """
         self._feed = feed
         self._images: FeedImages | None = FeedImages(feed)
@@ -44,8 +46,11 @@ class RecordedCamera:
         self._next = 0
         stamps_ns = [row.stamp_ns for row in feed.rows]
         longest_ns = max((after - before for before, after in itertools.pairwise(stamps_ns)), default=0)
-        self.read_timeout_s = DECODE_S + longest_ns / 1e9
         self._offset_ns: int | None = None if real_time else 0  # from the feed's time to `clock_ns`
+        if real_time and begins_ns is not None:
+            self._offset_ns = begins_ns - stamps_ns[0]
+            longest_ns = max(longest_ns, begins_ns - clock_ns())
+        self.read_timeout_s = DECODE_S + longest_ns / 1e9
 
     @classmethod
     def in_real_time(

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import logging
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 from edge.errors import ConfigError
 from sim.firmware import FIRMWARES
-from sim.trial.course import LIGHTS, RememberingNetwork, lay_course, prepare_world
+from sim.trial.course import LIGHTS, RememberingNetwork, one_run, prepare_world
 from sim.trial.live import drive_home_live
 from sim.trial.run import drive_home
 from sim.trial.score import RunScore, TrialScore
@@ -25,27 +29,19 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--emit", choices=WAYS, default="auto", help="as [telemetry] emit, default auto")
     parser.add_argument("--live", action="store_true", help="in real time, the daemon as its own process")
+    parser.add_argument("--at-once", type=int, default=1, metavar="N", help="of the live drives, default 1")
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    if args.runs < 1 or args.worlds < 1:
-        raise ConfigError("--runs, --worlds: at least 1")
+    if min(args.runs, args.worlds, args.at_once) < 1:
+        raise ConfigError("--runs, --worlds, --at-once: at least 1")
     args.output.mkdir(parents=True, exist_ok=True)
-    logging.getLogger("edge").setLevel(logging.WARNING)  # the daemon says a line at each end of each stretch
-    network, scores = RememberingNetwork.load(), []
-    for number in range(min(args.worlds, args.runs)):
-        world = prepare_world(number, args.output)
-        for seed in range(args.first_seed + number, args.first_seed + args.runs, args.worlds):
-            course = lay_course(world, seed, args.output / "run.map")
-            if args.live:
-                run = drive_home_live(world, course, seed, args.output, args.firmware, args.emit)
-            else:
-                run = drive_home(world, course, seed, network, args.output, args.firmware, args.emit)
-            scores.append(run)
-            print(_line(scores[-1], world.home.light), flush=True)
-        network.forget()
+    scores = []
+    for score in (_live if args.live else _simulated)(args):
+        print(_line(score), flush=True)
+        scores.append(score)
     trial = TrialScore(tuple(scores))
     print(trial.table())
     for failure in trial.failures:
@@ -53,11 +49,39 @@ def _run(args: argparse.Namespace) -> int:
     return 1 if trial.failures else 0
 
 
-def _line(run: RunScore, light: str) -> str:
+def _simulated(args: argparse.Namespace) -> Iterator[RunScore]:
+    """World by world, since drives on the same road share what the network has described."""
+    logging.getLogger("edge").setLevel(logging.WARNING)  # the daemon says a line at each end of each stretch
+    network = RememberingNetwork.load()
+    for number in range(min(args.worlds, args.runs)):
+        world = prepare_world(number, args.output)
+        for seed in range(args.first_seed + number, args.first_seed + args.runs, args.worlds):
+            with one_run(world, seed, args.output) as (course, folder):
+                yield drive_home(world, course, seed, network, folder, args.firmware, args.emit)
+        network.forget()
+
+
+def _live(args: argparse.Namespace) -> Iterator[RunScore]:
+    """Some drives at once, each with two processes of its own: one for the autopilot, one for the daemon."""
+    for number in range(min(args.worlds, args.runs)):
+        prepare_world(number, args.output)
+    seeds = range(args.first_seed, args.first_seed + args.runs)
+    numbers = [(seed - args.first_seed) % args.worlds for seed in seeds]
+    with ProcessPoolExecutor(args.at_once, get_context("spawn")) as pool:
+        yield from pool.map(partial(_one_live, args.output, args.firmware, args.emit), numbers, seeds)
+
+
+def _one_live(output: Path, firmware: str, emit: str, number: int, seed: int) -> RunScore:
+    world = prepare_world(number, output)
+    with one_run(world, seed, output) as (course, folder):
+        return drive_home_live(world, course, seed, folder, firmware, emit)
+
+
+def _line(run: RunScore) -> str:
     after = sorted(run.after_m)
     middle = f"{after[len(after) // 2]:4.1f}" if after else "   -"
     return (
-        f"seed {run.seed:3d}  {light:<5}  {len(run.fix_error_m):3d} fixes, {len(after):3d} taken, autopilot then"
+        f"seed {run.seed:3d}  {run.light:<5}  {len(run.fix_error_m):3d} fixes, {len(after):3d} taken, autopilot then"
         f" {middle} m off (largest {max(after, default=0.0):4.1f}),"
         f" at most {max(run.fix_sigmas, default=0.0):.1f} sigma,"
         f" false {run.false_fixes}; withheld: {', '.join(f'{why} {n}' for why, n in sorted(run.withheld.items()))}"

@@ -7,9 +7,11 @@ the map knows, in where the false place is, in odometry, delays and the frames t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pymap3d
@@ -32,6 +34,7 @@ STRETCHES = 10
 KNOWN_M = 140.0
 PLANTED_M = 130.0
 FALSE_BY_M = 300.0
+JOURNAL = "journal.jsonl"
 LIGHTS: tuple[LightName, ...] = ("night", "dusk", "rain", "day", "snow")
 """Of the drives home, one for each world in turn."""
 
@@ -124,6 +127,16 @@ def lay_course(world: World, seed: int, path: Path, stretches: int = STRETCHES) 
             rows += len(places)
         builder.finish(normalize, edge.__version__)
     return Course(path, planted)
+
+
+@contextmanager
+def one_run(world: World, seed: int, output: Path) -> Iterator[tuple[Course, Path]]:
+    """The course of one run while it lasts, and the folder that keeps its journal; a journal of before is removed."""
+    folder = output / f"seed_{seed}"
+    folder.mkdir(exist_ok=True)
+    (folder / JOURNAL).unlink(missing_ok=True)
+    with TemporaryDirectory(dir=folder) as passing:
+        yield lay_course(world, seed, Path(passing) / "run.map"), folder
 
 
 def _stretch(

@@ -1,4 +1,4 @@
-"""One run in real time: `lookback run` as its own process at the other end of a pty, its camera the simulator."""
+"""One run in real time: `lookback run` as its own process at the other end of a pty, the drive home as its camera."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ import tomli_w
 from edge.errors import LookbackError
 from edge.telemetry.journal import read_journal
 from sim.pty_link import PtyLink, open_pty
-from sim.trial.course import Course, World
+from sim.trial.course import CAMERA_FPS, JOURNAL, Course, World
 from sim.trial.run import WITH_GPS_S, seeded_autopilot, trial_config
 from sim.trial.score import RunScore, judge
 
-START_S = 12.0  # for the daemon to load its model and the camera to build its world
+START_S = 8.0  # for the daemon to load its model
 LATE_S = 60.0
 
 
 def drive_home_live(world: World, course: Course, seed: int, folder: Path, firmware: str, emit: str) -> RunScore:
     """As `drive_home`, but with a clock on the wall. LookbackError when the daemon does not end as it should."""
     epoch_ns = time.monotonic_ns() + round(START_S * 1e9)
-    scenario = msgspec.structs.replace(world.home, epoch_ns=epoch_ns)
+    scenario = msgspec.structs.replace(world.home, epoch_ns=epoch_ns, feed=str(world.feed.path.resolve()))
     drive, epoch_s = scenario.drive(), epoch_ns / 1e9
-    journal = folder / "journal.jsonl"
-    journal.unlink(missing_ok=True)
+    journal = folder / JOURNAL
     stop = threading.Event()
     with closing(open_pty()) as link:
         config = _write_config(world, course, link, journal, emit, folder, scenario)
@@ -55,7 +54,7 @@ def drive_home_live(world: World, course: Course, seed: int, folder: Path, firmw
             flying.join()
     if code:
         raise LookbackError(f"seed {seed}: the daemon ended with {code} (see {folder / 'daemon.log'})")
-    return judge(seed, drive, epoch_s, course, autopilot, list(read_journal(journal)))
+    return judge(seed, world, epoch_s, course, autopilot, list(read_journal(journal)))
 
 
 def _write_config(
@@ -65,7 +64,7 @@ def _write_config(
     device = folder / "scenario.toml"
     device.write_text(tomli_w.dumps(msgspec.structs.asdict(scenario)), encoding="utf-8")
     config = trial_config(world, course, link, journal.resolve(), emit)
-    camera = {"kind": "sim", "device": str(device.resolve()), "view": world.home.view, "fps": 15.0}
+    camera = {"kind": "sim", "device": str(device.resolve()), "view": world.home.view, "fps": CAMERA_FPS}
     size = {"width": world.home.width, "height": world.home.height}
     written = {**msgspec.to_builtins(config), "camera": {**camera, **size}}
     written["map"]["path"] = str(course.map_path.resolve())

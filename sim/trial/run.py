@@ -18,7 +18,7 @@ from edge.telemetry.journal import read_journal
 from sim.autopilot import SimulatedAutopilot
 from sim.drive import Drive
 from sim.pty_link import PtyLink, open_pty
-from sim.trial.course import Course, RememberingNetwork, World
+from sim.trial.course import JOURNAL, Course, RememberingNetwork, World
 from sim.trial.score import RunScore, judge
 
 STEP_NS = 10_000_000
@@ -89,8 +89,7 @@ def drive_home(
     rng = np.random.default_rng([seed, 8])
     clock, drive = SimulatedClock(), world.home.drive()
     epoch_s = clock.now_ns / 1e9
-    journal = folder / "journal.jsonl"
-    journal.unlink(missing_ok=True)
+    journal = folder / JOURNAL
     with ExitStack() as parts:
         link = parts.enter_context(closing(open_pty()))
         autopilot = seeded_autopilot(link, drive, epoch_s, clock, rng, firmware)
@@ -101,7 +100,7 @@ def drive_home(
         while daemon.turn():
             autopilot.gps = clock.now_ns / 1e9 - epoch_s < WITH_GPS_S
         daemon.last_words()
-    return judge(seed, drive, epoch_s, course, autopilot, list(read_journal(journal)))
+    return judge(seed, world, epoch_s, course, autopilot, list(read_journal(journal)))
 
 
 def seeded_autopilot(

@@ -11,7 +11,7 @@ import pymap3d
 
 from sim.autopilot import SimulatedAutopilot
 from sim.drive import Drive
-from sim.trial.course import Course
+from sim.trial.course import Course, World
 
 MEDIAN_M, MOST_M, SIGMAS = 3.0, 10.0, 3.0
 """What is asked for: the autopilot's error after a fix, its median and 95th percentile, and no fix further off."""
@@ -27,6 +27,7 @@ class RunScore:
     """
 
     seed: int
+    light: str
     fix_error_m: tuple[float, ...]
     fix_sigmas: tuple[float, ...]
     before_m: tuple[float, ...]
@@ -39,7 +40,7 @@ class RunScore:
 
 def judge(
     seed: int,
-    drive: Drive,
+    world: World,
     epoch_s: float,
     course: Course,
     autopilot: SimulatedAutopilot,
@@ -47,13 +48,14 @@ def judge(
 ) -> RunScore:
     """Hold the journal of a run, and what the autopilot did, against the drive."""
     sent = [record for record in journal if record["event"] == "fix_sent"]
-    boot_s = autopilot.booted_s
+    boot_s, drive = autopilot.booted_s, world.home.drive()
     errors_m = [_error_m(drive, boot_s + item["send_boot_s"] - item["age_s"] - epoch_s, item) for item in sent]
     taken = autopilot.resets + autopilot.inputs.fused
     first, end = course.planted
     withheld = Counter(record["reason"] for record in journal if record["event"] == "fix_withheld")
     return RunScore(
         seed=seed,
+        light=world.home.light,
         fix_error_m=tuple(errors_m),
         fix_sigmas=tuple(error / item["sigma_m"] for error, item in zip(errors_m, sent, strict=True)),
         before_m=tuple(item.error_before_m for item in taken),

@@ -71,7 +71,7 @@ def test_px4_is_told_a_stream(world: World, network: RememberingNetwork, tmp_pat
     assert not run.false_fixes
 
 
-GOOD = RunScore(1, (1.0,), (0.5,), (9.0,), (1.0,), 0, 3, {}, {"ACCEPTED": 1})
+GOOD = RunScore(1, "day", (1.0,), (0.5,), (9.0,), (1.0,), 0, 3, {}, {"ACCEPTED": 1})
 
 
 @pytest.mark.parametrize(
