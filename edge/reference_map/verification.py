@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 import msgspec
 
@@ -28,7 +28,8 @@ class Verification:
         """`names` of the `files` that the header of the map at `path` lists."""
         self._path, self._files = path, files
         self._names = list(names)
-        self._stream: BinaryIO | None = None
+        self._stream: FileIO | None = None
+        self._buffer = memoryview(b"")
         self._digest = hashlib.sha256()
 
     @property
@@ -39,10 +40,10 @@ class Verification:
     def step(self, max_bytes: int) -> bool:
         """Read on by at most that much; True when all is done. MapError names a file whose checksum does not hold."""
         while self._names and max_bytes > 0:
-            block = self._read(min(max_bytes, PIECE_BYTES))
-            if block:
-                self._digest.update(block)
-                max_bytes -= len(block)
+            size = self._read(max_bytes)
+            if size:
+                self._digest.update(self._buffer[:size])
+                max_bytes -= size
             else:
                 self._compare()
         return self.is_done
@@ -56,15 +57,17 @@ class Verification:
         """Give the file that is being read back; what is left stays unchecked."""
         if self._stream is not None:
             self._stream.close()
-        self._stream = None
+        self._stream, self._buffer = None, memoryview(b"")
 
-    def _read(self, size: int) -> bytes:
+    def _read(self, max_bytes: int) -> int:
+        """Read a piece into the buffer, which is no larger than the file; how much it was, 0 at the end."""
         file = self._path / self._names[0]
         try:
             if self._stream is None:
-                self._stream = file.open("rb", buffering=0)
+                self._stream = FileIO(file)
+                self._buffer = memoryview(bytearray(min(PIECE_BYTES, file.stat().st_size + 1)))
                 self._digest = hashlib.sha256()
-            return self._stream.read(size)
+            return self._stream.readinto(self._buffer[:max_bytes]) or 0
         except OSError as error:
             self.close()
             raise MapError(f"{file}: cannot read it: {error.strerror}") from None
