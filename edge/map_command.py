@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import edge
-from edge.camera.feed import Feed, read_feed
+from edge.camera.feed import Feed, FeedOptions, read_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
@@ -37,6 +37,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     build.add_argument("--config", type=Path, help="take [descriptor] and [sampling] from this file")
     build.add_argument("--regions", choices=("left-right", "whole"), help="what is described (default left-right)")
     add_spacing_options(build)
+    add_feed_options(build)
     build.add_argument(
         "--dimensions",
         type=int,
@@ -68,6 +69,24 @@ def add_spacing_options(parser: argparse.ArgumentParser) -> None:
     spacing.add_argument("--spacing-m", type=float, metavar="M", help="take a frame every M metres")
     spacing.add_argument("--spacing-frames", type=int, metavar="N", help="take every N-th frame")
     spacing.add_argument("--interval-s", type=float, metavar="S", help="take a frame every S seconds")
+
+
+def add_feed_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for recordings that do not say all that a feed says."""
+    parser.add_argument(
+        "--video", type=Path, metavar="FILE", help="of a log (.tlog, .bin, .ulg); default: the one of the same name"
+    )
+    parser.add_argument(
+        "--video-start-s", type=float, metavar="S", help="from the log's first position to the video's first frame"
+    )
+    parser.add_argument("--view", choices=("front", "rear"), help="where the camera of a video looked (default front)")
+
+
+def feed_options(args: argparse.Namespace) -> FeedOptions:
+    """What the options say. ConfigError if a value is out of range."""
+    if args.video_start_s is not None and not np.isfinite(args.video_start_s):
+        raise ConfigError(f"--video-start-s: {args.video_start_s} is not a number of seconds")
+    return FeedOptions(args.view, args.video, args.video_start_s)
 
 
 def sampling_from(args: argparse.Namespace, otherwise: SamplingConfig) -> SamplingConfig:
@@ -153,7 +172,11 @@ def _build(args: argparse.Namespace) -> int:
     if args.regions:
         descriptor = checked_option(descriptor, "--regions", regions=args.regions)
     sampling = sampling_from(args, config.sampling)
-    feeds = [read_feed(path) for path in args.feeds]
+    if args.video is not None and len(args.feeds) > 1:
+        raise ConfigError(
+            "--video: of several logs each has its own: call them alike (a.tlog, a.mp4), and leave it out"
+        )
+    feeds = [read_feed(path, feed_options(args)) for path in args.feeds]
     if sampling.by == "distance" and args.spacing_m is None:
         for feed in feeds:
             if driven_m(feed) is None:

@@ -13,7 +13,7 @@ import msgspec
 from edge.camera.feed import Feed, read_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Head, Network
-from edge.map_command import add_spacing_options, sampling_from
+from edge.map_command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.observation import Observation, observation
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import MapHeader, open_map
@@ -22,8 +22,10 @@ from edge.traverse import traverse
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback replay` to the command line."""
-    parser = commands.add_parser("replay", help="recognise a recorded feed; events as JSON lines")
-    parser.add_argument("feed", type=Path, metavar="FEED")
+    parser = commands.add_parser("replay", help="recognise a recording; events as JSON lines")
+    parser.add_argument(
+        "feed", type=Path, metavar="FEED", help="a feed, an MCAP file, a video, or a log (.tlog) with its video"
+    )
     parser.add_argument("--map", type=Path, required=True)
     parser.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
     parser.add_argument("--config", type=Path, help="take all settings of the recogniser from this file")
@@ -32,6 +34,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--all", action="store_true", help="write every used frame, not only events")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write there instead of to standard output")
     add_spacing_options(parser)
+    add_feed_options(parser)
     parser.set_defaults(run=_run)
 
 
@@ -69,7 +72,7 @@ def with_options(config: Config, length: int | None, uniqueness_min: float | Non
 
 
 def _run(args: argparse.Namespace) -> int:
-    feed = read_feed(args.feed)
+    feed = read_feed(args.feed, feed_options(args))
     reference_map = open_map(args.map)
     if args.config:
         config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)

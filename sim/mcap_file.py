@@ -1,4 +1,4 @@
-"""`lookback mcap`: a feed as an MCAP file with Foxglove's schemas, and back; Foxglove opens it as it is.
+"""MCAP files with Foxglove's schemas: read wherever a feed is, `lookback mcap write` makes them, `mcap read` unpacks.
 
     /camera    foxglove.CompressedImage, JSON: the picture file's own bytes
     /position  foxglove.LocationFix, JSON: where the position is known
@@ -13,17 +13,19 @@ from __future__ import annotations
 import argparse
 import base64
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import cv2
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
+from edge.camera.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
 from edge.camera.feed_rows import MEASURES
-from edge.errors import ConfigError, FeedError
+from edge.errors import ConfigError, FeedError, FrameError
 
 FRAME = "camera"
 STAMP = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -72,8 +74,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _write(feed: Feed, path: Path) -> int:
     try:
         from mcap.writer import Writer
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"MCAP needs {error.name}: pip install 'lookback[desk]'") from None
+    except ModuleNotFoundError:
+        raise ConfigError("MCAP needs the package mcap: pip install 'lookback[desk]'") from None
     try:
         with path.open("xb") as stream:
             writer: Any = Writer(stream)
@@ -114,61 +116,121 @@ def _messages(feed: Feed) -> Iterator[tuple[str, int, Fields]]:
 
 def _picture(feed: Feed, images: FeedImages, index: int) -> tuple[str, bytes]:
     """The picture file as it is; a video's frame as a JPEG."""
-    if not feed.header.video:
+    if not feed.header.video and feed.pictures is None:
         file = feed.path / feed.rows[index].file
         kind = "png" if file.suffix.lower() == ".png" else "jpeg"
         return kind, file.read_bytes()
     return "jpeg", cv2.imencode(".jpg", images.read(index), [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
 
 
-def _read(path: Path, output: Path) -> int:
-    header, rows = None, list[tuple[FeedRow, bytes]]()
-    for topic, stamp_ns, fields in _read_messages(path):
-        if topic == "/feed":
-            header = msgspec.convert(fields, FeedHeader)
-        elif topic == "/camera":
-            rows.append((FeedRow("", stamp_ns), base64.b64decode(fields["data"])))
-        elif rows and rows[-1][0].stamp_ns == stamp_ns:
-            rows[-1] = (_with_fields(rows[-1][0], topic, fields), rows[-1][1])
+class _Picture(msgspec.Struct):
+    data: bytes  # in base64
+
+
+class _Where(msgspec.Struct):
+    latitude: float
+    longitude: float
+
+
+class _Row(msgspec.Struct):
+    alt_m: float | None = None
+    heading_deg: float | None = None
+    speed_mps: float | None = None
+    distance_m: float | None = None
+    extra: dict[str, str] = {}
+
+
+Message: TypeAlias = _Picture | _Where | _Row | FeedHeader
+MESSAGES: Mapping[str, Any] = {"/camera": _Picture, "/position": _Where, "/row": _Row, "/feed": FeedHeader}
+
+
+class McapPictures:
+    """The pictures of such a file, in order; going back starts again from the beginning."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._messages: Iterator[tuple[int, Message]] | None = None
+        self._next = 0
+
+    def data(self, index: int) -> bytes:
+        """The picture file of row `index` as it was recorded. FrameError names it."""
+        if self._messages is None or index < self._next:
+            self.close()
+            self._messages = _read_messages(self._path, ["/camera"])
+        for _, message in self._messages:
+            self._next += 1
+            if self._next > index and isinstance(message, _Picture):
+                return message.data
+        raise FrameError(f"{self._path}: no picture {index}")
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names it."""
+        data = np.frombuffer(self.data(index), np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+        if image is None:
+            raise FrameError(f"{self._path}: picture {index}: not a whole JPEG or PNG picture")
+        return np.asarray(image, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Close the file; more than once is harmless."""
+        self._messages, self._next = None, 0
+
+
+def open_feed(path: Path, options: FeedOptions) -> Feed:
+    """Such a file as a feed; the entry point of `lookback.feeds`. FeedError, or ConfigError without the library."""
+    if options != FeedOptions():
+        raise FeedError(f"{path}: --view and --video mean nothing for an MCAP file, which says it all itself")
+    header, rows = None, list[FeedRow]()
+    for stamp_ns, message in _read_messages(path, list(MESSAGES)):
+        if isinstance(message, FeedHeader):
+            header = message
+        elif isinstance(message, _Picture):
+            if rows and stamp_ns <= rows[-1].stamp_ns:
+                raise FeedError(f"{path}: /camera: a picture of {stamp_ns} ns comes after one of {rows[-1].stamp_ns}")
+            rows.append(FeedRow("", stamp_ns))
+        elif rows and rows[-1].stamp_ns == stamp_ns:
+            rows[-1] = _with_message(rows[-1], message)
     if header is None or not rows:
         raise FeedError(f"{path}: no feed in it; for other recordings there is `lookback sim import rosbag`")
-    extra = tuple(dict.fromkeys(key for row, _ in rows for key in row.extra))
-    with FeedWriter(output, header, extra) as writer:
-        for row, data in rows:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-            if image is None:
-                raise FeedError(f"{path}: the picture of {row.stamp_ns} ns is damaged")
+    return Feed(path, header, tuple(rows), lambda: McapPictures(path))
+
+
+def _with_message(row: FeedRow, message: _Where | _Row) -> FeedRow:
+    if isinstance(message, _Where):
+        return replace(row, lat_deg=message.latitude, lon_deg=message.longitude)
+    return replace(row, **msgspec.structs.asdict(message))
+
+
+def _read(path: Path, output: Path) -> int:
+    feed, pictures = open_feed(path, FeedOptions()), McapPictures(path)
+    extra = tuple(dict.fromkeys(key for row in feed.rows for key in row.extra))
+    with FeedWriter(output, feed.header, extra) as writer:
+        for index, row in enumerate(feed.rows):
             known = {name: getattr(row, name) for name in MEASURES}
-            writer.write(np.asarray(image, dtype=np.uint8), row.stamp_ns, **known, extra=row.extra)
-    print(f"{output}: {len(rows)} frames")
+            writer.write(pictures.data(index), row.stamp_ns, **known, extra=row.extra)
+    print(f"{output}: {len(feed.rows)} frames")
     return 0
 
 
-def _with_fields(row: FeedRow, topic: str, fields: Fields) -> FeedRow:
-    known = {name: getattr(row, name) for name in MEASURES}
-    if topic == "/position":
-        known |= {"lat_deg": fields["latitude"], "lon_deg": fields["longitude"]}
-    elif topic == "/row":
-        known |= {name: fields[name] for name in MEASURES[2:]}
-    return FeedRow(row.file, row.stamp_ns, **known, extra=fields.get("extra", row.extra))
-
-
-def _read_messages(path: Path) -> Iterator[tuple[str, int, Fields]]:
-    """All whole messages of our topics, in the order in which they were written."""
+def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[tuple[int, Message]]:
+    """Stamp and content of all whole messages of some topics, in the order in which they were written."""
     try:
         from mcap.exceptions import McapError
         from mcap.reader import NonSeekingReader
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"MCAP needs {error.name}: pip install 'lookback[desk]'") from None
-    count = 0
+    except ModuleNotFoundError:
+        raise ConfigError("MCAP needs the package mcap: pip install 'lookback[desk]'") from None
+    is_mcap = False
     try:
         with path.open("rb") as stream:
             # Not by the index at its end, which a file that was cut short has not; and not sorted, which needs all.
-            for _, channel, message in NonSeekingReader(stream).iter_messages(list(SCHEMAS), log_time_order=False):
-                count += 1
-                yield channel.topic, message.log_time, msgspec.json.decode(message.data)
+            for _, channel, message in NonSeekingReader(stream).iter_messages(topics, log_time_order=False):
+                is_mcap = True
+                if channel.message_encoding == "json":  # a topic of ROS may have the same name
+                    yield message.log_time, msgspec.json.decode(message.data, type=MESSAGES[channel.topic])
     except OSError as error:
         raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
-    except (McapError, struct.error, msgspec.DecodeError) as error:  # struct's: a record without its end
-        if not count:
+    except msgspec.DecodeError as error:
+        raise FeedError(f"{path}: {channel.topic}: {error}") from None
+    except (McapError, struct.error) as error:  # struct's: a record without its end
+        if not is_mcap:
             raise FeedError(f"{path}: not an MCAP file: {error}") from None

@@ -5,6 +5,9 @@ and `stamp_ns`) and the pictures: files under `frames/`, or one video whose name
 (rows are then its frames in order). Where they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg,
 speed_mps, distance_m`; further columns are kept as text. A bare video file is read as a feed as well: its rows are its
 frames, with stamps from its frame rate and nothing else known.
+
+Recordings of other kinds are read by whoever knows them: an entry point `lookback.feeds`, named by the file's suffix,
+is a function of the path and a `FeedOptions` that returns a `Feed`, which brings its pictures itself.
 """
 
 from __future__ import annotations
@@ -13,12 +16,12 @@ import csv
 import errno
 import io
 import os
-import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Literal
+from typing import Protocol
 
 import cv2
 import msgspec
@@ -26,88 +29,115 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from edge.camera.feed_rows import MEASURES, FeedRow, read_rows, stays_inside
+from edge.camera.feed_header import FeedHeader, View, read_header
+from edge.camera.feed_rows import MEASURES, FeedRow, read_rows
 from edge.errors import FeedError, FrameError
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-__all__ = ["Feed", "FeedHeader", "FeedImages", "FeedRow", "FeedWriter", "read_feed", "read_picture"]
+__all__ = [
+    "Feed",
+    "FeedHeader",
+    "FeedImages",
+    "FeedOptions",
+    "FeedRow",
+    "FeedWriter",
+    "Pictures",
+    "View",
+    "read_feed",
+    "read_picture",
+]
 
 JPEG_QUALITY = 92
-Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
+PNG_BEGINS = b"\x89PNG"
 
 # FFmpeg prints lines of its own about a video that it cannot read; here that is one error. Read at its first use.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
-class FeedHeader(msgspec.Struct, frozen=True):
-    """`feed.toml`; keys that are not listed here are ignored."""
+class Pictures(Protocol):
+    """The pictures of a recording, read when they are asked for; quickest in row order."""
 
-    name: str
-    view: Literal["front", "rear"]
-    width: Pixels
-    height: Pixels
-    source: str = ""
-    notes: str = ""
-    video: str = ""
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names the picture."""
+
+    def close(self) -> None:
+        """Release files; more than once is harmless."""
 
 
 @dataclass(frozen=True)
 class Feed:
-    """A feed's header and rows; the pictures stay on the disk until `FeedImages` reads them."""
+    """A feed's header and rows; the pictures stay on the disk until `FeedImages` reads them.
+
+    pictures: opens those of a recording of another kind; None where they are the files, or the video, of a feed.
+    """
 
     path: Path
     header: FeedHeader
     rows: tuple[FeedRow, ...]
+    pictures: Callable[[], Pictures] | None = None
 
 
-def read_feed(path: Path) -> Feed:
-    """Read and check the header and all rows of a feed folder, or list the frames of a bare video file.
+@dataclass(frozen=True)
+class FeedOptions:
+    """What a recording that is no feed does not say of itself.
+
+    view: where its camera looked, front unless it says so itself. video: that belongs to a log; None is the one beside
+    it of the same name. video_start_s: from the log's first position to the video's first frame.
+    """
+
+    view: View | None = None
+    video: Path | None = None
+    video_start_s: float | None = None
+
+
+def read_feed(path: Path, options: FeedOptions | None = None) -> Feed:
+    """Read and check the header and all rows of a feed folder, or of a file: a bare video, or what a plug-in reads.
 
     Raises FeedError, which names the file and the line or the key. The stamps of a feed strictly increase.
     """
+    options = options or FeedOptions()
     if path.is_file():
-        return _read_bare_video(path)
+        return _read_file(path, options)
     if not path.is_dir():
         raise FeedError(f"{path}: no such feed; it is a folder with feed.toml, frames.csv and frames/, or a video file")
-    header = _read_header(path / "feed.toml")
+    if options != FeedOptions():
+        raise FeedError(f"{path}: --view and --video are for recordings; this is a feed, and its feed.toml says it all")
+    header = read_header(path / "feed.toml")
     rows = read_rows(path / "frames.csv")
     if header.video and not (path / header.video).is_file():
         raise FeedError(f"{path / header.video}: the video that feed.toml names is missing")
     return Feed(path, header, rows)
 
 
-def _read_bare_video(path: Path) -> Feed:
+def _read_file(path: Path, options: FeedOptions) -> Feed:
+    """A recording, by the installed reader of its suffix, or else a video."""
+    for point in entry_points(group="lookback.feeds", name=path.suffix.lower().removeprefix(".")):
+        try:
+            feed: Feed = point.load()(path, options)
+        except ModuleNotFoundError as error:
+            raise FeedError(f"{path}: to read it, {point.value} needs the package {error.name}") from None
+        return feed
+    if (options.video, options.video_start_s) != (None, None):
+        raise FeedError(f"{path}: --video belongs to a log, and this is a video or nothing that is known here")
+    return _read_bare_video(path, options.view or "front")
+
+
+def _read_bare_video(path: Path, view: View) -> Feed:
     video = _open_video(path)
     count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
     width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
     video.release()
     if count < 1 or not fps > 0:
         raise FeedError(f"{path}: this video does not say how many frames it has, and how many a second")
-    header = FeedHeader(path.stem, "front", width, height, source=path.name, video=path.name)
+    header = FeedHeader(path.stem, view, width, height, source=path.name, video=path.name)
     return Feed(path.parent, header, tuple(FeedRow("", round(index * 1e9 / fps)) for index in range(count)))
 
 
 def _open_video(path: Path) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path))
     if not video.isOpened():
-        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read")
+        others = "".join(sorted(f", or *.{point.name}" for point in entry_points(group="lookback.feeds")))
+        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}")
     return video
-
-
-def _read_header(file: Path) -> FeedHeader:
-    try:
-        header = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
-        raise FeedError(f"{file}: {error}") from None
-    if header.video and not stays_inside(header.video):
-        raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
-    return header
 
 
 def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
@@ -124,10 +154,11 @@ def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]
 
 
 class FeedImages:
-    """The pictures of a feed, read in row order (video) or in any order (files)."""
+    """The pictures of a feed, of the size that its header gives; quickest in row order."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
+        self._others = feed.pictures() if feed.pictures else None
         self._video: cv2.VideoCapture | None = None
         self._next_video_frame = 0
         if feed.header.video:
@@ -139,7 +170,9 @@ class FeedImages:
         Raises FrameError that names the file, or the video's frame.
         """
         header = self._feed.header
-        if self._video is not None:
+        if self._others is not None:
+            name, image = f"{self._feed.path}: picture {index}", self._others.read(index)
+        elif self._video is not None:
             name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
         else:
             file = self._feed.path / self._feed.rows[index].file
@@ -159,7 +192,9 @@ class FeedImages:
         return np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:
-        """Release the video, if there is one."""
+        """Release what is open; more than once is harmless."""
+        if self._others is not None:
+            self._others.close()
         if self._video is not None:
             self._video.release()
 
@@ -185,7 +220,7 @@ class FeedWriter:
 
     def write(
         self,
-        image: NDArray[np.uint8],
+        image: NDArray[np.uint8] | bytes,
         stamp_ns: int,
         *,
         lat_deg: float | None = None,
@@ -196,11 +231,14 @@ class FeedWriter:
         distance_m: float | None = None,
         extra: Mapping[str, str] | None = None,
     ) -> None:
-        """Append one frame; image (H, W, 3) uint8 BGR. OSError when the disk is full: what was written stays whole."""
-        name = f"frames/{self._count:06d}.jpg"
-        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        """Append one frame; image (H, W, 3) uint8 BGR, or the bytes of a JPEG or PNG file, which are kept as they are.
+
+        OSError when the disk is full: what was written stays whole.
+        """
+        data = image if isinstance(image, bytes) else _as_jpeg(image)
+        name = f"frames/{self._count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
         try:
-            (self._path / name).write_bytes(data.tobytes())
+            (self._path / name).write_bytes(data)
             measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m)
             known = ["" if value is None else repr(float(value)) for value in measures]
             self._append([name, str(stamp_ns), *known, *((extra or {}).get(key, "") for key in self._extra_columns)])
@@ -234,3 +272,7 @@ class FeedWriter:
     def close(self) -> None:
         """Close the row file; more than once is harmless."""
         self._file.close()
+
+
+def _as_jpeg(image: NDArray[np.uint8]) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

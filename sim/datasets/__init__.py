@@ -16,26 +16,12 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, Protocol
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from edge.camera.feed import FeedRow
+from edge.camera.feed import FeedRow, Pictures, View
 from edge.errors import FeedError
 
-View = Literal["front", "rear"]
 TruthKind = Literal["positions", "rows", "route_m"]
-
-
-class Pictures(Protocol):
-    """The pictures of a traverse, read when they are asked for; quickest in row order."""
-
-    def read(self, index: int) -> NDArray[np.uint8]:
-        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names the picture."""
-
-    def close(self) -> None:
-        """Release files; more than once is harmless."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M metres")
     parser.add_argument("--width", metavar="PIXELS", type=int, help="make the pictures smaller")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave pictures out that cannot be read")
+    parser.add_argument("--lossless", action="store_true", help="keep the pictures as PNG, not as JPEG")
     parser.set_defaults(run=import_dataset)
 
 
@@ -75,7 +76,14 @@ def import_dataset(args: argparse.Namespace) -> int:
         length_m=args.length_m,
     )
     progress = tqdm(chosen, unit="frame", desc=args.output.name)
-    count = write_feed(traverse, args.output, progress, width=args.width, skip_unreadable=args.skip_unreadable)
+    count = write_feed(
+        traverse,
+        args.output,
+        progress,
+        width=args.width,
+        skip_unreadable=args.skip_unreadable,
+        lossless=args.lossless,
+    )
     print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}", file=sys.stderr)
     return 0
 

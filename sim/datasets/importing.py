@@ -1,12 +1,12 @@
-"""A traverse of a data set, written as a feed."""
+"""A traverse of a data set, written as a feed, or read as one where it lies."""
 
 from __future__ import annotations
 
 import logging
 import math
 import tempfile
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedHeader, FeedRow, FeedWriter
+from edge.camera.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
+from edge.camera.feed_rows import MEASURES
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.sampling import Sampler
@@ -87,13 +88,14 @@ def write_feed(
     *,
     width: int | None = None,
     skip_unreadable: bool = False,
+    lossless: bool = False,
 ) -> int:
     """Write the chosen rows as a feed at `output`, which appears when it is whole; returns the number of frames.
 
     Every row also says `source_file` and `source_frame`, its number in the data set, so that traverses which were
     aligned frame by frame stay so. width: pictures are made that many pixels wide. FeedError if something is at
     `output` already, or for a picture that cannot be read (it is left out if `skip_unreadable`) or is of another
-    size than the first.
+    size than the first. lossless: pictures are kept as PNG and not as JPEG.
     """
     if output.exists():
         raise FeedError(f"{output}: there is something here already; name another folder")
@@ -101,7 +103,7 @@ def write_feed(
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{output.name}-", dir=output.parent) as folder:
-            count = _write(traverse, Path(folder) / "feed", pictures)
+            count = _write(traverse, Path(folder) / "feed", pictures, lossless)
             (Path(folder) / "feed").rename(output)
     except OSError as error:
         raise FeedError(f"{output}: cannot write a feed here: {error.strerror}") from None
@@ -130,7 +132,9 @@ def _pictures(
         yield row, image
 
 
-def _write(traverse: Traverse, path: Path, pictures: Iterator[tuple[ChosenRow, NDArray[np.uint8]]]) -> int:
+def _write(
+    traverse: Traverse, path: Path, pictures: Iterator[tuple[ChosenRow, NDArray[np.uint8]]], lossless: bool
+) -> int:
     first = next(pictures, None)
     if first is None:
         raise FeedError(f"{traverse.source}: no picture in it can be used")
@@ -138,7 +142,8 @@ def _write(traverse: Traverse, path: Path, pictures: Iterator[tuple[ChosenRow, N
     count = 0
     with FeedWriter(path, _header(traverse, first[1].shape), tuple(columns)) as writer:
         for row, image in chain([first], pictures):
-            _write_row(writer, image, traverse.rows[row.index], row)
+            kept = cv2.imencode(".png", image)[1].tobytes() if lossless else image
+            _write_row(writer, kept, feed_row(traverse, row))
             count += 1
     return count
 
@@ -147,18 +152,46 @@ def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
     return FeedHeader(traverse.name, traverse.view, size[1], size[0], traverse.source, traverse.notes)
 
 
-def _write_row(writer: FeedWriter, image: NDArray[np.uint8], row: FeedRow, chosen: ChosenRow) -> None:
-    writer.write(
-        image,
-        row.stamp_ns,
-        lat_deg=row.lat_deg,
-        lon_deg=row.lon_deg,
-        alt_m=row.alt_m,
-        heading_deg=row.heading_deg,
-        speed_mps=row.speed_mps,
-        distance_m=chosen.distance_m,
-        extra={"source_file": row.file, "source_frame": str(chosen.index), **row.extra},
-    )
+def _write_row(writer: FeedWriter, image: NDArray[np.uint8] | bytes, row: FeedRow) -> None:
+    known = {name: getattr(row, name) for name in MEASURES}
+    writer.write(image, row.stamp_ns, **known, extra=row.extra)
+
+
+def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:
+    """The row of a feed that a chosen row becomes."""
+    row = traverse.rows[chosen.index]
+    extra = {"source_file": row.file, "source_frame": str(chosen.index), **row.extra}
+    return replace(row, distance_m=chosen.distance_m, extra=extra)
+
+
+def as_feed(traverse: Traverse, path: Path, open_pictures: Callable[[], Pictures]) -> Feed:
+    """Every row that can be used, as the feed that `write_feed` would write of them. FeedError.
+
+    `open_pictures` opens the pictures of the whole traverse again.
+    """
+    chosen = choose_rows(traverse, SamplingConfig(by="frames"))
+    _, first = next(_pictures(traverse, chosen, None, skip_unreadable=True), (None, None))
+    traverse.pictures.close()
+    if first is None:
+        raise FeedError(f"{path}: no picture in it can be used")
+    indices = [row.index for row in chosen]
+    rows = tuple(feed_row(traverse, row) for row in chosen)
+    return Feed(path, _header(traverse, first.shape), rows, lambda: _ChosenPictures(open_pictures(), indices))
+
+
+class _ChosenPictures:
+    """Those of a traverse's pictures that are rows of the feed."""
+
+    def __init__(self, pictures: Pictures, indices: Sequence[int]) -> None:
+        self._pictures, self._indices = pictures, indices
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index` of the feed."""
+        return self._pictures.read(self._indices[index])
+
+    def close(self) -> None:
+        """Release files; more than once is harmless."""
+        self._pictures.close()
 
 
 def _resized(image: NDArray[np.uint8], width: int | None) -> NDArray[np.uint8]:

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedImages, read_feed, read_picture
+from edge.camera.feed import Feed, FeedImages, Pictures, read_feed, read_picture
 from edge.errors import FeedError
-from sim.datasets import Pictures
 
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"})
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})

@@ -4,16 +4,20 @@
 
 Neither says when the other began: `start_s` is the time from the log's first position to the video's first frame,
 0 by default. A second off is a second's travel off.
+
+A log is also read wherever a feed is (`lookback replay flight.tlog`), with the video beside it of the same name.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from edge.camera.feed import Feed, FeedOptions
 from edge.errors import FeedError
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.flight_logs import read_log
-from sim.datasets.pictures import open_video
+from sim.datasets.importing import as_feed
+from sim.datasets.pictures import VIDEO_SUFFIXES, open_video
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
@@ -33,3 +37,19 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         pictures=pictures,
         notes=f"the video began {options.start_s or 0.0:g} s after the log's first position",
     )
+
+
+def open_feed(log: Path, options: FeedOptions) -> Feed:
+    """A log and its video as a feed; the entry point of `lookback.feeds`. FeedError."""
+    video = options.video or _video_beside(log)
+    read = ReadOptions(positions=str(log), start_s=options.video_start_s, view=options.view)
+    return as_feed(open_dataset("video-log", video, read), log, lambda: open_video(video)[1])
+
+
+def _video_beside(log: Path) -> Path:
+    videos = [file for file in sorted(log.parent.glob("*")) if file.stem == log.stem]
+    videos = [file for file in videos if file.suffix.lower() in VIDEO_SUFFIXES]
+    if len(videos) != 1:
+        found = ", ".join(file.name for file in videos) or "none"
+        raise FeedError(f"{log}: which video belongs to it? Name it with --video; of the same name beside it: {found}")
+    return videos[0]

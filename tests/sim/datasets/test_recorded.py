@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.camera.feed import read_feed
+from edge.__main__ import main
+from edge.camera.feed import FeedImages, FeedOptions, read_feed
 from edge.errors import FeedError
 from edge.reference_map.route import east_north
 from sim.datasets import ReadOptions, open_dataset
@@ -242,3 +245,55 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
 def test_a_video_without_its_log_is_told_so(tmp_path: Path, write_video: WriteVideo, refused: Refused) -> None:
     write_video(tmp_path / "drive.avi", 3, 10.0)
     refused("video-log", tmp_path / "drive.avi", r"--positions: name the log \(\.tlog, \.bin or \.ulg\)")
+
+
+def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
+    tmp_path: Path,
+    degrees_at: Degrees,
+    sim_import: Callable[..., int],
+    write_traverse: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    images = FeedImages(read_feed(write_traverse(tmp_path / "street", range(40))))
+    video = cv2.VideoWriter(str(tmp_path / "flight.AVI"), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (160, 120))
+    for index in range(40):
+        video.write(images.read(index))
+    video.release()
+    log = tmp_path / "flight.tlog"
+    write_tlog(log, degrees_at, 20)  # 3.8 s of the video's 4
+    assert main(["map", "build", str(tmp_path / "street"), "-o", str(tmp_path / "map")]) == 0
+    options = ["--map", str(tmp_path / "map"), "--sequence-length", "5", "--spacing-frames", "1", "--all"]
+    sim_import(
+        *("video-log", tmp_path / "flight.AVI", "--positions", log, "--start-s", "0.5", "--spacing-frames", 1),
+        *("--lossless", "--view", "rear", "-o", tmp_path / "imported"),
+    )
+    capsys.readouterr()
+    assert main(["replay", str(tmp_path / "imported"), *options]) == 0
+    imported = capsys.readouterr().out
+    read = ["--video", str(tmp_path / "flight.AVI"), "--video-start-s", "0.5", "--view", "rear"]
+    assert main(["replay", str(log), *options, *read]) == 0
+    assert capsys.readouterr().out == imported
+    assert imported.count("\n") == 34, "frames beyond the log's end are left out"
+    assert imported.count('"direction":"forward"') >= 20
+    assert main(["replay", str(log), *options, *read[2:]]) == 0
+    assert capsys.readouterr().out == imported, "the video of the same name is found"
+    rows = [read_feed(tmp_path / "imported").rows, read_feed(log, FeedOptions("rear", video_start_s=0.5)).rows]
+    assert [replace(row, file="") for row in rows[0]] == [replace(row, file="") for row in rows[1]]
+
+
+def test_a_log_that_cannot_be_paired_is_one_line(
+    tmp_path: Path, degrees_at: Degrees, write_video: WriteVideo, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, there = tmp_path / "flight.tlog", ["--map", "a.map"]
+    write_tlog(log, degrees_at, 12)
+    assert main(["replay", str(log), *there]) == 78
+    assert (
+        "which video belongs to it? Name it with --video; of the same name beside it: none" in capsys.readouterr().err
+    )
+    write_video(tmp_path / "flight.avi", 20, 10.0)
+    assert main(["replay", str(tmp_path / "flight.avi"), *there, "--video", str(log)]) == 78
+    assert "flight.avi: --video belongs to a log" in capsys.readouterr().err
+    assert main(["replay", str(log), *there, "--video-start-s", "nan"]) == 78
+    assert "--video-start-s: nan is not a number of seconds" in capsys.readouterr().err
+    assert main(["map", "build", str(log), str(log), "-o", "a.map", "--video", "a.avi"]) == 78
+    assert "--video: of several logs each has its own" in capsys.readouterr().err
