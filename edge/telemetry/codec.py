@@ -49,10 +49,15 @@ class MavlinkCodec:
     def encode(self, message: Message) -> bytes:
         """One MAVLink 2 frame with the next sequence number."""
         if self._signer is not None:
-            self._signer.advance(self._mavlink)
+            self._signer.advance()
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
+
+    def rest(self) -> None:
+        """Nothing will be sent or decoded for a while."""
+        if self._signer is not None:
+            self._signer.rest()
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages completed by `data`, without noise and without messages that the dialect does not know.

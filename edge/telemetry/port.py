@@ -94,6 +94,7 @@ class Port:
         if self._link is not None:
             self._link.close()
             self._link = None
+            self.codec.rest()
 
     def _still_listening(self) -> bool:
         codec = self.codec

@@ -1,7 +1,9 @@
 """MAVLink 2 signing: the key, the timestamp that only ever grows, and the check of what arrives.
 
-A frame whose timestamp is not above the last one of its stream is dropped by the receiver, so a restart, or a clock
-that was set back, must not lead to a lower one: the timestamp is kept in a file, ahead of what has been used.
+A frame whose timestamp is not above the last one of its stream is dropped by the receiver. A restart, or a clock that
+was set back, must neither lead to a lower one of ours, nor to one being taken a second time from others: all are kept
+in a file, ahead of what has been used, and as they are at the end. After a crash, then, nobody is heard who is not
+past what was kept ahead, which costs less time than a restart takes.
 """
 
 from __future__ import annotations
@@ -13,15 +15,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import ConfigError
+from edge.telemetry.freshness import TICKS_PER_S, Freshness, Stream
 
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
-TICKS_PER_S = 100_000
-AHEAD_TICKS = 60 * TICKS_PER_S
-AHEAD_FOR_TICKS = 3 * TICKS_PER_S
-KEPT_AHEAD = 20 * TICKS_PER_S
+KEPT_AHEAD = 10 * TICKS_PER_S
 """How far ahead of use the file is written, and so how seldom: autopilots take frames dated up to a minute ahead."""
 KEY_BYTES = 32
 CREDENTIAL = "credential:"
@@ -30,41 +31,34 @@ log = logging.getLogger(__name__)
 
 
 class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's codec, but a frame that is refused leaves no trace, and one from the future is refused.
+    """pymavlink's codec, which checks signatures; whether a frame is new is left to `takes`.
 
     pymavlink notes a frame's timestamp before it checks the signature, and believes any timestamp with a good one, so
-    that one frame dated far ahead would lock the real sender out, for ever. But it may be our clock that is wrong: who
-    goes on sending in a time of his own for a while is believed.
+    that one frame dated far ahead would lock the real sender out, for ever.
     """
 
-    clock_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
-    wall_clock: Callable[[], int] | None = None
-    """Now, as a timestamp; with it, frames from the future are refused."""
-    _ahead: tuple[int, int] | None = None  # the first timestamp of those that were too far ahead, and when it came
+    takes: Callable[[Stream, int], bool]
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
-        """Whether the frame is signed with our key and newer than the last of its stream."""
-        streams, newest = dict(self.signing.stream_timestamps), self.signing.timestamp
-        good = bool(super().check_signature(msgbuf, srcSystem, srcComponent))
-        # 48 bits, before the 6 bytes of the signature.
-        if good and self._is_from_the_future(int.from_bytes(msgbuf[-12:-6], "little"), newest):
-            good = False
-        if not good:
-            self.signing.stream_timestamps, self.signing.timestamp = streams, newest
-        return good
-
-    def _is_from_the_future(self, timestamp: int, newest: int) -> bool:
-        """Whether a timestamp is over a minute ahead, and not of a sender that has been so for a while."""
-        if self.wall_clock is None or timestamp <= max(newest, self.wall_clock()) + AHEAD_TICKS:
-            self._ahead = None
+        """Whether the frame is signed with our key, and new."""
+        signing = self.signing
+        ours, signing.timestamp = signing.timestamp, 0  # so that nothing is too old for pymavlink
+        signing.stream_timestamps.clear()
+        is_signed = super().check_signature(msgbuf, srcSystem, srcComponent)
+        signing.timestamp = ours
+        # 1 byte of link id and 6 of timestamp, before the 6 of the signature.
+        timestamp = int.from_bytes(msgbuf[-12:-6], "little")
+        if not is_signed or not self.takes((msgbuf[-13], srcSystem, srcComponent), timestamp):
             return False
-        now_ns = self.clock_ns()
-        first, first_ns = self._ahead or (timestamp, now_ns)
-        elapsed = (now_ns - first_ns) * TICKS_PER_S // 10**9
-        if abs(timestamp - first - elapsed) > TICKS_PER_S:
-            first, first_ns, elapsed = timestamp, now_ns, 0
-        self._ahead = first, first_ns
-        return elapsed < AHEAD_FOR_TICKS
+        signing.timestamp = max(ours, timestamp)
+        return True
+
+
+class SigningClock(msgspec.Struct, frozen=True):
+    """The file: what nothing of ours, and nothing in a stream of others, may be below from now on."""
+
+    ours: int = 0
+    heard: tuple[tuple[Stream, int], ...] = ()
 
 
 class Signer:
@@ -79,40 +73,64 @@ class Signer:
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`link_id` tells the links of one system apart, 0 to 255."""
-        self._clock_ns = clock_ns
         self._key = key
         self._file = timestamp_file
         self._link_id = link_id
         self._unix_time_s = unix_time_s
-        self._kept = _read_timestamp(timestamp_file)
-        self._first = self._kept
+        self._kept = _read(timestamp_file)
+        self._heard_kept = dict(self._kept.heard)
+        self._freshness = Freshness(self._heard_kept, clock_ns)
+        self._told: set[object] = set()
 
     def attach(self, codec: mavlink.MAVLink) -> None:
         """Have the codec sign, and refuse what is not signed."""
-        codec.wall_clock, codec.clock_ns = self._now, self._clock_ns
-        signing = codec.signing
-        signing.secret_key, signing.sign_outgoing, signing.link_id = self._key, True, self._link_id
-        signing.timestamp = max(self._now(), self._first)
+        self._signing = codec.signing
+        self._signing.secret_key, self._signing.sign_outgoing = self._key, True
+        self._signing.link_id = self._link_id
+        self._signing.timestamp = max(self._now(), self._kept.ours)
+        codec.takes = self._takes
 
-    def advance(self, codec: mavlink.MAVLink) -> None:
+    def advance(self) -> None:
         """Before each frame: the timestamp follows the clock, but never back, and is on disk before it is used."""
-        signing = codec.signing
-        signing.timestamp = max(signing.timestamp, self._now())
-        if signing.timestamp >= self._kept:
-            self._kept = signing.timestamp + KEPT_AHEAD
-            self._write()
+        self._signing.timestamp = max(self._signing.timestamp, self._now())
+        if self._signing.timestamp >= self._kept.ours:
+            self._keep(KEPT_AHEAD)
+
+    def rest(self) -> None:
+        """Nothing will be sent or taken for a while: keep what was used, and no more."""
+        self._keep(0)
+
+    def _takes(self, stream: Stream, timestamp: int) -> bool:
+        if not self._freshness.take(stream, timestamp, max(self._signing.timestamp, self._now())):
+            self._tell(
+                stream,
+                "link %d, system %d, component %d: signed, but not newer than before, or a minute off: not used",
+                *stream,
+            )
+            return False
+        if timestamp > self._heard_kept.get(stream, 0):
+            self._keep(KEPT_AHEAD)
+        return True
 
     def _now(self) -> int:
         return int((self._unix_time_s() - EPOCH_S) * TICKS_PER_S)
 
-    def _write(self) -> None:
-        """Replace the file by one rename; a disk that does not take it costs the guarantee, not the link."""
-        new = self._file.with_suffix(".new")
+    def _keep(self, ahead: int) -> None:
+        """Replace the file; a disk that does not take it costs the guarantee, not the link."""
+        self._heard_kept = self._freshness.at_least(ahead)
+        kept = SigningClock(self._signing.timestamp + ahead, tuple(self._heard_kept.items()))
+        if kept == self._kept:
+            return
+        self._kept = kept
         try:
-            new.write_text(f"{self._kept}\n", encoding="ascii")
-            new.replace(self._file)
+            _write(self._file, msgspec.json.encode(kept))
         except OSError as error:
-            log.warning("%s: cannot keep the signing timestamp: %s", self._file, error.strerror)
+            self._tell("file", "%s: cannot keep the signing timestamps: %s", self._file, error.strerror)
+
+    def _tell(self, once: object, words: str, *arguments: object) -> None:
+        if once not in self._told:
+            self._told.add(once)
+            log.warning(words, *arguments)
 
 
 def load_key(name: str) -> bytes:
@@ -142,9 +160,27 @@ def load_key(name: str) -> bytes:
     return data
 
 
-def _read_timestamp(file: Path) -> int:
-    """What was kept, 0 when nothing was; a damaged file counts as nothing."""
+def _read(file: Path) -> SigningClock:
+    """What was kept, nothing when nothing was; a damaged file counts as nothing."""
     try:
-        return max(0, int(file.read_text(encoding="ascii")))
-    except (OSError, ValueError):
-        return 0
+        return msgspec.json.decode(file.read_bytes(), type=SigningClock)
+    except FileNotFoundError:
+        return SigningClock()
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        log.warning("%s: not used, so that signed frames of the last minute may be taken again: %s", file, error)
+        return SigningClock()
+
+
+def _write(file: Path, data: bytes) -> None:
+    """Replace a file by one rename, and have both on the disk: power is lost without a warning."""
+    new = file.with_name(f"{file.name}.new")
+    with new.open("wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    new.replace(file)
+    folder = os.open(file.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

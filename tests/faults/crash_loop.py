@@ -1,6 +1,6 @@
 """Kills a writer again and again, at random moments, and looks at what it has left. Run by test_kill.py.
 
-    python crash_loop.py map|state|journal FOLDER KILLS SEED
+    python crash_loop.py map|state|journal|clock FOLDER KILLS SEED
 
 A process of its own, since it forks. Prints JSON: kills, how many hit a write that had not ended, and what was found
 to be old, new, or neither.
@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from edge.config import SamplingConfig
@@ -26,11 +27,14 @@ from edge.errors import LookbackError
 from edge.kept_state import KeptState, Moment, StateFile, StateKey
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.freshness import TICKS_PER_S
 from edge.telemetry.journal import Journal, read_journal
+from edge.telemetry.signing import EPOCH_S, Signer, SigningClock
 
 NOW = Moment(1000.0, "boot", 10.0)
 SHAPE = (2, 4096)
-LONGEST_S = {"map": 0.1, "state": 0.03, "journal": 0.01}
+LONGEST_S = {"map": 0.1, "state": 0.03, "journal": 0.01, "clock": 0.01}
 
 
 def write_map(folder: Path, version: int) -> None:
@@ -79,10 +83,23 @@ def read_last_line(folder: Path) -> int:
     return int(versions[-1])
 
 
+def write_clock(folder: Path, version: int) -> None:
+    """The signing clock, of a link that has come to rest so many seconds after MAVLink's epoch."""
+    MavlinkCodec(1, 191, Signer(bytes(32), folder / "clock.0", 0, lambda: EPOCH_S + version)).rest()
+
+
+def read_clock(folder: Path) -> int:
+    try:
+        return msgspec.json.decode((folder / "clock.0").read_bytes(), type=SigningClock).ours // TICKS_PER_S
+    except (OSError, msgspec.DecodeError) as error:
+        raise LookbackError(str(error)) from None
+
+
 WORK: dict[str, tuple[Callable[[Path, int], None], Callable[[Path], int]]] = {
     "map": (write_map, read_map),
     "state": (write_state, read_state),
     "journal": (write_journal, read_last_line),
+    "clock": (write_clock, read_clock),
 }
 
 

@@ -19,7 +19,7 @@ CRASH_LOOP = Path(__file__).with_name("crash_loop.py")
 
 
 @pytest.mark.parametrize("kills", [40, pytest.param(500, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("what", ["map", "state", "journal"])
+@pytest.mark.parametrize("what", ["map", "state", "journal", "clock"])
 def test_killed_while_writing(what: str, kills: int, tmp_path: Path, seed: int, figures: Callable[[str], None]) -> None:
     done = subprocess.run(
         [sys.executable, str(CRASH_LOOP), what, str(tmp_path), str(kills), str(seed)],

@@ -13,7 +13,8 @@ import pytest
 from edge.errors import ConfigError
 from edge.telemetry import fixes
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.signing import EPOCH_S, KEPT_AHEAD, TICKS_PER_S, Signer, load_key
+from edge.telemetry.freshness import TICKS_PER_S
+from edge.telemetry.signing import EPOCH_S, KEPT_AHEAD, Signer, load_key
 
 KEY = hashlib.sha256(b"a passphrase").digest()
 OTHER = hashlib.sha256(b"another one").digest()
@@ -115,6 +116,45 @@ def test_we_run_ahead_with_a_peer_that_does(tmp_path: Path) -> None:
     assert stamp_of(ours.encode(BEAT)) > (NOW_S + 49 - EPOCH_S) * TICKS_PER_S
 
 
+def test_after_a_crash_nothing_is_taken_twice_and_who_is_past_what_was_kept_is_heard(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = NOW_S
+    theirs = MavlinkCodec(1, 1, Signer(KEY, tmp_path / "theirs", 0, lambda: now_s))
+    crashed = codec(tmp_path, "ours")
+    frames = []
+    for _ in range(25):
+        now_s += 1.0
+        frames.append(theirs.encode(BEAT))
+        assert crashed.decode(frames[-1])
+    restarted = codec(tmp_path, "ours")
+    assert not any(restarted.decode(frame) for frame in frames)
+    assert caplog.text.count("not newer than before") == 1
+    heard_after_s = 0.0
+    while not restarted.decode(theirs.encode(BEAT)):
+        heard_after_s, now_s = heard_after_s + 0.1, now_s + 0.1
+    assert heard_after_s <= KEPT_AHEAD / TICKS_PER_S + 0.1
+
+
+def test_after_an_end_the_next_frame_is_heard_and_none_before_it(tmp_path: Path) -> None:
+    theirs, ours = codec(tmp_path, "theirs"), codec(tmp_path, "ours")
+    frame = theirs.encode(BEAT)
+    assert ours.decode(frame)
+    last = stamp_of(ours.encode(BEAT))
+    ours.rest()
+    restarted = codec(tmp_path, "ours", now_s=NOW_S - 3600)
+    assert last < stamp_of(restarted.encode(BEAT)) <= last + 2
+    assert not restarted.decode(frame)
+    assert restarted.decode(theirs.encode(BEAT))
+
+
+@pytest.mark.parametrize("damage", [b"\xffnonsense", b"{}x", b"12"])
+def test_a_damaged_file_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: bytes) -> None:
+    (tmp_path / "ours").write_bytes(damage)
+    assert codec(tmp_path, "ours").decode(codec(tmp_path, "theirs").encode(BEAT))
+    assert f"{tmp_path / 'ours'}: not used" in caplog.text
+
+
 @pytest.mark.parametrize(("key", "up"), [(KEY, True), (OTHER, False)])
 def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes, up: bool) -> None:
     (tmp_path / "key").write_bytes(KEY)
@@ -159,8 +199,7 @@ def test_a_frame_from_the_future_with_our_key_is_refused_and_leaves_no_trace(tmp
 
 def test_a_computer_without_a_clock_believes_a_peer_that_goes_on_in_its_own_time(tmp_path: Path) -> None:
     now_ns = 0
-    ours = codec(tmp_path, "ours", now_s=EPOCH_S + 1e6)
-    ours._mavlink.clock_ns = lambda: now_ns
+    ours = MavlinkCodec(1, 191, Signer(KEY, tmp_path / "ours", 0, lambda: EPOCH_S + 1e6, lambda: now_ns))
     heard = []
     for second in range(8):
         now_ns = second * 1_000_000_000
