@@ -131,6 +131,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     near_sigmas: Positive = 3.0
     far_sigmas: Positive = 10.0
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
+    confirm_m: Annotated[float, Meta(ge=0, le=1000)] = 100.0
 
 
 class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,11 +1,11 @@
 """Telemetry: what the robot says about itself comes in, place fixes go out, over MAVLink 2.
 
 `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` keeps it
-open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time and `odometer` for metres driven.
-`fixes` writes what we send, `ways` says which message carries a position to which firmware, `gates` when it may go,
-`answers` what an acknowledgement means, and `positions` joins those. `manners` keeps the link as others expect it,
-`texts` and `reports` tell people. `autopilot` joins all into the one object that the daemon polls, and `journal`
-keeps what happened.
+open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time, `odometer` for metres driven and
+`displacement` for metres east and north. `fixes` writes what we send, `ways` says which message carries a position to
+which firmware, `gates` (with `witnesses`) when it may go, `answers` what an acknowledgement means, and `positions`
+joins those. `manners` keeps the link as others expect it, `texts` and `reports` tell people. `autopilot` joins all into
+the one object that the daemon polls, and `journal` keeps what happened.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):
     deviation along and across the route. direction: of travel against the map's. order: whether left and right
     regions matched their own side or the other. uniqueness: second-best cost over the best, outside a window.
     category: what kind of place, "" where nobody asked. matches: how many in a row agree with the distance driven.
+    map: name of the place's map, where there is a folder of them.
     """
 
     stamp_ns: int
@@ -40,6 +41,7 @@ class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):
     uniqueness: float
     category: str = ""
     matches: int = 1
+    map: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def sigma_m(self) -> float:

@@ -2,7 +2,8 @@
 
 A wrong fix does more harm than none, so a fix must come from a vehicle that moves and is on the map now, agree with
 the distance driven for several matches, and lie where the autopilot may be: within its uncertainty at once, further
-off only after many more matches, and beyond all reason never.
+off only after many more matches, and beyond all reason never. Where the autopilot may be anywhere, an earlier fix from
+another place must confirm it (`witnesses`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Reason: TypeAlias = Literal[
     "too soon",
     "too few matches in a row",
     "too few matches for a far fix",
+    "not confirmed by another place yet",
     "impossibly far",
 ]
 GPS_SIGMA_M = 3.0
@@ -36,6 +38,7 @@ class Situation:
 
     position: the autopilot's own, None where it has none. uncertainty_m: one standard deviation of it, None where
     nothing has ever bound it. speed_mps: None where nobody tells. last_sent_ns: of the last fix, None for none yet.
+    confirmed: whether an earlier fix elsewhere agrees with this one.
     """
 
     now_ns: int
@@ -44,6 +47,7 @@ class Situation:
     position: VehiclePosition | None
     uncertainty_m: float | None
     last_sent_ns: int | None
+    confirmed: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,10 @@ def _too_far(fix: PlaceFix, situation: Situation, gates: GatesConfig) -> Refusal
     """The distance from the autopilot's own position, in units of what both may be wrong by."""
     distance_m = distance_from(situation.position, fix) if situation.position is not None else None
     if distance_m is None or situation.uncertainty_m is None:
-        # Nothing is known of where the vehicle may be: only the matches can tell.
-        return Refusal("too few matches for a far fix", distance_m) if fix.matches < gates.far_matches else None
+        # Nothing is known of where the vehicle may be: only what it recognises can tell.
+        if fix.matches < gates.far_matches:
+            return Refusal("too few matches for a far fix", distance_m)
+        return None if situation.confirmed else Refusal("not confirmed by another place yet", distance_m)
     sigmas = distance_m / math.hypot(situation.uncertainty_m, fix.sigma_m)
     if sigmas > gates.far_sigmas:
         return Refusal("impossibly far", distance_m)

@@ -21,6 +21,7 @@ from edge.telemetry.fixes import Sending
 from edge.telemetry.gates import GPS_SIGMA_M, Refusal, Situation, Uncertainty, distance_from, offset_m, refusal
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.ways import WAYS, Moment, Way, suitable_way
+from edge.telemetry.witnesses import Witnesses
 
 STEADY_RECORD_NS = 1_000_000_000
 log = logging.getLogger(__name__)
@@ -45,6 +46,7 @@ class PositionSender:
         self.way: Way | None = None
         self.why = ""
         self._uncertainty = Uncertainty(gates.drift_percent)
+        self._witnesses = Witnesses(gates)
         self._disabled = False
         self._reset_counter = 0
         self._source_set = 1
@@ -65,6 +67,7 @@ class PositionSender:
         self._disabled = False
         self._source_set = 1
         self._uncertainty.forget()
+        self._witnesses.forget()
         self._choose()
 
     def _choose(self) -> None:
@@ -116,8 +119,9 @@ class PositionSender:
     def _period_s(self, way: Way) -> float:
         return self._gates.min_interval_s if way.period_s is None else way.period_s
 
-    def _situation(self, now_ns: int) -> Situation:
+    def _situation(self, fix: PlaceFix, now_ns: int) -> Situation:
         vehicle = self._vehicle
+        confirmed = self._witnesses.confirm(fix, vehicle.reckoned(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns))
         return Situation(
             now_ns,
             vehicle.gps_healthy(now_ns),
@@ -125,10 +129,11 @@ class PositionSender:
             vehicle.position(now_ns),
             self.uncertainty_m(now_ns),
             self._last_sent_ns,
+            confirmed,
         )
 
     def _refusal(self, fix: PlaceFix, now_ns: int, way: Way) -> Refusal | None:
-        return refusal(fix, self._situation(now_ns), self._gates, self._period_s(way), way.oldest_s)
+        return refusal(fix, self._situation(fix, now_ns), self._gates, self._period_s(way), way.oldest_s)
 
     def _withhold(self, fix: PlaceFix, held: Refusal) -> None:
         if held.reason == self._held:

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import Message
+from edge.telemetry.displacement import Displacement, Reckoned
 from edge.telemetry.odometer import Odometer
 
 LINK_TIMEOUT_NS = 5_000_000_000
@@ -72,6 +73,7 @@ class Vehicle:
         self._newest_boot_ms = -1
         self._timesync_sent_ns = 0
         self._odometer = Odometer()
+        self._displacement = Displacement()
         self._position: VehiclePosition | None = None
         self._gps_healthy_ns: int | None = None
         self._accuracy: tuple[int, float] | None = None
@@ -131,6 +133,10 @@ class Vehicle:
         """Metres driven up to the newest report; None when no speed has come for a second."""
         return None if self._odometer.speed_mps(now_ns) is None else self._odometer.total_m
 
+    def reckoned(self, stamp_ns: int) -> Reckoned | None:
+        """Metres east and north at the moment of a frame, by the autopilot's own velocity."""
+        return self._displacement.at(stamp_ns)
+
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""
         return self._odometer.speed_mps(now_ns)
@@ -165,6 +171,7 @@ class Vehicle:
     def _start_session(self) -> None:
         self.session += 1
         self._clock = BootClock()
+        self._displacement.begin_leg()
         self._newest_boot_ms = -1
         self._gps_healthy_ns = None
         self._accuracy = self._wheels = None
@@ -187,6 +194,7 @@ class Vehicle:
             return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
         self._odometer.add(stamp_ns, speed_mps, source=1)
+        self._displacement.add(stamp_ns, message.vy / 100, message.vx / 100)
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
         self._position = VehiclePosition(
             stamp_ns,
@@ -202,6 +210,7 @@ class Vehicle:
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         self._odometer.add(stamp_ns, math.hypot(message.vx, message.vy), source=0)
+        self._displacement.add(stamp_ns, message.vy, message.vx)
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.

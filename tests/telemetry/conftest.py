@@ -20,7 +20,7 @@ from sim.pty_link import PtyLink, open_pty
 TlogReader = Callable[[str], Iterator[tuple[int, bytes]]]
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
-LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1)
+LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, confirm_m=0.0)
 
 
 @pytest.fixture(scope="session")

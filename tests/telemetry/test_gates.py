@@ -74,10 +74,12 @@ def test_the_distance_counts_in_deviations_of_both(metres: float, matches: int, 
 
 
 @pytest.mark.parametrize("unknown", [{"position": None}, {"uncertainty_m": None}])
-def test_where_nothing_is_known_of_the_vehicle_only_many_matches_count(unknown: dict[str, Any]) -> None:
+def test_where_nothing_is_known_of_the_vehicle_many_matches_and_another_place_count(unknown: dict[str, Any]) -> None:
     far = north(5000.0)
     assert judged(far, **unknown) == "too few matches for a far fix"
-    assert judged(msgspec.structs.replace(far, matches=12), **unknown) is None
+    sure = msgspec.structs.replace(far, matches=12)
+    assert judged(sure, **unknown) == "not confirmed by another place yet"
+    assert judged(sure, **unknown, confirmed=True) is None
 
 
 def test_a_refusal_says_how_far() -> None:

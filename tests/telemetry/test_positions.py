@@ -13,7 +13,7 @@ from sim.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 OpenRig: TypeAlias = Callable[..., Any]
-OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1)
+OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, confirm_m=0.0)
 
 
 def fixes_received(rig: Rig) -> list[Any]:
@@ -66,7 +66,7 @@ def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, fir
 
 
 def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0), gps=False)
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0, confirm_m=0.0), gps=False)
     rig.run(4.0)
     rig.autopilot.refuse_fixes_with = SILENT
     assert rig.connection.send_position(rig.fix(age_s=0.5))
@@ -169,7 +169,7 @@ def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(o
 
 
 def test_a_vision_stream_that_begins_far_off_says_that_it_jumps(open_rig: OpenRig) -> None:
-    gates = GatesConfig(far_sigmas=1000.0)
+    gates = GatesConfig(far_sigmas=1000.0, confirm_m=0.0)
     rig = open_rig(emit="vision_position", gates=gates)
     rig.run(6.0)
     rig.autopilot.gps = False
@@ -234,3 +234,22 @@ def test_sources_are_not_chosen_for_a_position_that_cannot_be_told(open_rig: Ope
     rig.run(0.5)
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.received("VISION_POSITION_ESTIMATE")
+
+
+@pytest.mark.parametrize("claimed_off_m", [0.0, 300.0])
+def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: OpenRig, claimed_off_m: float) -> None:
+    """Places near the start, then none, then some 100 m on; those near the start may claim to be elsewhere."""
+    rig = open_rig(emit="external_position", gates=GatesConfig(), gps=False, drift_percent=3.0)
+    rig.run(4.0)
+    off_deg = claimed_off_m / 111_000
+    assert not offer_for(rig, 6.0, lat_deg=rig.fix().lat_deg + off_deg)
+    assert [record["reason"] for record in rig.journalled("fix_withheld")] == ["not confirmed by another place yet"]
+    rig.run(10.0)
+    sent = offer_for(rig, 6.0)
+    if claimed_off_m:
+        assert not sent
+        rig.run(10.0)
+        sent = offer_for(rig, 6.0)
+    assert sent
+    assert rig.autopilot.resets
+    assert max(reset.error_after_m for reset in rig.autopilot.resets) < 5.0
