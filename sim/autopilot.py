@@ -54,6 +54,7 @@ class SimulatedAutopilot:
         firmware: str = "ardupilot",
         system_id: int = 1,
         gps: bool = True,
+        gps_fails_s: float = math.inf,
         has_origin: bool = True,
         drift_percent: float = 0.0,
         drift_sideways_percent: float = 0.0,
@@ -61,10 +62,12 @@ class SimulatedAutopilot:
     ) -> None:
         """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree.
 
-        firmware: a row of `sim.firmware.FIRMWARES`. has_origin: whether it knows at boot where on earth it is, as
-        after a start with GPS; else, where the firmware needs one, an origin has to be set. codec: one that signs.
+        firmware: a row of `sim.firmware.FIRMWARES`. gps: whether there is a receiver with a fix, which fails at
+        `gps_fails_s` of that clock. has_origin: whether it knows at boot where on earth it is, as after a start with
+        GPS; else, where the firmware needs one, an origin has to be set. codec: one that signs.
         """
         self.gps = gps
+        self._gps_fails_s = gps_fails_s
         self.received: list[Received] = []
         self.refuse_fixes_with: int | None = None
         """A MAV_RESULT to answer every position estimate with, or SILENT as PX4 1.15 is, instead of heeding it."""
@@ -109,6 +112,8 @@ class SimulatedAutopilot:
         """One turn: move, hear, speak. Raises LinkLost when the link is gone."""
         now_s = self._clock_ns() / 1e9
         self._pose = self._pose_at(now_s)
+        if now_s >= self._gps_fails_s:
+            self.gps = False
         self.estimate.update(self._pose, now_s, gps=self.gps)
         if self.gps:
             self._gps_lost_s = now_s

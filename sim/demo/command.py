@@ -67,7 +67,7 @@ def _run(args: argparse.Namespace) -> int:
     rig = _measure_rig(folder, reference_map)
     again_m, home_m = rig.ahead_forward_swapped_m, rig.ahead_reverse_same_m
     print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
-    print("3. Live, without GPS, with the front camera: once more at dusk, and home at night (at the same time)")
+    print("3. Live, with the front camera, GPS failing soon: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig, args.pictures)
     print("4. What they saw, held against the truth")
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]

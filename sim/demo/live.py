@@ -25,6 +25,7 @@ from sim.drive import Drive
 from sim.pty_link import PtyLink, open_pty
 from sim.scenario import Scenario
 
+WITH_GPS_S = 6.0  # of each drive, before the receiver fails: so does the autopilot know where it began
 START_S = 6.0  # for the daemon to load its model and the camera to build its world
 CAMERA_FPS = 25.0
 DRIFT_PERCENT = 3.0
@@ -110,7 +111,7 @@ def error_m(drive: Drive, time_s: float, lat_deg: float, lon_deg: float) -> floa
 def start_drive(
     name: str, scenario: Scenario, folder: Path, map_path: Path, rig: RigConfig, page_port: int = 0
 ) -> Iterator[LiveDrive]:
-    """Start daemon and autopilot; leaving the context stops both. The vehicle sets off START_S from now, GPS off.
+    """Start daemon and autopilot; leaving the context stops both. It sets off START_S from now; soon GPS fails.
 
     page_port: of the daemon's live page, 0 for none.
     """
@@ -121,8 +122,9 @@ def start_drive(
     journal = folder / "journal.jsonl"
     link = open_pty()
     config = _write_config(folder, scenario, map_path, rig, link, journal, page_port)
+    epoch_s = epoch_ns / 1e9
     autopilot = SimulatedAutopilot(
-        link, lambda now_s: drive.pose(now_s - epoch_ns / 1e9), gps=False, drift_percent=DRIFT_PERCENT
+        link, lambda now_s: drive.pose(now_s - epoch_s), gps_fails_s=epoch_s + WITH_GPS_S, drift_percent=DRIFT_PERCENT
     )
     stop = threading.Event()
     flying = threading.Thread(target=autopilot.run, args=(stop,), name=f"autopilot {name}")
@@ -131,7 +133,7 @@ def start_drive(
         flying.start()
         try:
             page = f"http://127.0.0.1:{page_port}/"
-            yield LiveDrive(name, scenario, drive, journal, epoch_ns / 1e9, autopilot, process, page)
+            yield LiveDrive(name, scenario, drive, journal, epoch_s, autopilot, process, page)
         finally:
             process.terminate()
             process.wait(10)

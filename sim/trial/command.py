@@ -14,7 +14,7 @@ from edge.errors import ConfigError
 from sim.firmware import FIRMWARES
 from sim.trial.course import LIGHTS, RememberingNetwork, one_run, prepare_world
 from sim.trial.live import drive_home_live
-from sim.trial.run import drive_home
+from sim.trial.run import Rules, drive_home
 from sim.trial.score import RunScore, TrialScore
 
 WAYS = ("auto", "external_position", "global_position_sensor", "vision_position")
@@ -28,6 +28,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads that they share, default 5")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--emit", choices=WAYS, default="auto", help="as [telemetry] emit, default auto")
+    parser.add_argument("--no-gps", action="store_true", help="not even at the start; an origin is set near it")
     parser.add_argument("--live", action="store_true", help="in real time, the daemon as its own process")
     parser.add_argument("--at-once", type=int, default=1, metavar="N", help="of the live drives, default 1")
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER")
@@ -57,7 +58,7 @@ def _simulated(args: argparse.Namespace) -> Iterator[RunScore]:
         world = prepare_world(number, args.output)
         for seed in range(args.first_seed + number, args.first_seed + args.runs, args.worlds):
             with one_run(world, seed, args.output) as (course, folder):
-                yield drive_home(world, course, seed, network, folder, args.firmware, args.emit)
+                yield drive_home(world, course, seed, network, folder, _rules(args))
         network.forget()
 
 
@@ -68,13 +69,17 @@ def _live(args: argparse.Namespace) -> Iterator[RunScore]:
     seeds = range(args.first_seed, args.first_seed + args.runs)
     numbers = [(seed - args.first_seed) % args.worlds for seed in seeds]
     with ProcessPoolExecutor(args.at_once, get_context("spawn")) as pool:
-        yield from pool.map(partial(_one_live, args.output, args.firmware, args.emit), numbers, seeds)
+        yield from pool.map(partial(_one_live, args.output, _rules(args)), numbers, seeds)
 
 
-def _one_live(output: Path, firmware: str, emit: str, number: int, seed: int) -> RunScore:
+def _one_live(output: Path, rules: Rules, number: int, seed: int) -> RunScore:
     world = prepare_world(number, output)
     with one_run(world, seed, output) as (course, folder):
-        return drive_home_live(world, course, seed, folder, firmware, emit)
+        return drive_home_live(world, course, seed, folder, rules)
+
+
+def _rules(args: argparse.Namespace) -> Rules:
+    return Rules(args.firmware, args.emit, gps_at_start=not args.no_gps)
 
 
 def _line(run: RunScore) -> str:

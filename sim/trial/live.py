@@ -13,18 +13,20 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from edge.config import Config
 from edge.errors import LookbackError
 from edge.telemetry.journal import read_journal
-from sim.pty_link import PtyLink, open_pty
+from sim.pty_link import open_pty
+from sim.scenario import Scenario
 from sim.trial.course import CAMERA_FPS, JOURNAL, Course, World
-from sim.trial.run import WITH_GPS_S, seeded_autopilot, trial_config
+from sim.trial.run import Rules, seeded_autopilot, trial_config
 from sim.trial.score import RunScore, judge
 
 START_S = 8.0  # for the daemon to load its model
 LATE_S = 60.0
 
 
-def drive_home_live(world: World, course: Course, seed: int, folder: Path, firmware: str, emit: str) -> RunScore:
+def drive_home_live(world: World, course: Course, seed: int, folder: Path, rules: Rules) -> RunScore:
     """As `drive_home`, but with a clock on the wall. LookbackError when the daemon does not end as it should."""
     epoch_ns = time.monotonic_ns() + round(START_S * 1e9)
     scenario = msgspec.structs.replace(world.home, epoch_ns=epoch_ns, feed=str(world.feed.path.resolve()))
@@ -32,22 +34,19 @@ def drive_home_live(world: World, course: Course, seed: int, folder: Path, firmw
     journal = folder / JOURNAL
     stop = threading.Event()
     with closing(open_pty()) as link:
-        config = _write_config(world, course, link, journal, emit, folder, scenario)
-        autopilot = seeded_autopilot(
-            link, drive, epoch_s, time.monotonic_ns, np.random.default_rng([seed, 8]), firmware
-        )
+        rng = np.random.default_rng([seed, 8])
+        autopilot, origin = seeded_autopilot(link, drive, epoch_s, time.monotonic_ns, rng, rules)
+        settings = trial_config(world, course, link, journal.resolve(), rules.emit, origin)
+        config = _write_config(settings, world, scenario, folder)
         flying = threading.Thread(target=autopilot.run, args=(stop,), name="autopilot")
-        failing = threading.Timer(START_S + WITH_GPS_S, lambda: setattr(autopilot, "gps", False))
         with (folder / "daemon.log").open("wb") as log:
             process = subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=log)
         flying.start()
-        failing.start()
         try:
             code = process.wait(START_S + drive.duration_s + LATE_S)
         except subprocess.TimeoutExpired:
             raise LookbackError(f"seed {seed}: the daemon does not end (see {folder / 'daemon.log'})") from None
         finally:
-            failing.cancel()
             process.kill()
             process.wait()
             stop.set()
@@ -57,17 +56,14 @@ def drive_home_live(world: World, course: Course, seed: int, folder: Path, firmw
     return judge(seed, world, epoch_s, course, autopilot, list(read_journal(journal)))
 
 
-def _write_config(
-    world: World, course: Course, link: PtyLink, journal: Path, emit: str, folder: Path, scenario: msgspec.Struct
-) -> Path:
+def _write_config(settings: Config, world: World, scenario: Scenario, folder: Path) -> Path:
     """The same settings as in simulated time, as a file; the camera is the simulator."""
     device = folder / "scenario.toml"
     device.write_text(tomli_w.dumps(msgspec.structs.asdict(scenario)), encoding="utf-8")
-    config = trial_config(world, course, link, journal.resolve(), emit)
     camera = {"kind": "sim", "device": str(device.resolve()), "view": world.home.view, "fps": CAMERA_FPS}
     size = {"width": world.home.width, "height": world.home.height}
-    written = {**msgspec.to_builtins(config), "camera": {**camera, **size}}
-    written["map"]["path"] = str(course.map_path.resolve())
+    written = {**msgspec.to_builtins(settings), "camera": {**camera, **size}}
+    written["map"]["path"] = str(Path(settings.map.path).resolve())
     path = folder / "lookback.toml"
     path.write_text(tomli_w.dumps(written), encoding="utf-8")
     return path

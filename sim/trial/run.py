@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pymap3d
 
 from edge.camera import Frame
 from edge.camera.feed import Feed, FeedImages
@@ -15,17 +16,30 @@ from edge.camera.newest import CameraHealth
 from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.telemetry.journal import read_journal
+from sim import ORIGIN_ALT_M
 from sim.autopilot import SimulatedAutopilot
 from sim.drive import Drive
 from sim.pty_link import PtyLink, open_pty
 from sim.trial.course import JOURNAL, Course, RememberingNetwork, World
 from sim.trial.score import RunScore, judge
 
+Origin = tuple[float, float, float]
 STEP_NS = 10_000_000
 DRIFT_PERCENT = 3.0
 WITH_GPS_S = 8.0
 """Of every drive, before the receiver fails: so does the autopilot know where it begins."""
 LONGEST_LATENCY_S = 0.25
+START_OFF_M = 20.0
+"""Standard deviation of where an origin is set, east and north of where the vehicle starts, if it has no GPS at all."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What all runs of a trial share: the firmware, [telemetry] emit, and whether there is GPS at the start."""
+
+    firmware: str = "ardupilot"
+    emit: str = "auto"
+    gps_at_start: bool = True
 
 
 @dataclass
@@ -83,42 +97,55 @@ class PlayedFrames:
 
 
 def drive_home(
-    world: World, course: Course, seed: int, network: RememberingNetwork, folder: Path, firmware: str, emit: str
+    world: World, course: Course, seed: int, network: RememberingNetwork, folder: Path, rules: Rules
 ) -> RunScore:
-    """The drive home of one run, GPS failing on the way; its journal stays in `folder`."""
+    """The drive home of one run; its journal stays in `folder`."""
     rng = np.random.default_rng([seed, 8])
     clock, drive = SimulatedClock(), world.home.drive()
     epoch_s = clock.now_ns / 1e9
     journal = folder / JOURNAL
     with ExitStack() as parts:
         link = parts.enter_context(closing(open_pty()))
-        autopilot = seeded_autopilot(link, drive, epoch_s, clock, rng, firmware)
+        autopilot, origin = seeded_autopilot(link, drive, epoch_s, clock, rng, rules)
         latencies_s = rng.uniform(0.03, LONGEST_LATENCY_S, len(world.feed.rows)).tolist()
         frames = PlayedFrames(world.feed, clock, autopilot, latencies_s)
-        config = trial_config(world, course, link, journal, emit)
+        config = trial_config(world, course, link, journal, rules.emit, origin)
         daemon = Daemon(config, parts, clock, frames=frames, network=network)
         while daemon.turn():
-            autopilot.gps = clock.now_ns / 1e9 - epoch_s < WITH_GPS_S
+            pass
         daemon.last_words()
     return judge(seed, world, epoch_s, course, autopilot, list(read_journal(journal)))
 
 
 def seeded_autopilot(
-    link: PtyLink, drive: Drive, epoch_s: float, clock_ns: Callable[[], int], rng: np.random.Generator, firmware: str
-) -> SimulatedAutopilot:
-    """Odometry that is wrong by DRIFT_PERCENT of the distance, in a direction of the run's own."""
+    link: PtyLink, drive: Drive, epoch_s: float, clock_ns: Callable[[], int], rng: np.random.Generator, rules: Rules
+) -> tuple[SimulatedAutopilot, Origin | None]:
+    """Odometry that is wrong by DRIFT_PERCENT of the distance, in a direction of the run's own.
+
+    Where it has no GPS at all, it knows no origin either: the second is the one to set, about where it starts.
+    """
     direction_rad = rng.uniform(-np.pi, np.pi)
-    return SimulatedAutopilot(
+    autopilot = SimulatedAutopilot(
         link,
         lambda now_s: drive.pose(now_s - epoch_s),
         clock_ns,
-        firmware=firmware,
+        firmware=rules.firmware,
+        gps=rules.gps_at_start,
+        gps_fails_s=epoch_s + WITH_GPS_S,
+        has_origin=rules.gps_at_start,
         drift_percent=DRIFT_PERCENT * float(np.cos(direction_rad)),
         drift_sideways_percent=DRIFT_PERCENT * float(np.sin(direction_rad)),
     )
+    if rules.gps_at_start:
+        return autopilot, None
+    lat_deg, lon_deg = drive.pose(0.0).geodetic()
+    east_m, north_m = rng.normal(0.0, START_OFF_M, 2)
+    return autopilot, pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, ORIGIN_ALT_M)
 
 
-def trial_config(world: World, course: Course, link: PtyLink, journal: Path, emit: str) -> Config:
+def trial_config(
+    world: World, course: Course, link: PtyLink, journal: Path, emit: str, origin: Origin | None
+) -> Config:
     """The defaults, but for what this vehicle is: where it drives home is two half lanes from where it drove out.
 
     Each run starts with nothing kept from the last.
@@ -132,6 +159,7 @@ def trial_config(world: World, course: Course, link: PtyLink, journal: Path, emi
         telemetry=TelemetryConfig(
             connection=f"serial:{link.device}:921600",
             emit=emit,  # type: ignore[arg-type]  # the command has checked it
+            origin=origin or (),
             journal=str(journal),
         ),
     )

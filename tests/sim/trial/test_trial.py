@@ -14,7 +14,7 @@ from edge.reference_map.store import open_map
 from edge.telemetry.journal import read_journal
 from sim.trial import command
 from sim.trial.course import FALSE_BY_M, KNOWN_M, PLANTED_M, RememberingNetwork, World, lay_course, prepare_world
-from sim.trial.run import drive_home
+from sim.trial.run import Rules, drive_home
 from sim.trial.score import RunScore, TrialScore
 
 LENGTH_M = 560.0
@@ -49,7 +49,7 @@ def test_a_course_knows_its_stretches_and_lies_about_one(world: World, tmp_path:
 def test_the_whole_daemon_drives_home(world: World, network: RememberingNetwork, tmp_path: Path) -> None:
     """In simulated time: right fixes, honest ones, and none of the false place, which is recognised."""
     course = lay_course(world, 5, tmp_path / "map", stretches=2)
-    run = drive_home(world, course, 5, network, tmp_path, "ardupilot", "auto")
+    run = drive_home(world, course, 5, network, tmp_path, Rules())
     assert len(run.after_m) >= 5
     assert np.median(run.after_m) <= 4.0
     assert max(run.fix_sigmas) <= 3.0
@@ -63,9 +63,21 @@ def test_the_whole_daemon_drives_home(world: World, network: RememberingNetwork,
     assert checked and all(checked)
 
 
+def test_without_gps_from_boot_the_autopilot_finds_where_it_is(
+    world: World, network: RememberingNetwork, tmp_path: Path
+) -> None:
+    """Its origin was set some 20 m from where it starts, and the first stretch it recognises needs a second."""
+    course = lay_course(world, 5, tmp_path / "map", stretches=2)
+    run = drive_home(world, course, 5, network, tmp_path, Rules(gps_at_start=False))
+    assert run.withheld["not confirmed by another place yet"] >= 1
+    assert not run.false_fixes
+    assert run.after_m
+    assert max(run.after_m) <= 10.0
+
+
 def test_px4_is_told_a_stream(world: World, network: RememberingNetwork, tmp_path: Path) -> None:
     course = lay_course(world, 6, tmp_path / "map", stretches=2)
-    run = drive_home(world, course, 6, network, tmp_path, "px4", "auto")
+    run = drive_home(world, course, 6, network, tmp_path, Rules("px4"))
     assert len(run.after_m) >= 25
     assert np.percentile(run.after_m, 95) <= 10.0
     assert not run.false_fixes
