@@ -51,9 +51,9 @@ def _overview(
 ) -> results.Section:
     text = (
         "A vehicle drove out along a street by day with a camera that looks back, and a map was made of"
-        f" {reference_map.header.places} places. Then it drove with a camera that looks ahead, GPS failing soon: the same way"
-        " again at dusk, and home at night. Lookback ran as its own process, and told a simulated autopilot where it"
-        " was over a serial line."
+        f" {reference_map.header.places} places. Then it drove with a camera that looks ahead, GPS failing soon: the"
+        " same way again at dusk, and home at night. Lookback ran as its own process, and told a simulated autopilot"
+        " where it was over a serial line."
     )
     note = (
         f"Sequence of {SequenceConfig().length} frames, uniqueness from {AcceptanceConfig().uniqueness_min} on. The"
