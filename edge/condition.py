@@ -57,6 +57,8 @@ class Condition:
         self._min_speed_mps = min_speed_mps
         self._picture = PictureWatch()
         self._picture_fault = ""
+        self.sees = True
+        """Whether the newest picture was one to go by."""
         self._reopened = 0
         self._hang = ""
         self._frame_s = 0.0
@@ -81,10 +83,13 @@ class Condition:
         speed_mps = self._autopilot.vehicle.speed_mps(self._clock_ns())
         moves = None if speed_mps is None else speed_mps >= self._min_speed_mps
         fault = self._picture.see(frame.image, frame.stamp_ns, moves)
-        self._picture_fault = fault.what if fault else ""
+        self._picture_fault = fault.what if fault and fault.sure else ""
         if fault and fault.reopen and camera is not None:
             camera.reopen(fault.what)
-        return fault is None
+        self.sees = fault is None
+        # The first frame of a camera that came back finds what was seen before, which is forgotten after this turn.
+        returned = camera is not None and camera.health.reopened != self._reopened
+        return self.sees and not returned
 
     def used(self, frame_s: float) -> None:
         """A frame has been used, and took so long."""

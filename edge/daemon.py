@@ -237,7 +237,7 @@ class Daemon:
     def _tell_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
         moment = self._autopilot.position_wanted()
-        if moment is None or self._newest is None:
+        if moment is None or self._newest is None or not self.condition.sees:
             return
         if moment == "exposure":
             tracked = self._tracker.at_exposure()

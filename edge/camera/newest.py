@@ -37,7 +37,7 @@ class CameraHealth:
     delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
     bad: frames that could not be read, of another size than the first, or whose stamp was not after the last one's or
     lay in the future (drivers' clocks do that).
-    reopened: how often the camera came back.
+    reopened: how often the camera came back, with a frame: one that opens and gives nothing is still lost.
     """
 
     state: Literal["running", "lost", "ended"]
@@ -84,6 +84,7 @@ class NewestFrame:
         self._last_stamp_ns = -1
         self._shape: tuple[int, ...] | None = None  # of the first picture ever: a map fits one shape
         self._good_ns = 0
+        self._bad_why = ""
         self._reopen_why = ""
         self._expected: tuple[str, int] = ("", 0)
         self._expect("opening", OPENING_S)
@@ -192,7 +193,10 @@ class NewestFrame:
             self._set_state("lost", str(error))
             self._opened.set()
             return False
-        self._set_running(camera, first)
+        with self._changed:
+            self._health = replace(self._health, differences=camera.differences)
+        if first:
+            self._set_state("running", "")
         self._opened.set()
         try:
             return self._read_until_lost(camera)
@@ -228,12 +232,12 @@ class NewestFrame:
         """Keep a frame; FrameError for one that is of no use."""
         now_ns = self._clock_ns()
         if frame.stamp_ns <= self._last_stamp_ns:
-            raise FrameError(f"frame {frame.index}: its stamp is not after that of the frame before")
+            raise FrameError("a stamp that is not after the last one's")
         if frame.stamp_ns > now_ns + FUTURE_NS:
-            raise FrameError(f"frame {frame.index}: its stamp lies {(frame.stamp_ns - now_ns) / 1e9:.1f} s ahead")
+            raise FrameError(f"a stamp {(frame.stamp_ns - now_ns) / 1e9:.1f} s ahead")
         shape, self._shape = frame.image.shape, self._shape or frame.image.shape
         if shape != self._shape:
-            raise FrameError(f"frame {frame.index}: {_size(shape)}, and the first was {_size(self._shape)}")
+            raise FrameError(f"a picture {_size(shape)}, and the first was {_size(self._shape)}")
         self._last_stamp_ns, self._good_ns = frame.stamp_ns, now_ns
         self._put(frame)
 
@@ -241,11 +245,14 @@ class NewestFrame:
         """Why the camera must be opened again: nothing but bad frames for too long."""
         if not self._reopens or self._clock_ns() - self._good_ns <= BAD_FRAMES_S * 1e9:
             return ""
-        return f"nothing but bad frames for {BAD_FRAMES_S:g} s ({self.health.reason})"
+        return f"nothing but bad frames for {BAD_FRAMES_S:g} s ({self._bad_why})"
 
     def _put(self, frame: Frame) -> None:
         with self._changed:
             health = self._health
+            if health.state == "lost":
+                now_ns, reopened = self._clock_ns(), health.reopened + 1
+                health = replace(health, state="running", reason="", since_ns=now_ns, reopened=reopened)
             overwritten = health.overwritten + (self._newest is not None)
             self._health = replace(health, delivered=health.delivered + 1, overwritten=overwritten)
             self._newest = frame
@@ -253,13 +260,9 @@ class NewestFrame:
 
     def _count_bad(self, reason: str) -> None:
         with self._changed:
-            self._health = replace(self._health, bad=self._health.bad + 1, reason=reason)
-
-    def _set_running(self, camera: Camera, first: bool) -> None:
-        self._set_state("running", "")
-        with self._changed:
-            reopened = self._health.reopened + (not first)
-            self._health = replace(self._health, reopened=reopened, differences=camera.differences)
+            health, self._bad_why = self._health, reason
+            why = health.reason if health.state == "lost" else reason  # of which it is just one more sign
+            self._health = replace(health, bad=health.bad + 1, reason=why)
 
     def _set_state(self, state: Literal["running", "lost", "ended"], reason: str) -> None:
         with self._changed:
@@ -269,4 +272,4 @@ class NewestFrame:
 
 
 def _size(shape: tuple[int, ...]) -> str:
-    return f"{shape[1]} x {shape[0]} pixels" if len(shape) == 3 and shape[2] == 3 else f"of shape {shape}"
+    return f"of {shape[1]} x {shape[0]} pixels" if len(shape) == 3 and shape[2] == 3 else f"of shape {shape}"

@@ -36,7 +36,7 @@ def test_a_blank_picture_is_told_after_half_a_second_and_forgotten_with_the_next
     eyes = PictureWatch()
     blank = np.full((48, 64, 3), colour, np.uint8)
     told = watch(eyes, [blank] * 6)
-    assert [fault is not None for fault in told] == [False] * 3 + [True] * 3
+    assert [fault and fault.sure for fault in told] == [False] * 3 + [True] * 3, "and is not used from the first"
     assert told[-1] is not None
     assert "blank" in told[-1].what
     assert watch(eyes, [noisy(1)], from_s=1.2) == [None]
@@ -44,8 +44,9 @@ def test_a_blank_picture_is_told_after_half_a_second_and_forgotten_with_the_next
 
 def test_a_frozen_picture_is_told_after_two_seconds_and_opened_again_with_growing_pauses() -> None:
     told = watch(PictureWatch(), [noisy(0)] * 5 * 60)
-    assert all(fault is None for fault in told[:10])
-    assert all(fault is not None and "frozen" in fault.what for fault in told[10:])
+    assert told[0] is None
+    assert all(fault is not None and "frozen" in fault.what for fault in told[1:]), "the first repeat is not used"
+    assert [fault and fault.sure for fault in told] == [None] + [False] * 9 + [True] * 290
     again_s = [index / 5 for index, fault in enumerate(told) if fault is not None and fault.reopen]
     assert again_s == [3, 9, 21, 45]
 
@@ -53,8 +54,13 @@ def test_a_frozen_picture_is_told_after_two_seconds_and_opened_again_with_growin
 def test_a_vehicle_that_stands_sees_the_same_picture() -> None:
     eyes = PictureWatch()
     assert watch(eyes, [noisy(0)] * 100, moves=False) == [None] * 100
-    assert watch(eyes, [noisy(0)] * 9, moves=True, from_s=20) == [None] * 9
+    assert {fault and fault.sure for fault in watch(eyes, [noisy(0)] * 9, moves=True, from_s=20)} == {False}
     assert watch(eyes, [noisy(0)] * 100, moves=None, from_s=22)[-1] is not None
+
+
+def test_a_driver_that_gives_each_picture_twice_is_no_fault() -> None:
+    told = watch(PictureWatch(), [noisy(index // 2) for index in range(40)])
+    assert [fault and fault.sure for fault in told] == [None, False] * 20
 
 
 @pytest.mark.parametrize("name", ["corridor_query", "track_lap_a"])

@@ -234,15 +234,16 @@ class ScriptedFrames:
 class Bench:
     """A daemon in this process, with its autopilot, on a clock that the test moves: 5 frames a second."""
 
-    def __init__(self, config: Path, parts: ExitStack, network: Any, speed_mps: float) -> None:
+    def __init__(self, config: Path, parts: ExitStack, network: Any, speed_mps: float, frames: Any) -> None:
         self.now_ns = 10**12
+        self.number = 0
         self.cable = open_pty()
         parts.callback(self.cable.close)
-        self.moves = True
+        self.moves = self.autopilot_speaks = True
         self._speed_mps = speed_mps
         settings = load_config(config)
         telemetry = replace(settings.telemetry, connection=f"serial:{self.cable.device}:921600")
-        self.frames = ScriptedFrames(self.clock_ns)
+        self.frames = frames(self.clock_ns)
         self.autopilot = SimulatedAutopilot(self.cable, self._pose, self.clock_ns, gps=False)
         self.daemon = Daemon(
             replace(settings, telemetry=telemetry), parts, self.clock_ns, frames=self.frames, network=network
@@ -257,15 +258,19 @@ class Bench:
 
     def step(self, image: NDArray[np.uint8] | None, index: int, turns: int = 2) -> None:
         """A fifth of a second with a picture at its beginning, or with none."""
+        self.number = index
         for turn in range(turns):
             self.now_ns += 200_000_000 // turns
             if image is not None and turn == 0:
                 self.frames.next = Frame(image, self.now_ns, index)
-            self.autopilot.step()
+            if self.autopilot_speaks:
+                self.autopilot.step()
             self.daemon.turn()
 
 
 @pytest.fixture
 def make_bench() -> Iterator[Callable[..., Bench]]:
     with ExitStack() as parts:
-        yield lambda config, network=None, speed_mps=10.0: Bench(config, parts, network, speed_mps)
+        yield lambda config, network=None, speed_mps=10.0, frames=ScriptedFrames: Bench(
+            config, parts, network, speed_mps, frames
+        )
