@@ -14,7 +14,7 @@ from types import ModuleType
 import msgspec
 
 from edge.errors import ConfigError, MapError
-from edge.reference_map.store import HEADER, MapHeader, ReferenceMap, encode_header, open_map
+from edge.reference_map.store import HEADER, MapHeader, ReferenceMap, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
 KEY_BYTES, SIGNATURE_BYTES = 32, 64
@@ -59,6 +59,8 @@ def check_signature(reference_map: ReferenceMap, key_file: Path) -> None:
     key = _ed25519().Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
     file = reference_map.path / SIGNATURE
     try:
+        if file.exists() and plain_size(file) > 4 * SIGNATURE_BYTES:
+            raise ValueError("too large")
         signature = file.read_bytes()[: 4 * SIGNATURE_BYTES].decode("ascii")
         key.verify(bytes.fromhex(signature), _signed_bytes(reference_map.header))
     except FileNotFoundError:

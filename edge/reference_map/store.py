@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -167,7 +168,7 @@ def read_header(path: Path) -> MapHeader:
     if not path.is_dir():
         raise MapError(f"{path}: no such map; make one with `lookback map build FEED -o {path}`")
     try:
-        if file.stat().st_size > MAX_HEADER_BYTES:
+        if plain_size(file) > MAX_HEADER_BYTES:
             raise MapError(f"{file}: too large for a map header")
         data = file.read_bytes()
     except OSError as error:
@@ -186,6 +187,17 @@ def read_header(path: Path) -> MapHeader:
         raise MapError(f"{file}: damaged (its checksum does not hold); build or copy the map again")
     _check_header(file, header)
     return header
+
+
+def plain_size(file: Path) -> int:
+    """Bytes of a map's file; MapError for a link, which may lead anywhere, and for a pipe, which may never end."""
+    try:
+        status = file.lstat()
+    except OSError as error:
+        raise MapError(f"{file}: cannot read it: {error.strerror}") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise MapError(f"{file}: not a plain file; build or copy the map again")
+    return status.st_size
 
 
 def encode_header(header: MapHeader) -> bytes:
@@ -226,9 +238,6 @@ def _check_header(file: Path, header: MapHeader) -> None:
 
 def _check_sizes(path: Path, header: MapHeader) -> None:
     for name, key in header.files.items():
-        try:
-            size = (path / name).stat().st_size
-        except OSError as error:
-            raise MapError(f"{path / name}: cannot read it: {error.strerror}") from None
+        size = plain_size(path / name)
         if size != key.bytes:
             raise MapError(f"{path / name}: {size} bytes where the header says {key.bytes}; build or copy it again")

@@ -1,0 +1,157 @@
+"""What is handed around stays in its folder, and is what its checksum says; the network is where the config has it."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import onnx
+import pytest
+
+from edge.__main__ import main
+from edge.camera.feed import read_feed
+from edge.descriptor.network import Network
+from edge.errors import FeedError, MapError
+from edge.reference_map.signature import check_signature, make_key, sign_map
+from edge.reference_map.store import HEADER, encode_header, open_map, read_header
+
+EDGE = Path(__file__).parents[2] / "edge"
+OUT = ["../secret", "/etc/passwd", "frames/../../secret", "./../secret", "a\0b", "frames/..", "..", ""]
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A file beside the folder that is handed around."""
+    (tmp_path / "secret").write_bytes(b"not for you")
+    return tmp_path / "secret"
+
+
+@pytest.mark.parametrize("name", OUT, ids=repr)
+@pytest.mark.parametrize("kind", ["picture", "video"])
+def test_a_feed_names_nothing_outside_its_folder(
+    kind: str, name: str, street: Path, tmp_path: Path, secret: Path
+) -> None:
+    feed = tmp_path / "feed"
+    shutil.copytree(street / "feed", feed)
+    if kind == "picture":
+        rows = (feed / "frames.csv").read_text().replace("frames/000003.jpg", f'"{name}"')
+        (feed / "frames.csv").write_text(rows)
+    else:
+        text = (feed / "feed.toml").read_text()
+        assert 'video = ""' in text
+        (feed / "feed.toml").write_text(text.replace('video = ""', f"video = {msgspec.json.encode(name).decode()}"))
+    if kind == "video" and not name:
+        return  # no video: pictures
+    with pytest.raises(FeedError) as refusal:
+        read_feed(feed)
+    assert "\n" not in str(refusal.value)
+    assert str(feed) in str(refusal.value)
+    assert "not for you" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["descriptors.i8", "thumbnails.jpgs", "map.json"])
+@pytest.mark.parametrize("how", ["link", "pipe"])
+def test_a_maps_files_are_plain_files_of_its_folder(
+    how: str, name: str, make_map: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A link to the very same bytes elsewhere is refused, and a pipe, which would be waited for without end."""
+    path = make_map(tmp_path / "map")
+    shutil.move(path / name, tmp_path / "elsewhere")
+    if how == "link":
+        (path / name).symlink_to(tmp_path / "elsewhere")
+    else:
+        os.mkfifo(path / name)
+    with pytest.raises(MapError, match=f"{path / name}: not a plain file"):
+        open_map(path, every_file=True)
+
+
+@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "events.jsonl"])
+def test_a_map_header_names_no_other_files(name: str, make_map: Callable[..., Path], tmp_path: Path) -> None:
+    path = make_map(tmp_path / "map")
+    header = read_header(path)
+    files = {**header.files, name: header.files["raw.f16"]}
+    (path / HEADER).write_bytes(encode_header(msgspec.structs.replace(header, files=files, header_sha256="")))
+    with pytest.raises(MapError, match="files: not the files of a map"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("how", ["link", "pipe", "large"])
+def test_a_signature_is_a_small_plain_file(how: str, make_map: Callable[..., Path], tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="needs the extra `signing`")
+    path = make_map(tmp_path / "map")
+    public = make_key(tmp_path / "owner")
+    sign_map(path, tmp_path / "owner")
+    signature = path / f"{HEADER}.sig"
+    if how == "large":
+        signature.write_bytes(signature.read_bytes() + b" " * 10**6)
+    else:
+        shutil.move(signature, tmp_path / "elsewhere")
+        (os.mkfifo if how == "pipe" else lambda at: at.symlink_to(tmp_path / "elsewhere"))(signature)
+    with pytest.raises(MapError, match="signature is not that of" if how == "large" else "not a plain file"):
+        check_signature(open_map(path), public)
+
+
+def refused(config: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The daemon's one line."""
+    assert main(["run", str(config)]) == 78
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    return line
+
+
+def test_another_model_is_refused_by_its_checksum(
+    write_config: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same network to the last weight, with one remark more: another file, and so another model."""
+    shipped = Network.load().path
+    for file in shipped.parent.glob("*.onnx"):
+        shutil.copy(file, tmp_path)
+    config = write_config(descriptor={"model": shipped.name})
+    model = onnx.load(tmp_path / shipped.name)
+    model.doc_string = "a remark"
+    onnx.save(model, tmp_path / shipped.name)
+    assert "belongs to the network" in refused(config, capsys)
+
+
+def test_a_map_made_with_another_model_is_refused(
+    street: Path, write_config: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Everything holds, down to the header's own checksum, but the model's."""
+    path = tmp_path / "other.map"
+    shutil.copytree(street / "map", path)
+    header = read_header(path)
+    model = msgspec.structs.replace(header.model, sha256="1" * 64)
+    (path / HEADER).write_bytes(encode_header(msgspec.structs.replace(header, model=model, header_sha256="")))
+    line = refused(write_config(map={"path": str(path)}), capsys)
+    assert "made with" in line
+    assert "1" * 12 in line
+
+
+NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib", "asyncio", "xmlrpc", "requests"}
+NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
+SPEAKS = {
+    "service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
+    "telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
+    "telemetry/lookup.py": {"socket"},  # their names
+    "telemetry/page.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
+    "doctor.py": {"serial"},  # which ports there are
+}
+
+
+def imported(file: Path) -> set[str]:
+    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    return {name.split(".")[0] for name in names}
+
+
+def test_only_what_the_config_names_speaks_to_a_network() -> None:
+    found = {str(file.relative_to(EDGE)): imported(file) & NETWORK for file in sorted(EDGE.rglob("*.py"))}
+    spoken = {file: names for file, names in found.items() if names}
+    assert len(found) > 50
+    assert set(spoken) <= set(SPEAKS)
+    assert all(names <= SPEAKS[file] for file, names in spoken.items()), spoken
