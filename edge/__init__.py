@@ -12,8 +12,8 @@ The files beside them, by what they are for:
 
     one frame       recognizer (read it first), place_search, map_part, map_scan, line_ends, tracking, place_fixes
     the daemon      daemon, condition, health, memory, kept_state, live_status, recording, service, stage_times
-    commands        map_command (shrinking, signing_commands), model_command, replay, record, check, completion,
-                    doctor (doctor_autopilot, finding)
+    commands        map_command (map_files, shrinking, signing_commands), model_command, replay, record, check,
+                    completion, doctor (doctor_autopilot, finding)
     below all       errors, config, sampling, traverse, observation
 """
 

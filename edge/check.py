@@ -8,8 +8,8 @@ from pathlib import Path
 from edge.config import DEFAULT_TOML, load_config
 from edge.descriptor.network import Head, Network
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.signature import check_signature
-from edge.reference_map.store import open_map
+from edge.reference_map.atlas import open_atlas
+from edge.reference_map.signature import check_signatures
 from edge.telemetry.autopilot import AutopilotConnection
 
 
@@ -30,13 +30,16 @@ def _run(args: argparse.Namespace) -> int:
         args.error("name a config file, or use --default")
     config = load_config(args.config)
     network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-    reference_map = open_map(Path(config.map.path), every_file=True)
+    atlas = open_atlas(Path(config.map.path), lambda name, why: print(f"note: {why}; left out"))
+    atlas.check_every_file()
     if config.map.require_signature_by:
-        check_signature(reference_map, Path(config.map.require_signature_by))
-    PlaceRecognizer(network, Head.load(network), reference_map, config)
+        check_signatures(atlas, Path(config.map.require_signature_by))
+    PlaceRecognizer(network, Head.load(network), atlas, config)
     AutopilotConnection(config.telemetry)  # reads connections and keys, and opens nothing yet
-    print(f"{args.config}: good; model {network.info.name}, map of {reference_map.header.places} places")
-    wanted, theirs = config.sampling, reference_map.header.sampling
-    if wanted != theirs:
-        print(f"note: the map was sampled by {theirs}, the config asks for {wanted}")
+    print(f"{args.config}: good; model {network.info.name}, map of {atlas}")
+    wanted = config.sampling
+    for folder, header in zip(atlas.folders, atlas.headers, strict=True):
+        if header.sampling != wanted:
+            what = f"map {folder.name}" if atlas.is_folder else "map"
+            print(f"note: the {what} was sampled by {header.sampling}, the config asks for {wanted}")
     return 0

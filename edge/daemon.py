@@ -11,7 +11,6 @@ import logging
 import signal
 import threading
 import time
-from array import array
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -32,8 +31,8 @@ from edge.place_fixes import place_fix, tracked_fix
 from edge.place_search import Near
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.recording import RunRecording
-from edge.reference_map.signature import check_signature
-from edge.reference_map.store import open_unverified
+from edge.reference_map.atlas import log_left_out, open_atlas
+from edge.reference_map.signature import check_signatures
 from edge.sampling import Sampler
 from edge.service import Supervision, notify
 from edge.stage_times import StageTimes
@@ -55,6 +54,13 @@ class Stopped(msgspec.Struct, frozen=True, tag_field="event", tag="stopped"):
     events: int
     stages_ms: dict[str, float]
     camera: dict[str, int]
+
+
+class MapLeftOut(msgspec.Struct, frozen=True, tag_field="event", tag="map_left_out"):
+    """A map of the folder that cannot be used, and why; the others are."""
+
+    map: str
+    why: str
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -117,13 +123,11 @@ class Daemon:
     def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
         config = self._config
         network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        reference_map, self._unverified = open_unverified(Path(config.map.path))
-        parts.callback(self._unverified.close)
+        self._atlas = parts.enter_context(closing(open_atlas(Path(config.map.path), self._tell_left_out)))
         if config.map.require_signature_by:
-            check_signature(reference_map, Path(config.map.require_signature_by))
-        self._map_rows = array("i", reference_map.places["row"].tobytes())
-        self._recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config, self._times.lap)
-        self._memory = Memory(config, self._recognizer, reference_map.header)
+            check_signatures(self._atlas, Path(config.map.require_signature_by))
+        self._recognizer = PlaceRecognizer(network, Head.load(network), self._atlas, config, self._times.lap)
+        self._memory = Memory(config, self._recognizer)
         self._sampler = Sampler(config.sampling)
         self._tracker = RouteTracker(self._recognizer.route, config.tracking, config.rig, config.sequence.length)
         self._newest: PlaceMatch | None = None
@@ -138,7 +142,6 @@ class Daemon:
         self._camera: Frames = parts.enter_context(closing(frames))
         self._watch = LiveStatus(
             config,
-            reference_map,
             network.info.name,
             self._recognizer,
             self._times,
@@ -147,7 +150,7 @@ class Daemon:
             self._journal,
             self._clock_ns,
         )
-        self._page = open_page(config.page, reference_map)
+        self._page = open_page(config.page, self._atlas)
         if self._page is not None:
             parts.enter_context(closing(self._page))
         self._recording: RunRecording | None = None
@@ -166,7 +169,7 @@ class Daemon:
             if self._sampler.take(frame.stamp_ns, distance_m):
                 self._use(frame, distance_m)
         else:
-            self._unverified.step(CHECK_BYTES)
+            self._recognizer.verify(CHECK_BYTES)
         hang = self._own_camera.hang(self._clock_ns()) if self._own_camera else ""
         if self.condition.update(self._recognizer.state, self._camera.health, hang):
             self._forget()
@@ -192,15 +195,16 @@ class Daemon:
         began_ns = self._clock_ns()
         self._frames_used += 1
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near())
+        if match is not None and match.accepted and not self._are_maps_whole():
+            match = None
         self._tracker.see(match, frame.stamp_ns, distance_m)
         self._watch.note(frame, match)
         if self._recording is not None:
             self._recording.keep(frame, self._autopilot.vehicle.position(began_ns), distance_m)
         if self._journal and self._config.telemetry.journal_frames:
-            seen = observation(frame.index, frame.stamp_ns, match, self._map_rows)
+            seen = observation(frame.index, frame.stamp_ns, match, self._atlas)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
         if match is not None and match.accepted:
-            self._verify()
             self._newest = match
             if match.event:
                 self._events += 1
@@ -219,18 +223,24 @@ class Daemon:
         radius_m = max(self._config.map.search_radius_m, SURE_SIGMAS * sigma_m)
         return Near(position.lat_deg, position.lon_deg, radius_m)
 
-    def _verify(self) -> None:
-        """Nothing is told of a map before every checksum has been seen to hold. MapError when one does not."""
-        while not self._unverified.step(CHECK_BYTES):
+    def _are_maps_whole(self) -> bool:
+        """Nothing is told of a map before every checksum has been seen to hold; False if one had to be left out."""
+        before = len(self._atlas.left_out)
+        while not self._recognizer.verify(CHECK_BYTES):
             self._tell_manager()
+        return len(self._atlas.left_out) == before
+
+    def _tell_left_out(self, name: str, why: str) -> None:
+        log_left_out(name, why)
+        self._record(MapLeftOut(name, why))
 
     def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
         """An event, for people and the journal: with the tracked position, or with the place's own."""
         tracked = self._tracker.at_exposure()
         if tracked is not None and tracked.stamp_ns == stamp_ns:
-            fix = tracked_fix(match, tracked)
+            fix = tracked_fix(match, tracked, self._atlas)
         else:
-            fix = place_fix(match, stamp_ns, self._config.rig)
+            fix = place_fix(match, stamp_ns, self._config.rig, self._atlas)
         self._record(fix)
         self._autopilot.tell_place(fix)
 
@@ -245,7 +255,7 @@ class Daemon:
             now_ns = self._clock_ns()
             tracked = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
         if tracked is not None:
-            self._autopilot.send_position(tracked_fix(self._newest, tracked))
+            self._autopilot.send_position(tracked_fix(self._newest, tracked, self._atlas))
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""

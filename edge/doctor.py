@@ -23,7 +23,8 @@ from edge.doctor_autopilot import check_autopilot
 from edge.errors import FrameError, LookbackError
 from edge.finding import Finding, bad, good, note
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.store import open_map
+from edge.reference_map.atlas import Atlas, open_atlas
+from edge.reference_map.store import open_unverified
 
 LEAST_FREE_MB = 500
 BUILT_UNIX_S = 1_763_000_000  # November 2025: a clock before it was never set
@@ -140,21 +141,43 @@ def _recogniser(config: Config) -> Iterator[Finding]:
         yield bad("model", str(error), 'leave [descriptor] model = "" for the one in the package')
         return
     try:
-        reference_map = open_map(Path(config.map.path), every_file=True)
-        PlaceRecognizer(network, head, reference_map, config)
-        yield good("map", f"{config.map.path}: {reference_map.header.places} places, all checksums hold")
+        left_out: list[str] = []
+        atlas = open_atlas(Path(config.map.path), lambda name, why: left_out.append(why))
+        atlas.check_every_file()
+        PlaceRecognizer(network, head, atlas, config)
+        yield good("map", f"{config.map.path}: {atlas}, all checksums hold")
     except LookbackError as error:
         yield bad("map", str(error), f"build one: lookback map build FEED -o {config.map.path}")
         return
-    places, length = reference_map.header.places, config.sequence.length
+    for why in left_out:
+        yield note("map", f"{why}; left out", "the others are used; build or copy this one again")
+    yield from _places(atlas, config)
+
+
+def _places(atlas: Atlas, config: Config) -> Iterator[Finding]:
+    """What the maps' headers and places say of how well they will serve."""
+    places, length = atlas.numbering.places, config.sequence.length
     if places < 2 * length:
         yield bad(
             "map", f"{places} places are too few for sequences of {length}", "drive further, or shorten [sequence]"
         )
-    if reference_map.header.sampling != config.sampling:
-        yield note("map", "it was sampled otherwise than [sampling] asks for", "sample a query as its map was sampled")
-    if np.isnan(reference_map.places["lat_deg"]).any():
-        yield note("map", "some places have no position", "without it a place is told, and never a position")
+    for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
+        if index in atlas.left_out:
+            continue
+        it = folder.name if atlas.is_folder else "it"
+        if header.sampling != config.sampling:
+            yield note(
+                "map", f"{it} was sampled otherwise than [sampling] asks for", "sample a query as its map was sampled"
+            )
+        if np.isnan(open_unverified(folder)[0].places["lat_deg"]).any():
+            some = f"some places of {it}" if atlas.is_folder else "some places"
+            yield note("map", f"{some} have no position", "without it a place is told, and never a position")
+        if atlas.is_folder and header.places > config.map.places_per_frame:
+            yield note(
+                "map",
+                f"{it}: opening {header.places} places between two frames takes long",
+                f"lookback map split {folder} -o FOLDER --places {config.map.places_per_frame // 2}",
+            )
 
 
 def _describe_ms(network: Network) -> float:

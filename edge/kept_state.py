@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class StateKey(msgspec.Struct, frozen=True):
-    """What statistics depend on, and the map that `place` is a row of."""
+    """What statistics depend on, and the map, or the folder of maps, in which `place` is counted."""
 
     model_sha256: str
     tap: str

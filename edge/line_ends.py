@@ -11,11 +11,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from edge.recognizer import PlaceMatch
-from edge.reference_map.route import Route
+from edge.reference_map.route import Drive, Route
 
 WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
 """Deviation over the match's width, alone and once the line is turned: measured on the same drives."""
@@ -74,28 +71,25 @@ class LineEnds:
 
     def end_of(self, match: PlaceMatch) -> LineEnd | None:
         """Where the match's line ends; None where the map knows no metres, and for a line that is no sighting."""
-        route_m, segment_of = self._route.route_m, self._route.segment_of
-        segment = int(segment_of[match.place])
-        first, end = np.searchsorted(segment_of, [segment, segment + 1])
-        if end - first < 2 or math.isnan(route_m[match.place]):
+        drive, place_m = self._route.drive(match.place), self._route.route_m(match.place)
+        if drive is None or drive.places < 2 or math.isnan(place_m):
             return None
-        drive_m = route_m[first:end]
-        self._spacing_m = float(np.nanmedian(np.abs(np.diff(drive_m))))
-        place_m, sign = float(route_m[match.place]), 1 if match.direction == "forward" else -1
+        self._spacing_m = drive.spacing_m
+        sign = 1 if match.direction == "forward" else -1
         if self._driven_m is None or len(self._readings_m) < 2:
             width_m = WIDTH_SHARE * match.width * self._spacing_m
-            return LineEnd(segment, place_m + match.beyond * self._spacing_m, self._spacing_m, width_m)
+            return LineEnd(drive.segment, place_m + match.beyond * self._spacing_m, self._spacing_m, width_m)
         driven_m = self._readings_m[-1] - self._readings_m[0]
         too_long_m = match.slope * self._spacing_m * (len(self._readings_m) - 1) - driven_m
         along_m = place_m - sign * too_long_m / 2
-        if abs(too_long_m) > STEEPEST * driven_m or not self._begins_within(along_m - sign * driven_m, drive_m):
+        if abs(too_long_m) > STEEPEST * driven_m or not self._begins_within(along_m - sign * driven_m, drive):
             return None
-        return LineEnd(segment, along_m, self._spacing_m, WIDTH_SHARE_TURNED * match.width * self._spacing_m)
+        return LineEnd(drive.segment, along_m, self._spacing_m, WIDTH_SHARE_TURNED * match.width * self._spacing_m)
 
-    def _begins_within(self, begins_m: float, drive_m: NDArray[np.float64]) -> bool:
+    def _begins_within(self, begins_m: float, drive: Drive) -> bool:
         """Whether a line begins well inside its drive; one at the very end may have been pushed there.
 
         Where only the newer frames are on the map, a whole line can but begin at its end, and ends too far.
         """
         margin_m = PUSHED * self._spacing_m
-        return bool(np.nanmin(drive_m) + margin_m <= begins_m <= np.nanmax(drive_m) - margin_m)
+        return drive.from_m + margin_m <= begins_m <= drive.to_m - margin_m

@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 import edge
 from edge.camera import Frame
 from edge.camera.newest import CameraHealth
 from edge.config import Config, PageConfig
 from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import COST_ONE
-from edge.reference_map.store import ReferenceMap
+from edge.reference_map.store import Bounds
 from edge.stage_times import StageTimes
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
@@ -35,7 +37,7 @@ DRIVE_POINTS = 2000
 log = logging.getLogger(__name__)
 
 
-def open_page(config: PageConfig, reference_map: ReferenceMap) -> StatusPage | None:
+def open_page(config: PageConfig, atlas: Atlas) -> StatusPage | None:
     """The live page, or None and a line in the log: without it places are recognised just as well."""
     if config.port == 0:
         return None
@@ -43,7 +45,7 @@ def open_page(config: PageConfig, reference_map: ReferenceMap) -> StatusPage | N
         # Imported here: a vehicle without the page never loads a web server.
         from edge.telemetry.page import StatusPage
 
-        page = StatusPage(config, map_view(reference_map))
+        page = StatusPage(config, map_view(atlas))
     except ModuleNotFoundError as error:
         log.info("no live page: it needs %s: pip install 'lookback[page]'", error.name)
         return None
@@ -54,16 +56,25 @@ def open_page(config: PageConfig, reference_map: ReferenceMap) -> StatusPage | N
     return page
 
 
-def map_view(reference_map: ReferenceMap) -> MapView:
-    """The map's drives as lines, thinned out where they are long."""
-    places = reference_map.places
-    drives = []
-    for segment in reference_map.header.segments:
-        step = max(1, (segment.end - segment.start) // DRIVE_POINTS)
-        drive = places[segment.start : segment.end : step]
-        known = drive[~np.isnan(drive["lat_deg"])]
-        drives.append(tuple(zip(known["lat_deg"].tolist(), known["lon_deg"].tolist(), strict=True)))
-    return MapView(len(places), tuple(drives), reference_map.thumbnail)
+def map_view(atlas: Atlas) -> MapView:
+    """The map's drives as lines, thinned out where they are long; of maps in a folder, the bounds."""
+    numbering = atlas.numbering
+    if atlas.is_folder:
+        drives = [_outline(header.bounds) for header in atlas.headers if header.bounds]
+    else:
+        pieces = [atlas.records(start, end) for _, start, end in numbering.by_segment([(0, numbering.places)])]
+        drives = [_line(drive[:: max(1, len(drive) // DRIVE_POINTS)]) for drive in pieces]
+    return MapView(numbering.places, tuple(drives), atlas.thumbnail)
+
+
+def _line(drive: NDArray[np.void]) -> tuple[tuple[float, float], ...]:
+    known = drive[~np.isnan(drive["lat_deg"])]
+    return tuple(zip(known["lat_deg"].tolist(), known["lon_deg"].tolist(), strict=True))
+
+
+def _outline(bounds: Bounds) -> tuple[tuple[float, float], ...]:
+    south, west, north, east = bounds.south, bounds.west, bounds.north, bounds.east
+    return (south, west), (south, east), (north, east), (north, west), (south, west)
 
 
 class LiveStatus:
@@ -72,7 +83,6 @@ class LiveStatus:
     def __init__(
         self,
         config: Config,
-        reference_map: ReferenceMap,
         model_name: str,
         recognizer: PlaceRecognizer,
         times: StageTimes,
@@ -86,7 +96,7 @@ class LiveStatus:
         self._camera_health, self._autopilot = camera_health, autopilot
         self._journal, self._clock_ns = journal, clock_ns
         self._model_name = model_name
-        self._map_name = f"{Path(config.map.path).name}, {reference_map.header.places} places"
+        self._map_name = f"{Path(config.map.path).name}, {recognizer.atlas}"
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[Used] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None

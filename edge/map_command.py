@@ -1,4 +1,4 @@
-"""`lookback map build | extend | info | verify`: from recorded feeds to a reference map."""
+"""`lookback map build | extend`: from recorded feeds to a reference map."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import edge
+from edge import map_files, signing_commands
 from edge.camera.feed import Feed, FeedOptions, read_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
@@ -21,7 +22,6 @@ from edge.recognizer import model_key
 from edge.reference_map.build import NAN, MapBuilder, Place
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
 from edge.shrinking import price_of_shrinking
-from edge.signing_commands import add_actions
 from edge.traverse import TraverseFrame, driven_m, traverse
 
 THUMBNAIL_WIDTH_PX = 120
@@ -53,14 +53,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     extend.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
     extend.set_defaults(run=_extend)
 
-    info = actions.add_parser("info", help="say what a map is")
-    info.add_argument("map", type=Path, metavar="MAP")
-    info.set_defaults(run=_info)
-
-    verify = actions.add_parser("verify", help="check every byte of a map against its checksums")
-    verify.add_argument("map", type=Path, metavar="MAP")
-    verify.set_defaults(run=_verify)
-    add_actions(actions)
+    map_files.add_actions(actions)
+    signing_commands.add_actions(actions)
 
 
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:
@@ -209,34 +203,4 @@ def _extend(args: argparse.Namespace) -> int:
             _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
         header = builder.finish(normalize, edge.__version__)
     print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")
-    return 0
-
-
-def _info(args: argparse.Namespace) -> int:
-    reference_map = open_map(args.map)
-    header, places = reference_map.header, reference_map.places
-    sampling = {
-        "distance": f"every {header.sampling.spacing_m:g} m, else every {header.sampling.interval_s:g} s",
-        "time": f"every {header.sampling.interval_s:g} s",
-        "frames": f"every {header.sampling.spacing_frames}. frame",
-    }
-    total_mb = sum(key.bytes for key in header.files.values()) / 1e6
-    print(f"map       {args.map}, format version {header.version}, written by lookback {header.lookback}")
-    print(f"model     {header.model.name}, tap {header.model.tap}, sha256 {header.model.sha256}")
-    print(
-        f"regions   {header.regions.kind}, width {header.regions.width:g}, normalization {header.regions.normalization}"
-    )
-    if header.dimensions < header.model.dimensions:
-        print(f"shrunk    to {header.dimensions} of {header.model.dimensions} dimensions a region")
-    print(f"sampling  {sampling[header.sampling.by]}")
-    print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
-    for segment in header.segments:
-        print(f"segment   {segment.start} to {segment.end - 1}: {segment.source}, {segment.view} view")
-    print(f"size      {total_mb:.1f} MB, {header.files['descriptors.i8'].bytes / 1e6:.1f} MB of it for matching")
-    return 0
-
-
-def _verify(args: argparse.Namespace) -> int:
-    reference_map = open_map(args.map, every_file=True)
-    print(f"{args.map}: whole; all {len(reference_map.header.files)} checksums hold")
     return 0

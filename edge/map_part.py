@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.reference_map.areas import Ranges
-from edge.reference_map.route import Route
-from edge.reference_map.store import MapHeader
+from edge.reference_map.atlas import Atlas
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Order, Plane, SequenceMatch
 from edge.sequence.acceptance import Neighbourhood, best_match
 from edge.sequence.search import SequenceSearch, slopes_around_diagonal
@@ -19,21 +19,23 @@ from edge.sequence.search import SequenceSearch, slopes_around_diagonal
 class MapPart:
     """Some ranges of the map, searched as if they were the whole; places are numbered anew within it."""
 
-    def __init__(self, ranges: Ranges, header: MapHeader, route: Route, config: Config, frame: int = 0) -> None:
-        """frame: how many frames came before the first that this part will see."""
+    def __init__(self, ranges: Ranges, atlas: Atlas, config: Config, frame: int = 0) -> None:
+        """ranges: of places that are open. frame: how many frames came before the first that this part will see."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._per_frame_order = config.sequence.region_order == "frame"
         self._acceptance = config.acceptance
-        segments = _segments_within(ranges, header)
-        planes, possible = _planes(segments, header, config)
+        pieces = list(atlas.numbering.by_segment(ranges))
+        lengths = [end - start for _, start, end in pieces]
+        views = [atlas.numbering.view(number) for number, _, _ in pieces]
+        bounds = list(pairwise(np.cumsum([0, *lengths]).tolist()))
+        planes, possible = _planes(bounds, views, atlas.headers[0].regions.count, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
-        bounds = [(start, end) for start, end, _ in segments]
         self.search = SequenceSearch(bounds, planes, config.sequence.length, slopes, possible, frame)
         self.neighbourhood = Neighbourhood(
-            route.east_north_m[self.places],
-            route.route_m[self.places],
-            route.segment_of[self.places],
+            atlas.east_north_m(ranges),
+            atlas.route_m(ranges),
+            np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
             config.acceptance,
         )
 
@@ -61,33 +63,23 @@ class MapPart:
         self.search.clear()
 
 
-def _segments_within(ranges: Ranges, header: MapHeader) -> list[tuple[int, int, str]]:
-    """The pieces of the map's segments that lie in the ranges, numbered within them: start, end, view."""
-    pieces: list[tuple[int, int, str]] = []
-    at = 0
-    for start, end in ranges:
-        for segment in header.segments:
-            first, last = max(start, segment.start), min(end, segment.end)
-            if first < last:
-                pieces.append((at + first - start, at + last - start, segment.view))
-        at += end - start
-    return pieces
-
-
 def _planes(
-    segments: list[tuple[int, int, str]], header: MapHeader, config: Config
+    bounds: list[tuple[int, int]], views: list[str], regions: int, config: Config
 ) -> tuple[list[Plane], NDArray[np.bool_]]:
-    """The directions and region orders to search in, and where (planes, N) each of them is possible."""
+    """The directions and region orders to search in, and where (planes, N) each of them is possible.
+
+    bounds, views: of the pieces of segments, numbered within the part.
+    """
     sequence = config.sequence
     # One region has no order; and where the better order of each frame counts, the search sees but one.
-    orders = ORDERS if header.regions.count == 2 and sequence.region_order != "frame" else ORDERS[:1]
+    orders = ORDERS if regions == 2 and sequence.region_order != "frame" else ORDERS[:1]
     directions: tuple[Direction, ...] = ("forward", "reverse")
     planes = [
         (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
     ]
-    possible = np.ones((len(planes), segments[-1][1]), dtype=bool)
+    possible = np.ones((len(planes), bounds[-1][1]), dtype=bool)
     if sequence.region_order == "rig" and len(orders) == 2:
-        for start, end, view in segments:
+        for (start, end), view in zip(bounds, views, strict=True):
             allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
             possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
     used = np.flatnonzero(possible.any(axis=1))

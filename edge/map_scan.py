@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.map_part import MapPart
-from edge.reference_map.areas import Ranges, widened
+from edge.reference_map.areas import Ranges
+from edge.reference_map.atlas import Atlas
 from edge.sequence import SequenceMatch
 
 SLICE_SHARE = 8
@@ -24,16 +25,10 @@ SLICE_SHARE = 8
 class MapScan:
     """One pass after another through all places."""
 
-    def __init__(
-        self,
-        places: int,
-        config: Config,
-        open_part: Callable[[Ranges], MapPart],
-        costs: Callable[[NDArray[np.float32], Ranges], NDArray[np.int32]],
-    ) -> None:
-        self._config = config
-        self._places = places
-        self._open_part, self._costs = open_part, costs
+    def __init__(self, atlas: Atlas, config: Config, open_part: Callable[[Ranges], MapPart]) -> None:
+        """open_part: makes a part of ranges that are open."""
+        self._atlas, self._config, self._open_part = atlas, config, open_part
+        self._places = atlas.numbering.places
         self._slice = max(1, config.map.places_per_frame // SLICE_SHARE)
         self._at = 0
         self._found: list[SequenceMatch] = []
@@ -48,10 +43,10 @@ class MapScan:
             return None
         end = min(self._at + self._slice, self._places)
         # Lines that end in the slice may begin before it, or after it on the way back.
-        ranges = widened([(self._at, end)], self._config.sequence.length, self._places)
-        match = self._open_part(ranges).advance(self._costs(ring, ranges), replaces_ring=True)
-        if match is not None:
-            self._found.append(match)
+        ranges = self._atlas.opened(self._atlas.numbering.widened([(self._at, end)], self._config.sequence.length))
+        if ranges:
+            match = self._open_part(ranges).advance(self._atlas.costs(ring, ranges), replaces_ring=True)
+            self._found += [match] if match else []
         self._at = end
         if end < self._places:
             return None

@@ -9,7 +9,6 @@ from edge.config import Config
 from edge.descriptor.normalize import RunningStatistics
 from edge.kept_state import WRITTEN_EACH_S, KeptState, Moment, StateFile, StateKey
 from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.reference_map.store import MapHeader
 
 COUNTS_AS_MOST = 300
 """Frames that another run's statistics weigh as. On the recorded laps, the first 60 frames after a restart agreed with
@@ -21,16 +20,17 @@ log = logging.getLogger(__name__)
 class Memory:
     """The state file of a daemon, beside its journal; without a journal, or where it is not asked for, none."""
 
-    def __init__(self, config: Config, recognizer: PlaceRecognizer, header: MapHeader) -> None:
+    def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
         """Read what the last run has kept, and start the recogniser with it."""
         self._recognizer = recognizer
         self._file: StateFile | None = None
         self._written_ns = 0
-        descriptor, model = config.descriptor, header.model
+        descriptor, header, maps_sha256 = config.descriptor, recognizer.atlas.headers[0], recognizer.atlas.sha256
+        model = header.model
         minutes = descriptor.keep_statistics_min
         if not (minutes and config.telemetry.journal and descriptor.normalization == "online"):
             return
-        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, header.header_sha256)
+        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, maps_sha256)
         path = Path(config.telemetry.journal).with_suffix(".state")
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
         kept = self._file.read(Moment.now(), 60 * minutes)

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from edge.recognizer import PlaceMatch
+from edge.reference_map.atlas import Atlas
 from edge.sequence import Direction, Order
 
 
 class Observation(msgspec.Struct, frozen=True):
     """The fields after `emitted` are null while there is no match (warming up, standing).
 
-    frame: the camera's index, or the row of the query's feed. place: row of the map. map_row: that place's row in the
-    feed it came from. accepted: the place is believed. emitted: it went out as an event. category: of events.
+    frame: the camera's index, or the row of the query's feed. map: name of the place's map, where there is a folder of
+    them. place: row of the map. map_row: that place's row in the feed it came from. accepted: the place is believed.
+    emitted: it went out as an event. category: of events.
     """
 
     frame: int
     stamp_ns: int
     accepted: bool = False
     emitted: bool = False
+    map: str | UnsetType = UNSET
     place: int | None = None
     map_row: int | None = None
     uniqueness: float | None = None
@@ -33,17 +35,19 @@ class Observation(msgspec.Struct, frozen=True):
     category: str | None = None
 
 
-def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, map_rows: Sequence[int]) -> Observation:
-    """The record of one frame; `map_rows` are the feed rows of the map's places."""
+def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, atlas: Atlas) -> Observation:
+    """The record of one frame, and of its match on the maps of an atlas."""
     if match is None:
         return Observation(frame, stamp_ns)
+    name, row = atlas.locate(match.place)
     return Observation(
         frame=frame,
         stamp_ns=stamp_ns,
         accepted=match.accepted,
         emitted=match.event,
-        place=match.place,
-        map_row=map_rows[match.place],
+        map=name if name is not None else UNSET,
+        place=row,
+        map_row=atlas.feed_row(match.place),
         uniqueness=round(match.uniqueness, 6),
         distance=round(match.distance, 6),
         direction=match.direction,

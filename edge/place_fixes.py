@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from msgspec import UNSET
+
 from edge.config import RigConfig
 from edge.recognizer import PlaceMatch
+from edge.reference_map.atlas import Atlas
 from edge.telemetry import PlaceFix
 from edge.tracking import TrackedPosition
 
@@ -11,11 +14,12 @@ UNTRACKED_SIGMA_M = 10.0
 """Of a match that the tracker does not follow: the first lines on a stretch were up to 20 m off."""
 
 
-def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig) -> PlaceFix:
+def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig, atlas: Atlas) -> PlaceFix:
     """A match as it is, where nothing has been tracked."""
+    name, row = atlas.locate(match.place)
     return PlaceFix(
         stamp_ns=stamp_ns,
-        place=match.place,
+        place=row,
         lat_deg=match.lat_deg,
         lon_deg=match.lon_deg,
         heading_deg=match.heading_deg,
@@ -25,14 +29,16 @@ def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig) -> PlaceFix:
         order=match.order,
         uniqueness=round(match.uniqueness, 4),
         category=match.category or "",
+        map=name if name is not None else UNSET,
     )
 
 
-def tracked_fix(match: PlaceMatch, tracked: TrackedPosition) -> PlaceFix:
+def tracked_fix(match: PlaceMatch, tracked: TrackedPosition, atlas: Atlas) -> PlaceFix:
     """What is told of a tracked position; `match` is the newest that was accepted."""
+    name, row = atlas.locate(tracked.place)
     return PlaceFix(
         stamp_ns=tracked.stamp_ns,
-        place=tracked.place,
+        place=row,
         lat_deg=tracked.lat_deg,
         lon_deg=tracked.lon_deg,
         heading_deg=tracked.heading_deg,
@@ -43,4 +49,5 @@ def tracked_fix(match: PlaceMatch, tracked: TrackedPosition) -> PlaceFix:
         uniqueness=round(match.uniqueness, 4),
         category=match.category or "",
         matches=tracked.matches,
+        map=name if name is not None else UNSET,
     )

@@ -3,6 +3,7 @@
 A map of up to `places_per_frame` places is searched whole with every frame. Of a larger one, only the part around the
 autopilot's position is searched, or around the place that was recognised last. Where there is neither, or nothing is
 believed there for a while, the map is gone through a slice a frame (`map_scan`). No frame costs more than its share.
+The maps of a folder are searched as one; those of them that a part needs are opened first, a few with each frame.
 """
 
 from __future__ import annotations
@@ -17,14 +18,13 @@ from edge.config import Config
 from edge.descriptor.normalize import NormalizedRows
 from edge.map_part import MapPart
 from edge.map_scan import MapScan
-from edge.reference_map.areas import Areas, Ranges, widened
-from edge.reference_map.costs import CostMatcher
-from edge.reference_map.route import Route
-from edge.reference_map.store import ReferenceMap
+from edge.reference_map.areas import Ranges, apart_m
+from edge.reference_map.atlas import Atlas
 from edge.sequence import SequenceMatch
 
 SLACK_M = 250.0
 """So much further than it must does a part reach, so that it need not be chosen anew with every frame."""
+OPENED_A_FRAME = 2
 
 
 @dataclass(frozen=True)
@@ -35,31 +35,33 @@ class Near:
     lon_deg: float
     radius_m: float
 
+    def holds(self, other: Near, radius_m: float) -> bool:
+        """Whether all that lies within `radius_m` of the other position does so of this one."""
+        away_m = apart_m(self.lat_deg, self.lon_deg, np.array([other.lat_deg]), np.array([other.lon_deg]))
+        return bool(away_m[0] + radius_m <= self.radius_m)
+
 
 class PlaceSearch:
     """Cost rows, sequence search and acceptance, over as much of the map as a frame may cost."""
 
-    def __init__(
-        self,
-        reference_map: ReferenceMap,
-        route: Route,
-        config: Config,
-        stopwatch: Callable[[str], None] = lambda stage: None,
-    ) -> None:
+    def __init__(self, atlas: Atlas, config: Config, stopwatch: Callable[[str], None] = lambda stage: None) -> None:
         """`stopwatch("matching")` is called when the costs of a frame are there, and its search begins."""
         self._stopwatch = stopwatch
-        header = reference_map.header
-        self._header, self._route, self._config = header, route, config
-        self._matcher = CostMatcher.of(reference_map)
-        self._areas = Areas(route.east_north_m)
+        self._atlas, self._config = atlas, config
+        self._most = config.map.places_per_frame
+        self._is_small = atlas.numbering.places <= self._most
+        self._scan = MapScan(atlas, config, self._open)
         self._frame = 0
-        self._is_small = header.places <= config.map.places_per_frame
-        self._part = self._open([(0, header.places)]) if self._is_small else None
-        self._reach: tuple[NDArray[np.float64], float] | None = None  # centre and radius of the part, if it has one
+        self._part: MapPart | None = None
+        self._reach: Near | None = None  # of the part, if it lies around a position
+        self._aim: Near | None = None  # around which the next part will lie, once its maps are open
+        self._coming: Ranges = []  # what that will be
+        self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part has seen no row of the ring yet
-        self._scan = MapScan(header.places, config, self._open, self._costs)
         self._unbelieved = 0
-        self.newest_costs: NDArray[np.int32] = np.zeros((self._matcher.orders, 0), dtype=np.int32)
+        self._begin()
+        orders = atlas.headers[0].regions.count
+        self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
         """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
 
     @property
@@ -73,18 +75,45 @@ class PlaceSearch:
         if self._is_small and self._part:
             self._part.clear()
         else:
-            self._part = self._reach = None
+            self._part = self._reach = self._aim = None
+            self._coming = []
 
     def push(
         self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None
     ) -> SequenceMatch | None:
         """The best match now; None while too few rows have come, or the map is still being gone through.
 
-        `ring` gives all rows of the ring (n, R, D), oldest first, where those that changed are not enough.
+        `ring` gives all rows of the ring (n, R, D), oldest first, where those that changed are not enough. MapError if
+        no map is left that can be used.
         """
+        if len(self._atlas.left_out) != self._left_out:
+            self._begin()  # what was searched may be gone
         if not self._is_small:
             self._choose_part(near)
         self._frame += 1
+        match = self._match(change, ring, near)
+        self._atlas.use(self._needed(match))
+        return match
+
+    def _begin(self) -> None:
+        """Nothing is known of where to look."""
+        whole = self._atlas.opened([(0, self._atlas.numbering.places)]) if self._is_small else None
+        self._left_out = len(self._atlas.left_out)
+        self._use(whole or [], None)
+        self._unbelieved = 0
+        self._scan.begin()
+        self._atlas.use(self._needed(None))
+
+    def _needed(self, match: SequenceMatch | None) -> list[int]:
+        """The maps that must stay open, and that what is told rests on."""
+        ranges = [*(self._part.ranges if self._part else []), *self._coming]
+        if match is not None and match.accepted:
+            ranges.append((match.place, match.place + 1))
+        return self._atlas.numbering.maps_of(ranges)
+
+    def _match(
+        self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None
+    ) -> SequenceMatch | None:
         match = self._advance(change, ring)
         if self._is_small or (match is not None and match.accepted):
             self._unbelieved = 0
@@ -92,60 +121,93 @@ class PlaceSearch:
                 self._follow(match.place)
             return match
         self._unbelieved += 1
-        if self._part is None or self._unbelieved > 2 * self._config.sequence.length:
+        if self._part is None or self._is_doubtful:
             found = self._scan.step(ring())
             if found is not None and found.accepted:
                 self._settle(found.place)
                 return found
         return match
 
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether nothing has been believed for so long that it must be looked elsewhere."""
+        return self._unbelieved > 2 * self._config.sequence.length
+
     def _advance(self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]]) -> SequenceMatch | None:
         if self._part is None:
             return None
         rows = NormalizedRows(ring(), replaces_ring=True) if self._is_fresh else change
         self._is_fresh = False
-        costs = self._costs(rows.rows, self._part.ranges)
+        costs = self._atlas.costs(rows.rows, self._part.ranges)
         self._stopwatch("matching")
         self.newest_costs = costs[-1]
         return self._part.advance(costs, replaces_ring=rows.replaces_ring)
 
     def _choose_part(self, near: Near | None) -> None:
         """Search around the position, if there is one and the part does not reach as far as it must."""
-        if near is None:
-            return
-        centre = self._route.east_north(near.lat_deg, near.lon_deg)
-        must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
-        if self._reach is None or np.hypot(*(centre - self._reach[0])) + must_m > self._reach[1]:
-            self._search_around(centre, must_m + SLACK_M)
+        is_by_place = self._part is not None and self._reach is None
+        # A position says nothing of maps without any, nor of a place that was recognised on one.
+        if near is not None and self._atlas.areas.are_known and (not is_by_place or self._is_doubtful):
+            must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
+            if not any(one is not None and one.holds(near, must_m) for one in (self._aim, self._reach)):
+                self._aim = Near(near.lat_deg, near.lon_deg, must_m + SLACK_M)
+        self._take_aim()
 
     def _follow(self, place: int) -> None:
         """Move the part on before the vehicle comes to its end."""
-        centre = self._route.east_north_m[place]
-        if self._reach is None or not np.hypot(*(centre - self._reach[0])) <= SLACK_M:
+        reach, around = self._reach, self._around(place)
+        if reach is None or around is None:
+            far = reach is not None or around is not None or abs(place - self._settled) > self._most // 8
+        else:
+            far = not reach.holds(around, reach.radius_m - SLACK_M)
+        if far and self._aim is None:
             self._settle(place)
 
     def _settle(self, place: int) -> None:
         """Search around a place from the next frame on."""
-        centre = self._route.east_north_m[place]
         self._unbelieved = 0
-        if np.isnan(centre).any():
-            some = self._config.map.places_per_frame // 4
-            self._use([(max(0, place - some), min(self._header.places, place + some))], None)
-        else:
-            self._search_around(centre, 2 * (SLACK_M + self._config.acceptance.window_m))
+        self._aim = self._around(place)
+        if self._aim is not None:
+            self._take_aim()
+            return
+        first, end = self._atlas.numbering.whole(place)
+        some = self._most // 4
+        ranges = self._atlas.opened([(max(first, place - some), min(end, place + some))])
+        self._use(ranges or [], None)
+        self._settled = place
 
-    def _search_around(self, centre: NDArray[np.float64], radius_m: float) -> None:
-        ranges = self._areas.within(centre, radius_m)
-        self._use(widened(ranges, self._config.sequence.length, self._header.places), (centre, radius_m))
+    def _around(self, place: int) -> Near | None:
+        """A place's own surroundings, None where its position is not known."""
+        if not self._atlas.opened([(place, place + 1)]):
+            return None
+        record = self._atlas.records(place, place + 1)[0]
+        if np.isnan(record["lat_deg"]):
+            return None
+        radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
+        return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
-    def _use(self, ranges: Ranges, reach: tuple[NDArray[np.float64], float] | None) -> None:
+    def _take_aim(self) -> None:
+        """Make the part around `_aim` when its maps are open; some of them are opened here, and the rest later."""
+        aim = self._aim
+        if aim is None:
+            return
+        ranges = self._atlas.within(aim.lat_deg, aim.lon_deg, aim.radius_m, limit=self._most, at_most=OPENED_A_FRAME)
+        if ranges is None:
+            return
+        self._coming = self._atlas.numbering.widened(ranges, self._config.sequence.length)
+        opened = self._atlas.opened(self._coming, OPENED_A_FRAME) if 0 < _count(self._coming) <= self._most else []
+        if opened is not None:
+            self._use(opened, aim)
+
+    def _use(self, ranges: Ranges, reach: Near | None) -> None:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
-        count = sum(end - start for start, end in ranges)
-        self._part = self._open(ranges) if 0 < count <= self._config.map.places_per_frame else None
+        self._part = self._open(ranges) if 0 < _count(ranges) <= self._most else None
         self._reach, self._is_fresh = reach, True
+        self._aim, self._coming = None, []
 
     def _open(self, ranges: Ranges) -> MapPart:
-        return MapPart(ranges, self._header, self._route, self._config, self._frame)
+        return MapPart(ranges, self._atlas, self._config, self._frame)
 
-    def _costs(self, rows: NDArray[np.float32], ranges: Ranges) -> NDArray[np.int32]:
-        return self._matcher.costs(rows, ranges)
+
+def _count(ranges: Ranges) -> int:
+    return sum(end - start for start, end in ranges)

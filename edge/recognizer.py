@@ -1,4 +1,4 @@
-"""The place recogniser: one frame in, one answer out. Pure: no camera, no link, no clock; `replay` and `run` share it.
+"""The place recogniser: one frame in, one answer out. No camera, no link, no clock; `replay` and `run` share it.
 
 image -> regions -> fc6 -> online NSD -> cost row -> ring, lines -> uniqueness -> PlaceMatch
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -18,9 +19,10 @@ from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
 from edge.errors import MapError
 from edge.place_search import Near, PlaceSearch
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.route import Route
-from edge.reference_map.store import ModelKey, ReferenceMap
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
 from edge.sequence import Direction, Order, SequenceMatch
 from edge.sequence.acceptance import HoldOff
 
@@ -31,7 +33,8 @@ State = Literal["warming up", "searching", "on the map", "off the map", "standin
 class PlaceMatch:
     """What one used frame says.
 
-    place: row of the map that looks most like here, even where it is not believed.
+    place: row of the map that looks most like here, even where it is not believed; in a folder of maps, counted
+    through all of them (`Atlas.locate`).
     lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
     slope: places passed a frame. distance: mean cosine distance along the line.
     uniqueness: 1 is ambiguous, see `edge.sequence`.
@@ -57,24 +60,32 @@ class PlaceMatch:
 
 
 class PlaceRecognizer:
-    """Recognises the places of one reference map, frame by frame."""
+    """Recognises the places of a reference map, or of a folder of maps, frame by frame."""
 
     def __init__(
         self,
         network: Network,
         head: Head,
-        reference_map: ReferenceMap,
+        maps: ReferenceMap | Atlas,
         config: Config,
         stopwatch: Callable[[str], None] = lambda stage: None,
     ) -> None:
-        """`stopwatch(stage)` is called after each stage of a frame. MapError if the map does not fit the config."""
-        _check_fit(model_key(network), reference_map, config)
+        """`stopwatch(stage)` is called after each stage of a frame.
+
+        Maps that do not fit the config are left out; MapError if none does.
+        """
+        self.atlas = maps if isinstance(maps, Atlas) else Atlas.of(maps)
+        for index, (folder, header) in enumerate(zip(self.atlas.folders, self.atlas.headers, strict=True)):
+            try:
+                _check_fit(model_key(network), folder, header, config)
+            except MapError as error:
+                self.atlas.leave_out(index, error)
         self._network = network
         self._head = head
         self._config = config
         self._stopwatch = stopwatch
-        self.route = Route(reference_map)
-        self.places = PlaceSearch(reference_map, self.route, config, stopwatch)
+        self.route = Route(self.atlas)
+        self.places = PlaceSearch(self.atlas, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
             config.sequence.length,
@@ -109,6 +120,14 @@ class PlaceRecognizer:
             return None
         self.state = "on the map" if match.accepted else "off the map"
         return self._report(match, raw, stamp_ns)
+
+    def verify(self, max_bytes: int) -> bool:
+        """Check that much more of the maps that are searched now; True when all of them have been seen to be whole.
+
+        Nothing may be told of a match before, nor if a map was left out meanwhile because it is damaged. MapError if
+        that is the only one, or was the last.
+        """
+        return self.atlas.verify(max_bytes)
 
     @property
     def statistics(self) -> RunningStatistics | None:
@@ -173,12 +192,12 @@ def model_key(network: Network) -> ModelKey:
     return ModelKey(info.name, info.sha256, info.tap, info.dimensions)
 
 
-def _check_fit(model: ModelKey, reference_map: ReferenceMap, config: Config) -> None:
+def _check_fit(model: ModelKey, path: Path, header: MapHeader, config: Config) -> None:
     """Refuse a map whose descriptors this network and this cut cannot be compared with."""
-    header, wanted = reference_map.header, config.descriptor
+    wanted = config.descriptor
     if header.model.sha256 != model.sha256 or header.model.tap != model.tap:
         raise MapError(
-            f"{reference_map.path}: made with model {_spell_model(header.model)}, but the model here is"
+            f"{path}: made with model {_spell_model(header.model)}, but the model here is"
             f" {_spell_model(model)}; build the map again with this one"
         )
     normalized = "set" if wanted.normalization == "online" else "none"
@@ -186,7 +205,7 @@ def _check_fit(model: ModelKey, reference_map: ReferenceMap, config: Config) -> 
     theirs = (header.regions.kind, header.regions.width, header.regions.normalization)
     if ours != theirs:
         raise MapError(
-            f"{reference_map.path}: made with regions {_spell_regions(*theirs)},"
+            f"{path}: made with regions {_spell_regions(*theirs)},"
             f" but [descriptor] asks for {_spell_regions(*ours)}; change the one or build the map again"
         )
 

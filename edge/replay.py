@@ -16,8 +16,11 @@ from edge.descriptor.network import Head, Network
 from edge.map_command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.observation import Observation, observation
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.store import MapHeader, open_map
+from edge.reference_map.atlas import open_atlas
+from edge.reference_map.store import MapHeader
 from edge.traverse import traverse
+
+CHECK_BYTES = 64 << 20
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,13 +41,22 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.set_defaults(run=_run)
 
 
-def replay(
-    recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig, map_rows: list[int]
-) -> Iterator[Observation]:
-    """Every used frame of the feed, in order; `map_rows` are the feed rows of the map's places."""
+def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
+    """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
+    _are_whole(recognizer)
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        yield observation(item.frame.index, item.frame.stamp_ns, match, map_rows)
+        if match is not None and match.accepted and not _are_whole(recognizer):
+            match = None
+        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas)
+
+
+def _are_whole(recognizer: PlaceRecognizer) -> bool:
+    """Check what is searched now to its end; whether no map had to be left out."""
+    before = len(recognizer.atlas.left_out)
+    while not recognizer.verify(CHECK_BYTES):
+        pass
+    return len(recognizer.atlas.left_out) == before
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
@@ -73,17 +85,17 @@ def with_options(config: Config, length: int | None, uniqueness_min: float | Non
 
 def _run(args: argparse.Namespace) -> int:
     feed = read_feed(args.feed, feed_options(args))
-    reference_map = open_map(args.map)
+    atlas = open_atlas(args.map)
     if args.config:
         config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)
     else:
-        config = config_for_map(reference_map.header, args.sequence_length, args.uniqueness_min)
+        config = config_for_map(atlas.headers[0], args.sequence_length, args.uniqueness_min)
     sampling = sampling_from(args, config.sampling)
     # The feed knows where its camera looked.
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
     network = Network.load(args.model or (Path(config.descriptor.model) if config.descriptor.model else None))
-    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
-    lines = replay(recognizer, feed, sampling, reference_map.places["row"].tolist())
+    recognizer = PlaceRecognizer(network, Head.load(network), atlas, config)
+    lines = replay(recognizer, feed, sampling)
     if args.output:
         with args.output.open("w", encoding="utf-8") as stream:
             _write(lines, stream, every=args.all)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from edge.errors import MapError
+from edge.reference_map.atlas import open_atlas
 from edge.reference_map.signature import make_key, sign_map
 
 
@@ -14,7 +16,7 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     keygen.add_argument("key", type=Path, metavar="NAME")
     keygen.set_defaults(run=_keygen)
 
-    sign = actions.add_parser("sign", help="sign a map, after checking every byte of it")
+    sign = actions.add_parser("sign", help="sign a map, or each of a folder, after checking every byte of it")
     sign.add_argument("map", type=Path, metavar="MAP")
     sign.add_argument("--key", type=Path, required=True, metavar="NAME", help="the secret key of `map keygen`")
     sign.set_defaults(run=_sign)
@@ -26,7 +28,12 @@ def _keygen(args: argparse.Namespace) -> int:
     return 0
 
 
+def _refuse(name: str, why: str) -> None:
+    raise MapError(why)
+
+
 def _sign(args: argparse.Namespace) -> int:
-    sign_map(args.map, args.key)
+    for folder in open_atlas(args.map, _refuse).folders:
+        sign_map(folder, args.key)
     print(f"{args.map}: signed")
     return 0

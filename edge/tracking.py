@@ -173,7 +173,7 @@ class RouteTracker:
             return None
         place = self._matched[2]
         along_m = track.offset_m + track.sign * odometer_m
-        found = self._route.position(place, along_m - float(self._route.route_m[place]))
+        found = self._route.position(place, along_m - self._route.route_m(place))
         if found is None or not self._route.reaches(place, along_m):
             return None
         reverse = track.direction == "reverse"

@@ -79,7 +79,7 @@ def replay_golden(folder: Path, golden: Golden) -> str:
         config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=query.header.view))
         network = Network.load()
         recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
-        seen = replay(recognizer, query, golden.sampling, reference_map.places["row"].tolist())
+        seen = replay(recognizer, query, golden.sampling)
         return "".join(msgspec.json.encode(line).decode() + "\n" for line in seen)
 
 

@@ -22,6 +22,7 @@ from edge.descriptor.network import Head, Network
 from edge.live_status import LiveStatus, map_view, open_page
 from edge.map_command import build_map
 from edge.recognizer import PlaceRecognizer
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.stage_times import StageTimes
@@ -49,7 +50,6 @@ def watched(street: ReferenceMap, tmp_path: Path) -> LiveStatus:
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         status = LiveStatus(
             config,
-            street,
             "a model",
             recognizer,
             StageTimes(),
@@ -101,16 +101,16 @@ def test_a_note_costs_microseconds(watched: LiveStatus, street: ReferenceMap) ->
 
 
 def test_the_map_of_the_page_is_thinned_out(street: ReferenceMap) -> None:
-    view = map_view(street)
+    view = map_view(Atlas.of(street))
     assert (view.places, len(view.drives), len(view.drives[0])) == (FRAMES, 1, FRAMES)
     assert view.drives[0][0] == (-27.0, 153.0)
     assert view.thumbnail(3).startswith(b"\xff\xd8")
 
 
 def test_no_page_is_no_reason_to_stop(street: ReferenceMap, caplog: pytest.LogCaptureFixture) -> None:
-    assert open_page(PageConfig(port=0), street) is None
+    assert open_page(PageConfig(port=0), Atlas.of(street)) is None
     with socket.create_server(("127.0.0.1", 0)) as taken, caplog.at_level(logging.INFO):
-        assert open_page(PageConfig(port=taken.getsockname()[1]), street) is None
+        assert open_page(PageConfig(port=taken.getsockname()[1]), Atlas.of(street)) is None
         assert "no live page: [page] 127.0.0.1:" in caplog.text
         assert "Address already in use" in caplog.text
-        assert open_page(PageConfig(bind="203.0.113.1", port=8642), street) is None
+        assert open_page(PageConfig(bind="203.0.113.1", port=8642), Atlas.of(street)) is None

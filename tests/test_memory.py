@@ -48,7 +48,7 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
 
     def start() -> tuple[PlaceRecognizer, Memory]:
         recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
-        return recognizer, Memory(config(tmp_path), recognizer, places.header)
+        return recognizer, Memory(config(tmp_path), recognizer)
 
     first, memory = start()
     assert first.statistics is None
@@ -75,7 +75,7 @@ def test_nothing_is_kept_where_it_is_not_asked_for(
     feed, places = read_feed(street[0]), street[1]
     wanted = config(tmp_path, **changes)  # type: ignore[arg-type]
     recognizer = PlaceRecognizer(network, Head.load(network), places, wanted)
-    memory = Memory(wanted, recognizer, places.header)
+    memory = Memory(wanted, recognizer)
     images = FeedImages(feed)
     for row in range(25):
         recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
@@ -88,7 +88,7 @@ def test_a_first_minute_is_not_worth_a_write(
 ) -> None:
     feed, places = read_feed(street[0]), street[1]
     recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
-    memory = Memory(config(tmp_path), recognizer, places.header)
+    memory = Memory(config(tmp_path), recognizer)
     images = FeedImages(feed)
     for row in range(25):
         recognizer.observe(images.read(row), feed.rows[row].stamp_ns)

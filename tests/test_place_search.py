@@ -13,8 +13,8 @@ from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, Seq
 from edge.descriptor.normalize import NormalizedRows, normalize
 from edge.map_scan import SLICE_SHARE
 from edge.place_search import Near, PlaceSearch
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.build import MapBuilder, Place
-from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
 from edge.sequence import SequenceMatch
 
@@ -59,7 +59,7 @@ class Drive:
     """Feeds a search with one place after another, as the recogniser does, and counts what each frame matched."""
 
     def __init__(self, reference_map: ReferenceMap, look: Callable[[int], np.ndarray], config: Config = CONFIG) -> None:
-        self.search = PlaceSearch(reference_map, Route(reference_map), config)
+        self.search = PlaceSearch(Atlas.of(reference_map), config)
         self._look = look
         self._ring: list[np.ndarray] = []
 

@@ -11,6 +11,7 @@ import pytest
 from edge.config import RigConfig, SamplingConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
 from edge.recognizer import PlaceMatch
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
@@ -35,7 +36,7 @@ def route(tmp_path_factory: pytest.TempPathFactory) -> Route:
                 lat_deg = LAT_DEG + (drive_m + row * SPACING_M) * METRE_DEG
                 b.add(raw[row], Place(row, lat_deg, 153.0, 0.0, 0.0, route_m=row * SPACING_M))
         b.finish(normalize, "test")
-    return Route(open_map(path))
+    return Route(Atlas.of(open_map(path)))
 
 
 @pytest.fixture

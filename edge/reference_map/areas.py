@@ -1,14 +1,20 @@
-"""Which places a known position allows, without looking at every place: blocks of neighbours and their bounds."""
+"""Which places a known position allows, without looking at every place: blocks of neighbours, and maps, by bounds."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
+
+from edge.reference_map.store import Bounds
 
 BLOCK = 64
 STEEPEST = 2.0  # places a frame, above the steepest slope of the default limits
+MARGIN_SHARE, MARGIN_M = 1e-3, 1.0
+"""So much nearer than it seems may a map be: its bounds are no straight lines on the ground."""
 Ranges = list[tuple[int, int]]
 
 
@@ -38,12 +44,52 @@ class Areas:
         ]
 
 
-def widened(ranges: Ranges, sequence_length: int, places: int) -> Ranges:
-    """The ranges with the places that a sequence ending in them may have passed before; merged where they touch."""
+class MapAreas:
+    """The bounds of many maps, from their headers."""
+
+    def __init__(self, bounds: Sequence[Bounds | None]) -> None:
+        """None of a map without positions, which no position allows."""
+        nowhere = (math.nan,) * 4
+        edges = [(one.south, one.west, one.north, one.east) if one else nowhere for one in bounds]
+        self._south, self._west, self._north, self._east = np.array(edges).T
+        self.are_known = any(one is not None for one in bounds)
+
+    def within(self, lat_deg: float, lon_deg: float, radius_m: float) -> NDArray[np.intp]:
+        """The maps of which some place may lie within `radius_m`."""
+        middle_deg = (self._west + self._east) / 2
+        lon_deg = lon_deg + 360 * np.round((middle_deg - lon_deg) / 360)
+        nearest = np.clip(lat_deg, self._south, self._north), np.clip(lon_deg, self._west, self._east)
+        near = apart_m(lat_deg, lon_deg, *nearest) <= radius_m * (1 + MARGIN_SHARE) + MARGIN_M
+        return np.flatnonzero(near)
+
+    def inside(self, lat_deg: float, lon_deg: float, radius_m: float) -> NDArray[np.intp]:
+        """The maps all places of which lie within `radius_m`, as far as their bounds show it."""
+        corners = [(lat, lon) for lat in (self._south, self._north) for lon in (self._west, self._east)]
+        furthest_m = np.max([apart_m(lat_deg, lon_deg, *corner) for corner in corners], axis=0)
+        return np.flatnonzero(furthest_m <= radius_m)
+
+
+def apart_m(
+    lat_deg: float, lon_deg: float | NDArray[np.float64], lats_deg: NDArray[np.float64], lons_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Metres from a position to others (n,), in a straight line."""
+    east, north, up = pymap3d.geodetic2enu(lats_deg, lons_deg, 0.0, lat_deg, lon_deg, 0.0)
+    # With `up`, since on the other side of the earth the other two are small again.
+    metres: NDArray[np.float64] = np.sqrt(np.square(east) + np.square(north) + np.square(up))
+    return metres
+
+
+def widened(ranges: Ranges, sequence_length: int, breaks: NDArray[np.intp]) -> Ranges:
+    """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
+
+    breaks: 0, the number of places, and in between what no sequence runs across.
+    """
     margin = math.ceil(STEEPEST * sequence_length)
     out: Ranges = []
     for start, end in ranges:
-        first, last = max(0, start - margin), min(places, end + margin)
+        floor = int(breaks[np.searchsorted(breaks, start, side="right") - 1])
+        ceiling = int(breaks[np.searchsorted(breaks, end, side="left")])
+        first, last = max(floor, start - margin), min(ceiling, end + margin)
         if out and first <= out[-1][1]:
             out[-1] = (out[-1][0], last)
         else:

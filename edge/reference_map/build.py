@@ -7,13 +7,6 @@ from there in blocks.
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import errno
-import fcntl
-import glob
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,13 +21,13 @@ from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.reference_map import store
 from edge.reference_map.costs import encode, squared_norms
+from edge.reference_map.new_folder import NewFolder
 from edge.reference_map.projection import principal_directions, project
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
 from edge.reference_map.verification import FileKey, sha256_of
 
 BLOCK = 256
 NAN = float("nan")
-DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
 """Equation 1, as the descriptor stage has it: raw (n, R, D), mean (R, D), deviation (R, D) -> (n, R, D)."""
@@ -80,17 +73,10 @@ class MapBuilder:
         self._records: list[tuple[float | int, ...]] = []
         self._segments: list[Segment] = []
         self._thumbnail_at = 0
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _clear_leftovers(path)
-            # Beside its place, since a rename cannot cross file systems.
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".building", dir=path.parent))
-            self._folder.chmod(0o755)
-            self._lock = _locked(self._folder)
-            self._raw = (self._folder / store.RAW).open("wb")
-            self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
-        except OSError as error:
-            raise MapError(f"{path}: cannot write a map here: {error.strerror}") from None
+        self._new = NewFolder(path)
+        self._folder = self._new.path
+        self._raw = (self._folder / store.RAW).open("wb")
+        self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
 
     def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
         """Start a further drive; sequences are never searched across its beginning."""
@@ -138,12 +124,9 @@ class MapBuilder:
         places = np.array(self._records, dtype=store.PLACE)
         places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
         places.tofile(self._folder / store.PLACES)
-        header = self._header(lookback_version)
+        header = self._header(lookback_version, store.bounds_of(places))
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
-        for name in (*header.files, store.HEADER):
-            _sync(self._folder / name)
-        _sync(self._folder)
-        self._put_in_place()
+        self._new.put_in_place()
         return header
 
     def _write_descriptors(self, blocks: Callable[[], Iterator[NDArray[np.float32]]]) -> NDArray[np.int32]:
@@ -184,7 +167,7 @@ class MapBuilder:
         for at in range(0, len(raw), BLOCK):
             yield raw[at : at + BLOCK].astype(np.float32)
 
-    def _header(self, lookback_version: str) -> MapHeader:
+    def _header(self, lookback_version: str, bounds: store.Bounds | None) -> MapHeader:
         names = [*store.expected_sizes(0, 0, self._model.dimensions, self._kept), store.THUMBNAILS]
         files = {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
         return MapHeader(
@@ -197,15 +180,9 @@ class MapBuilder:
             sampling=self._sampling,
             places=len(self._records),
             segments=tuple(self._segments),
+            bounds=bounds,
             files=files,
         )
-
-    def _put_in_place(self) -> None:
-        if self._path.exists():
-            _exchange(self._folder, self._path)
-        else:
-            self._folder.rename(self._path)
-        _sync(self._path.parent)
 
     def __enter__(self) -> MapBuilder:
         return self
@@ -217,42 +194,4 @@ class MapBuilder:
             self._raw.close()
         with contextlib.suppress(OSError):
             self._thumbnails.close()
-        # After `finish` this is the map that was replaced, or nothing.
-        shutil.rmtree(self._folder, ignore_errors=True)
-        os.close(self._lock)
-        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-            raise MapError(f"{self._path}: cannot write the map: {error.strerror}") from None
-
-
-def _locked(folder: Path) -> int:
-    """A descriptor of a folder that is being built; the lock goes with it, or with the process."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    return descriptor
-
-
-def _clear_leftovers(path: Path) -> None:
-    """Remove what builders of this map have left that were killed, and nothing that is being built."""
-    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.building"):
-        with contextlib.suppress(OSError):
-            lock = _locked(folder)
-            shutil.rmtree(folder, ignore_errors=True)
-            os.close(lock)
-
-
-def _sync(path: Path) -> None:
-    """Flush a file or a folder to the disk, so that the rename cannot overtake what it names."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _exchange(new: Path, old: Path) -> None:
-    """Swap two folders in one step (renameat2 with RENAME_EXCHANGE): at no moment is there no map."""
-    at_fdcwd, rename_exchange = -100, 2
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(at_fdcwd, os.fsencode(new), at_fdcwd, os.fsencode(old), rename_exchange) != 0:
-        reason = os.strerror(ctypes.get_errno())
-        raise MapError(f"{old}: this file system cannot replace a map in one step ({reason}); remove the old map first")
+        self._new.__exit__(kind, error, trace)

@@ -93,8 +93,11 @@ class CostMatcher:
         With `ranges`, [start, end) of places, only those are read and N is their number together. A query that is
         all zero has no direction: its cost is COST_ONE to every place, as if unrelated.
         """
-        shrunk = query if self._projection is None else project(query, self._projection)
-        return self.costs_of_encoded(encode(shrunk), ranges)
+        return self.costs_of_encoded(self.encoded(query), ranges)
+
+    def encoded(self, query: NDArray[np.float32]) -> NDArray[np.int8]:
+        """Normalised query rows (n, R, D) as the map keeps its own: (R, n, D) int8, shrunk if the map is."""
+        return encode(query if self._projection is None else project(query, self._projection))
 
     def costs_of_encoded(
         self, query: NDArray[np.int8], ranges: Sequence[tuple[int, int]] | None = None

@@ -14,7 +14,8 @@ from types import ModuleType
 import msgspec
 
 from edge.errors import ConfigError, MapError
-from edge.reference_map.store import HEADER, MapHeader, ReferenceMap, encode_header, open_map, plain_size
+from edge.reference_map.atlas import Atlas
+from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
 KEY_BYTES, SIGNATURE_BYTES = 32, 64
@@ -51,24 +52,36 @@ def sign_map(path: Path, key_file: Path) -> None:
         raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
 
 
-def check_signature(reference_map: ReferenceMap, key_file: Path) -> None:
-    """MapError unless an open map is signed by the owner of the public key; ConfigError for the key."""
+def check_signatures(atlas: Atlas, key_file: Path) -> None:
+    """Leave out the maps that the owner of the public key has not signed. MapError, ConfigError for the key."""
+    for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
+        try:
+            check_signature(folder, header, key_file)
+        except MapError as error:
+            atlas.leave_out(index, error)
+
+
+def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:
+    """MapError unless a map is signed by the owner of the public key; ConfigError for the key.
+
+    header: of the map at `path`, as it was read.
+    """
     from cryptography.exceptions import InvalidSignature
 
     where = "[map] require_signature_by"
     key = _ed25519().Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
-    file = reference_map.path / SIGNATURE
+    file = path / SIGNATURE
     try:
         if file.exists() and plain_size(file) > 4 * SIGNATURE_BYTES:
             raise ValueError("too large")
         signature = file.read_bytes()[: 4 * SIGNATURE_BYTES].decode("ascii")
-        key.verify(bytes.fromhex(signature), _signed_bytes(reference_map.header))
+        key.verify(bytes.fromhex(signature), _signed_bytes(header))
     except FileNotFoundError:
-        raise MapError(f"{reference_map.path}: not signed, and {where} asks for it; use `lookback map sign`") from None
+        raise MapError(f"{path}: not signed, and {where} asks for it; use `lookback map sign`") from None
     except OSError as error:
         raise MapError(f"{file}: cannot read it: {error.strerror}") from None
     except (InvalidSignature, ValueError):
-        raise MapError(f"{reference_map.path}: its signature is not that of {key_file}, which {where} names") from None
+        raise MapError(f"{path}: its signature is not that of {key_file}, which {where} names") from None
 
 
 def _signed_bytes(header: MapHeader) -> bytes:

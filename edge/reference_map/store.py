@@ -1,6 +1,6 @@
 """The map's folder, used only after its header, sizes and checksums hold.
 
-    map.json         header: format, model, regions, sampling, counts, segments, checksums; its own checksum last
+    map.json         header: format, model, regions, sampling, counts, segments, bounds, checksums; its own last
     descriptors.i8   (R, N, K) int8, normalised over the whole set, as `costs.encode` has it; memory-mapped, the only
                      file that matching reads
     places.bin       (N,) records of PLACE: where the place is, and its thumbnail
@@ -31,7 +31,7 @@ from edge.errors import MapError
 from edge.reference_map.verification import FileKey, Verification
 
 FORMAT = "lookback-map"
-VERSION = 2
+VERSION = 3
 HEADER = "map.json"
 DESCRIPTORS = "descriptors.i8"
 PLACES = "places.bin"
@@ -93,8 +93,33 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str
 
 
+class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Degrees between which the places lie whose position is known; `east` is over 180 across the date line."""
+
+    south: float
+    west: float
+    north: float
+    east: float
+
+
+class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The larger map that a tile was cut from: its header's checksum, and where in it the tile begins.
+
+    continues: the tile's first segment goes on with the drive that the tile before it ends with. origin: latitude and
+    longitude of the larger map's local metres, which its tiles share; null where it knows no position.
+    """
+
+    map_sha256: str
+    start: int
+    continues: bool
+    origin: tuple[float, float] | None
+
+
 class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """`map.json`. dimensions: values of a region that are matched; fewer than the model's where they were shrunk."""
+    """`map.json`. dimensions: values of a region that are matched; fewer than the model's where they were shrunk.
+
+    bounds: null where no place has a position. tile: null for a map that was not cut from a larger one.
+    """
 
     format: str
     version: int
@@ -105,8 +130,17 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sampling: SamplingConfig
     places: int
     segments: tuple[Segment, ...]
+    bounds: Bounds | None
     files: dict[str, FileKey]
+    tile: TileOf | None = None
     header_sha256: str = ""
+
+
+class _Kind(msgspec.Struct, frozen=True):
+    """What is read first, since headers of other versions have other fields."""
+
+    format: str
+    version: int
 
 
 @dataclass(frozen=True)
@@ -143,6 +177,19 @@ def open_map(path: Path, *, every_file: bool = False) -> ReferenceMap:
     return reference_map
 
 
+def read_thumbnail(path: Path, row: int) -> bytes:
+    """The small JPEG of a place of a map that need not be open, unverified. MapError if it cannot be read."""
+    try:
+        record = np.fromfile(path / PLACES, dtype=PLACE, count=1, offset=row * PLACE.itemsize)[0]
+        with (path / THUMBNAILS).open("rb") as file:
+            file.seek(max(0, int(record["thumbnail_at"])))
+            return file.read(max(0, int(record["thumbnail_bytes"])))
+    except OSError as error:
+        raise MapError(f"{path}: cannot read it: {error.strerror}") from None
+    except IndexError:
+        raise MapError(f"{path / PLACES}: too short; build or copy the map again") from None
+
+
 def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceMap, Verification]:
     """Open a map of which header, sizes and small files hold; the large files are left to the Verification.
 
@@ -174,19 +221,31 @@ def read_header(path: Path) -> MapHeader:
     except OSError as error:
         raise MapError(f"{file}: cannot read it: {error.strerror}") from None
     try:
+        kind = msgspec.json.decode(data, type=_Kind)
+        if kind != _Kind(FORMAT, VERSION):
+            raise MapError(
+                f"{file}: format {kind.format!r} version {kind.version}; this program reads {VERSION};"
+                " build the map again"
+            )
         header = msgspec.json.decode(data, type=MapHeader)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MapError(f"{file}: damaged, or not a map header: {error}") from None
-    if header.format != FORMAT or header.version != VERSION:
-        raise MapError(
-            f"{file}: format {header.format!r} version {header.version}; this program reads {VERSION};"
-            " build the map again"
-        )
     # The canonical encoding must give the same bytes, so that no bit of the file goes unchecked.
     if encode_header(msgspec.structs.replace(header, header_sha256="")) != data:
         raise MapError(f"{file}: damaged (its checksum does not hold); build or copy the map again")
     _check_header(file, header)
     return header
+
+
+def bounds_of(places: NDArray[np.void]) -> Bounds | None:
+    """The bounds of records of PLACE, None where no position is known."""
+    known = places[~np.isnan(places["lat_deg"])]
+    if not known.size:
+        return None
+    lat_deg, lon_deg = known["lat_deg"], known["lon_deg"]
+    if np.ptp(lon_deg) > 180:
+        lon_deg = np.where(lon_deg < 0, lon_deg + 360, lon_deg)
+    return Bounds(float(lat_deg.min()), float(lon_deg.min()), float(lat_deg.max()), float(lon_deg.max()))
 
 
 def plain_size(file: Path) -> int:
@@ -232,8 +291,20 @@ def _check_header(file: Path, header: MapHeader) -> None:
     starts = [segment.start for segment in header.segments]
     if header.places < 1 or starts != bounds[:-1] or bounds[-1] != header.places or sorted(set(bounds)) != bounds:
         raise MapError(f"{file}: segments: they do not cover the {header.places} places one after another")
+    _check_bounds(file, header)
     if not (math.isfinite(header.regions.width) and 0 < header.regions.width <= 1):
         raise MapError(f"{file}: regions: width {header.regions.width} is not between 0 and 1")
+
+
+def _check_bounds(file: Path, header: MapHeader) -> None:
+    bounds, tile = header.bounds, header.tile
+    # A comparison with what is no number is False.
+    if bounds is not None and not (
+        -90 <= bounds.south <= bounds.north <= 90 and -180 <= bounds.west <= bounds.east <= bounds.west + 360 <= 720
+    ):
+        raise MapError(f"{file}: bounds: not south to north and west to east in degrees")
+    if tile is not None and (tile.start < 0 or not all(math.isfinite(value) for value in tile.origin or ())):
+        raise MapError(f"{file}: tile: no map has such a place, or such an origin")
 
 
 def _check_sizes(path: Path, header: MapHeader) -> None:

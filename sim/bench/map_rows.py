@@ -11,7 +11,7 @@ import numpy as np
 from edge.config import Config
 from edge.descriptor.normalize import NormalizedRows
 from edge.place_search import Near, PlaceSearch
-from edge.reference_map.route import Route
+from edge.reference_map.atlas import Atlas, open_atlas
 from edge.reference_map.store import ModelKey, ReferenceMap, open_map, open_unverified
 from edge.sequence import SequenceMatch
 from sim.bench.rows import Row, Section, Target
@@ -29,7 +29,7 @@ class Drive:
     def __init__(self, reference_map: ReferenceMap, start: int, *, known: bool) -> None:
         self._map = reference_map
         config = Config()
-        self.search = PlaceSearch(reference_map, Route(reference_map), config)
+        self.search = PlaceSearch(Atlas.of(reference_map), config)
         self._length = config.sequence.length
         self._known = known
         self._place = start
@@ -68,8 +68,7 @@ def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Sec
 
 def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
     def open_it() -> PlaceSearch:
-        reference_map = open_unverified(path)[0]
-        return PlaceSearch(reference_map, Route(reference_map), Config())
+        return PlaceSearch(open_atlas(path), Config())
 
     opening = race({"open": open_it}, max(2, rounds // 3), wall_ns)["open"]
     start = wall_ns()

@@ -53,6 +53,7 @@ def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
         sampling=SamplingConfig(),
         places=places,
         segments=segments,
+        bounds=store.bounds_of(records),
         files=files,
     )
     (path / store.HEADER).write_bytes(store.encode_header(header))

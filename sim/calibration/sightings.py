@@ -15,7 +15,7 @@ from edge.descriptor.network import Head, Network
 from edge.errors import FeedError, MapError
 from edge.line_ends import LineEnds
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.route import Route, east_north
+from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order
 from edge.traverse import traverse
@@ -56,7 +56,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
     drives = MapDrives(reference_map, feed)
-    ends = LineEnds(Route(reference_map), config.sequence.length)
+    ends = LineEnds(recognizer.route, config.sequence.length)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
         ends.move(match, item.distance_m)
@@ -77,9 +77,10 @@ class MapDrives:
         lat_deg = np.concatenate([places["lat_deg"], np.array([row.lat_deg for row in feed.rows], dtype=float)])
         lon_deg = np.concatenate([places["lon_deg"], np.array([row.lon_deg for row in feed.rows], dtype=float)])
         metres = east_north(lat_deg, lon_deg)
-        route = Route(reference_map)
         self._places_m, self._vehicle_m = metres[: len(places)], metres[len(places) :]
-        self._route_m, self._segment_of = route.route_m, route.segment_of
+        self._route_m: NDArray[np.float64] = places["route_m"]
+        segments = reference_map.header.segments
+        self._segment_of = np.repeat(np.arange(len(segments)), [segment.end - segment.start for segment in segments])
 
     def further_m(self, row: int, place: int) -> float:
         """Metres along the place's drive from the vehicle at a row of the feed to the place; NaN off that drive."""

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from edge.config import Config, RigConfig
 from edge.errors import LookbackError
 from edge.map_part import MapPart
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import CostMatcher
-from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap
 from edge.sequence.acceptance import best_match
 from edge.sequence.search import NO_LINE
@@ -79,7 +79,7 @@ def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
     """Uniqueness of the best match of each place outside its own surroundings."""
     header = reference_map.header
     matcher = CostMatcher.of(reference_map)
-    part = MapPart([(0, header.places)], header, Route(reference_map), config)
+    part = MapPart([(0, header.places)], Atlas.of(reference_map), config)
     around, search = part.neighbourhood, part.search
     per_frame = config.sequence.region_order == "frame"
     for segment in header.segments:

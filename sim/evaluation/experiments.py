@@ -221,7 +221,7 @@ def _halting(bench: Bench, pair: Pair, sampling: SamplingConfig, gate: float) ->
         build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
         reference_map = open_map(path)
         recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
-        lines = list(replay(recognizer, query.feed, sampling, reference_map.places["row"].tolist()))
+        lines = list(replay(recognizer, query.feed, sampling))
     errors = true_errors(reference, query, pair)
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)

@@ -33,4 +33,7 @@ def test_far_blocks_are_left_out() -> None:
 
 
 def test_widening_merges_what_touches() -> None:
-    assert widened([(100, 200), (230, 300), (900, 990)], 10, 1000) == [(80, 320), (880, 1000)]
+    assert widened([(100, 200), (230, 300), (900, 990)], 10, np.array([0, 1000])) == [(80, 320), (880, 1000)]
+    assert widened([(100, 200), (230, 300)], 10, np.array([0, 220, 1000])) == [(80, 320)]
+    assert widened([(100, 215), (240, 300)], 10, np.array([0, 220, 1000])) == [(80, 320)]
+    assert widened([(100, 200), (260, 300)], 10, np.array([0, 210, 250, 1000])) == [(80, 210), (250, 320)]

@@ -15,6 +15,7 @@ import pytest
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.costs import encode
 from edge.reference_map.route import Route
@@ -151,7 +152,7 @@ def test_a_large_file_that_goes_away_is_one_line(small_map: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"version": 1}, "version 1; this program reads 2; build the map again"),
+        ({"version": 2}, "version 2; this program reads 3; build the map again"),
         ({"format": "other"}, "format"),
         ({"places": 10**12}, "descriptors.i8 should have"),
         ({"places": -1}, "should have"),
@@ -201,12 +202,13 @@ def test_a_build_that_fails_leaves_the_old_map_and_nothing_else(small_map: Path)
 
 
 def test_positions_between_and_beyond_places(small_map: Path) -> None:
-    route = Route(open_map(small_map))
+    route = Route(Atlas.of(open_map(small_map)))
     at_rest, ahead, beyond = route.position(2, 0.0), route.position(2, 3.0), route.position(2, 500.0)
     assert at_rest and ahead and beyond
     assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
     assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
-    assert np.hypot(*(route.east_north_m[5] - route.east_north_m[0])) == pytest.approx(10.0, abs=0.05)
+    metres = Atlas.of(open_map(small_map)).east_north_m([(0, 12)])
+    assert np.hypot(*(metres[5] - metres[0])) == pytest.approx(10.0, abs=0.05)
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
