@@ -20,7 +20,7 @@ from edge.config import Config, PageConfig
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import COST_ONE
-from edge.reference_map.store import Bounds
+from edge.reference_map.extent import Bounds
 from edge.stage_times import StageTimes
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal

@@ -9,7 +9,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from edge.reference_map.store import Bounds
+from edge.reference_map.extent import Bounds
 
 BLOCK = 64
 STEEPEST = 2.0  # places a frame, above the steepest slope of the default limits

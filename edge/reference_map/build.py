@@ -21,6 +21,7 @@ from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.reference_map import store
 from edge.reference_map.costs import encode, squared_norms
+from edge.reference_map.extent import Bounds, bounds_of
 from edge.reference_map.new_folder import NewFolder
 from edge.reference_map.projection import principal_directions, project
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
@@ -124,7 +125,7 @@ class MapBuilder:
         places = np.array(self._records, dtype=store.PLACE)
         places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
         places.tofile(self._folder / store.PLACES)
-        header = self._header(lookback_version, store.bounds_of(places))
+        header = self._header(lookback_version, bounds_of(places))
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
         self._new.put_in_place()
         return header
@@ -167,7 +168,7 @@ class MapBuilder:
         for at in range(0, len(raw), BLOCK):
             yield raw[at : at + BLOCK].astype(np.float32)
 
-    def _header(self, lookback_version: str, bounds: store.Bounds | None) -> MapHeader:
+    def _header(self, lookback_version: str, bounds: Bounds | None) -> MapHeader:
         names = [*store.expected_sizes(0, 0, self._model.dimensions, self._kept), store.THUMBNAILS]
         files = {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
         return MapHeader(

@@ -19,9 +19,10 @@ import numpy as np
 from edge.errors import ConfigError, MapError
 from edge.reference_map import store
 from edge.reference_map.areas import BLOCK
+from edge.reference_map.extent import TileOf, bounds_of
 from edge.reference_map.new_folder import NewFolder
 from edge.reference_map.route import first_known
-from edge.reference_map.store import MapHeader, ReferenceMap, Segment, TileOf
+from edge.reference_map.store import MapHeader, ReferenceMap, Segment
 from edge.reference_map.verification import FileKey, sha256_of
 
 COPIED = (store.STATISTICS, store.PROJECTION)
@@ -82,7 +83,7 @@ def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapH
         whole.header,
         places=end - start,
         segments=tuple(_segments(whole.header, start, end)),
-        bounds=store.bounds_of(records),
+        bounds=bounds_of(records),
         files={name: FileKey((folder / name).stat().st_size, sha256_of(folder / name)) for name in whole.header.files},
         tile=_tile_of(whole, start),
         header_sha256="",

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.reference_map.extent import Bounds, TileOf, check_extent
 from edge.reference_map.verification import FileKey, Verification
 
 FORMAT = "lookback-map"
@@ -91,28 +92,6 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     end: int
     view: Literal["front", "rear"]
     source: str
-
-
-class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Degrees between which the places lie whose position is known; `east` is over 180 across the date line."""
-
-    south: float
-    west: float
-    north: float
-    east: float
-
-
-class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The larger map that a tile was cut from: its header's checksum, and where in it the tile begins.
-
-    continues: the tile's first segment goes on with the drive that the tile before it ends with. origin: latitude and
-    longitude of the larger map's local metres, which its tiles share; null where it knows no position.
-    """
-
-    map_sha256: str
-    start: int
-    continues: bool
-    origin: tuple[float, float] | None
 
 
 class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -180,6 +159,8 @@ def open_map(path: Path, *, every_file: bool = False) -> ReferenceMap:
 def read_thumbnail(path: Path, row: int) -> bytes:
     """The small JPEG of a place of a map that need not be open, unverified. MapError if it cannot be read."""
     try:
+        for name in (PLACES, THUMBNAILS):
+            plain_size(path / name)
         record = np.fromfile(path / PLACES, dtype=PLACE, count=1, offset=row * PLACE.itemsize)[0]
         with (path / THUMBNAILS).open("rb") as file:
             file.seek(max(0, int(record["thumbnail_at"])))
@@ -237,17 +218,6 @@ def read_header(path: Path) -> MapHeader:
     return header
 
 
-def bounds_of(places: NDArray[np.void]) -> Bounds | None:
-    """The bounds of records of PLACE, None where no position is known."""
-    known = places[~np.isnan(places["lat_deg"])]
-    if not known.size:
-        return None
-    lat_deg, lon_deg = known["lat_deg"], known["lon_deg"]
-    if np.ptp(lon_deg) > 180:
-        lon_deg = np.where(lon_deg < 0, lon_deg + 360, lon_deg)
-    return Bounds(float(lat_deg.min()), float(lon_deg.min()), float(lat_deg.max()), float(lon_deg.max()))
-
-
 def plain_size(file: Path) -> int:
     """Bytes of a map's file; MapError for a link, which may lead anywhere, and for a pipe, which may never end."""
     try:
@@ -291,20 +261,9 @@ def _check_header(file: Path, header: MapHeader) -> None:
     starts = [segment.start for segment in header.segments]
     if header.places < 1 or starts != bounds[:-1] or bounds[-1] != header.places or sorted(set(bounds)) != bounds:
         raise MapError(f"{file}: segments: they do not cover the {header.places} places one after another")
-    _check_bounds(file, header)
+    check_extent(file, header.bounds, header.tile)
     if not (math.isfinite(header.regions.width) and 0 < header.regions.width <= 1):
         raise MapError(f"{file}: regions: width {header.regions.width} is not between 0 and 1")
-
-
-def _check_bounds(file: Path, header: MapHeader) -> None:
-    bounds, tile = header.bounds, header.tile
-    # A comparison with what is no number is False.
-    if bounds is not None and not (
-        -90 <= bounds.south <= bounds.north <= 90 and -180 <= bounds.west <= bounds.east <= bounds.west + 360 <= 720
-    ):
-        raise MapError(f"{file}: bounds: not south to north and west to east in degrees")
-    if tile is not None and (tile.start < 0 or not all(math.isfinite(value) for value in tile.origin or ())):
-        raise MapError(f"{file}: tile: no map has such a place, or such an origin")
 
 
 def _check_sizes(path: Path, header: MapHeader) -> None:

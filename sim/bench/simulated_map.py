@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.reference_map import store
 from edge.reference_map.costs import squared_norms
+from edge.reference_map.extent import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
 from edge.reference_map.verification import FileKey, sha256_of
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -53,7 +54,7 @@ def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
         sampling=SamplingConfig(),
         places=places,
         segments=segments,
-        bounds=store.bounds_of(records),
+        bounds=bounds_of(records),
         files=files,
     )
     (path / store.HEADER).write_bytes(store.encode_header(header))
