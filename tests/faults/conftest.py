@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.camera import Frame
-from edge.camera.feed import read_feed
+from edge.camera.feed import FeedImages, FeedWriter, read_feed
 from edge.camera.newest import CameraHealth
 from edge.config import DescriptorConfig, SamplingConfig, load_config
 from edge.daemon import Daemon
@@ -118,6 +118,21 @@ def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
     feed = write_traverse(folder / "feed", range(80), period_ms=PERIOD_MS)
     build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
     return folder
+
+
+@pytest.fixture
+def lengthen(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a feed of so many frames that plays another's pictures over and over."""
+
+    def write(source: Path, frames: int) -> Path:
+        feed = read_feed(source)
+        pictures, path = FeedImages(feed), tmp_path / "long"
+        with FeedWriter(path, feed.header) as writer:
+            for number in range(frames):
+                writer.write(pictures.read(number % len(feed.rows)), number * PERIOD_MS * 1_000_000)
+        return path
+
+    return write
 
 
 @pytest.fixture

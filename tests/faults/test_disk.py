@@ -11,30 +11,14 @@ from typing import Any
 
 import pytest
 
-from edge.camera.feed import FeedWriter, read_feed
-from edge.camera.recorded import RecordedCamera
 from edge.telemetry.journal import read_journal
 
 WORDS = "journal: File too large"
 
 
-@pytest.fixture
-def long_feed(street: Path, tmp_path: Path) -> Path:
-    """The street's pictures three times over, so that there is time."""
-    feed = read_feed(street / "feed")
-    camera = RecordedCamera(feed)
-    frames = [camera.read() for _ in feed.rows]
-    path = tmp_path / "long"
-    with FeedWriter(path, feed.header) as writer:
-        for number in range(3 * len(frames)):
-            frame = frames[number % len(frames)]
-            assert frame is not None
-            writer.write(frame.image, number * 40_000_000)
-    return path
-
-
 def test_a_full_disk(
-    long_feed: Path,
+    street: Path,
+    lengthen: Callable[..., Path],
     write_config: Callable[..., Path],
     start: Callable[..., Any],
     tmp_path: Path,
@@ -42,7 +26,9 @@ def test_a_full_disk(
 ) -> None:
     """The largest file allowed stands in for the disk: the same call fails, and room can be given back."""
     journal = tmp_path / "events.jsonl"
-    process = start(write_config(camera={"device": str(long_feed)}, telemetry={"journal_frames": True}))
+    process = start(
+        write_config(camera={"device": str(lengthen(street / "feed", 1500))}, telemetry={"journal_frames": True})
+    )
     process.wait_for_word("STATUS=on the map")
     _, hard = resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE, (journal.stat().st_size, hard))
