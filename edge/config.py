@@ -95,7 +95,10 @@ class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[rig]: how far ahead of the vehicle the matched place lies, for each direction and region order of a match."""
+    """[rig]: how far ahead of the vehicle the matched place lies, for each direction and region order of a match.
+
+    sigma_*_*_m: the deviation that is left of matches of that kind, 0 where it was not measured: sigma_along_m then.
+    """
 
     ahead_forward_same_m: Ahead = 0.0
     ahead_forward_swapped_m: Ahead = 0.0
@@ -103,12 +106,20 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ahead_reverse_swapped_m: Ahead = 0.0
     left_forward_m: Left = 0.0
     left_reverse_m: Left = 0.0
+    sigma_forward_same_m: NotNegative = 0.0
+    sigma_forward_swapped_m: NotNegative = 0.0
+    sigma_reverse_same_m: NotNegative = 0.0
+    sigma_reverse_swapped_m: NotNegative = 0.0
     sigma_along_m: Positive = 3.0
     sigma_across_m: Positive = 2.0
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The offset of matches of that kind, in metres in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
+
+    def sigma_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
+        """The standard deviation along the route that the offset of that kind leaves, in metres."""
+        return float(getattr(self, f"sigma_{direction}_{order}_m")) or self.sigma_along_m
 
 
 class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):

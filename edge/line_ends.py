@@ -35,6 +35,11 @@ class LineEnd:
     spacing_m: float
     width_m: float
 
+    @property
+    def sigma_m(self) -> float:
+        """What places apart and a line not quite known leave, one standard deviation; the rig's own comes on top."""
+        return math.hypot(self.spacing_m / math.sqrt(12), self.width_m)
+
 
 class LineEnds:
     """Keeps the odometer's reading at each frame of the newest line."""

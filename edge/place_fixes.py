@@ -23,7 +23,7 @@ def place_fix(match: PlaceMatch, stamp_ns: int, rig: RigConfig, atlas: Atlas) ->
         lat_deg=match.lat_deg,
         lon_deg=match.lon_deg,
         heading_deg=match.heading_deg,
-        sigma_along_m=max(rig.sigma_along_m, UNTRACKED_SIGMA_M),
+        sigma_along_m=max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M),
         sigma_across_m=rig.sigma_across_m,
         direction=match.direction,
         order=match.order,

@@ -149,7 +149,7 @@ class RouteTracker:
         sign = 1 if match.direction == "forward" else -1
         # What is seen lies ahead of the vehicle.
         along_m = end.along_m - sign * self._rig.ahead_m(match.direction, match.order)
-        sigma_m = math.hypot(end.spacing_m / math.sqrt(12), self._rig.sigma_along_m, end.width_m)
+        sigma_m = math.hypot(end.sigma_m, self._rig.sigma_m(match.direction, match.order))
         kept = self._config.matches
         offsets_m = deque([along_m - sign * self._ends.odometer_m], maxlen=kept)
         return _Track(end.segment, match.direction, offsets_m, deque([sigma_m], maxlen=kept), matches=1)

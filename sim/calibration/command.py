@@ -17,7 +17,7 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.replay import config_for_map
-from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key
+from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key, sigma_key
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import TOLERANCE_M, Curve, curve_of_drive, curve_of_map
 
@@ -70,20 +70,25 @@ def _run(args: argparse.Namespace) -> int:
     if args.feeds:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
         _print_offsets(offsets, seen)
-        rig = rig_config(offsets)
-        keys = [key for offset in offsets for key in (rig_key(offset), f"left_{offset.direction}_m")]
-        lines |= {("rig", key): getattr(rig, key) for key in (*keys, *(["sigma_across_m"] if keys else []))}
+        lines |= _rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
         print(f"threshold, from {curve.answers} answers ({curve.stretches} that share no frame):")
     else:
         curve = curve_of_map(reference_map, config)
-        print(f"threshold, from the map against itself: {curve.answers} matches of places that were taken out")
-        print("(an estimate: only a drive shows what other light, and the other camera, do to it):")
+        print(
+            f"threshold, from the map against itself: {curve.answers} frames, the surroundings of each taken out of it"
+        )
+        print(
+            "(so many of the matches off the map are refused, at least where all looks alike; how many right ones are"
+        )
+        print("left at that threshold in other light, only a drive shows):")
     if not curve.answers:
         raise LookbackError(f"{args.map}: no whole sequence of {config.sequence.length} places, so nothing to measure")
     threshold = float(np.ceil(max(1.0, curve.lowest_for(args.precision)) * 1e4) / 1e4)
     lines["acceptance", "uniqueness_min"] = threshold
     _print_curve(curve, threshold, drive=bool(args.feeds))
+    if args.feeds:
+        _print_off_map(curve_of_map(reference_map, config), threshold, args.precision)
     if args.curve:
         args.curve.write_text(_curve_as_csv(curve), encoding="utf-8")
     print(_as_toml(lines))
@@ -99,6 +104,15 @@ def _with_known(rig: RigConfig, offsets: Sequence[Offset]) -> RigConfig:
     return msgspec.structs.replace(rig, **{rig_key(offset): getattr(measured, rig_key(offset)) for offset in offsets})
 
 
+def _rig_lines(offsets: Sequence[Offset]) -> Lines:
+    """Values of [rig] that were measured."""
+    rig = rig_config(offsets)
+    keys = [key for one in offsets for key in (rig_key(one), f"left_{one.direction}_m", sigma_key(one))]
+    if keys:
+        keys += ["sigma_along_m", "sigma_across_m"]
+    return {("rig", key): getattr(rig, key) for key in keys}
+
+
 def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
     believed = sum(one.accepted for one in seen)
     print(f"offset, from {believed} believed matches of {len(seen)}:")
@@ -107,7 +121,7 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
     for offset in offsets:
         print(
             f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; left after it:"
-            f" sigma {offset.sigma_m:.1f} m, 95 % within {offset.left_95_m:.1f} m"
+            f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
             f"  ({offset.used} matches, {offset.set_aside} set aside);"
             f" the vehicle {abs(offset.aside_m):.1f} m {'left' if offset.aside_m >= 0 else 'right'} of the map's drive"
         )
@@ -121,6 +135,17 @@ def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
         print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
     last = int(np.flatnonzero(curve.thresholds >= threshold)[-1]) if (curve.thresholds >= threshold).any() else 0
     print(f"  {threshold:14.4f}  {curve.accepted[last]:8d}  {curve.precision[last]:9.3f}  chosen")
+
+
+def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
+    """What the threshold of a drive means for a vehicle that leaves the map, which most drives never do."""
+    if not strangers.answers:
+        return
+    refused = np.mean(strangers.thresholds < threshold)
+    print(
+        f"off the map, by the map against itself, {threshold:.4f} refuses {refused:.1%} of the matches and"
+        f" {strangers.lowest_for(share):.4f} {share:.1%}: where the vehicle may leave the map, choose between the two"
+    )
 
 
 def _curve_as_csv(curve: Curve) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.config import RigConfig
 from edge.sequence import ORDERS, Direction, Order, Plane
@@ -19,6 +20,7 @@ from sim.calibration.sightings import Sighting
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 OUTLIER = 4.0
 LANE_SIGMA_M = 2.0
+LEAST_SIGMA_M = 0.5  # GPS, by which it was measured, is no better
 FEWEST = 10
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 
@@ -27,8 +29,9 @@ DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 class Offset:
     """Of one direction and region order: matches used and set aside, their median, and the errors left after it.
 
-    sigma_m: 1.4826 times the median absolute deviation. left_95_m: 95 % of the used matches are within it.
-    aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and its deviation in the same way.
+    left_m: root mean square of those errors. left_95_m: 95 % of the used matches are within it. sigma_m: the part of
+    left_m that is the rig's, over the lines that the daemon would follow; what it knows of those is not counted twice.
+    aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the deviation of that.
     """
 
     direction: Direction
@@ -36,8 +39,9 @@ class Offset:
     used: int
     set_aside: int
     ahead_m: float
-    sigma_m: float
+    left_m: float
     left_95_m: float
+    sigma_m: float
     aside_m: float = 0.0
     aside_sigma_m: float = 0.0
 
@@ -49,40 +53,56 @@ def measure_offsets(seen: Sequence[Sighting]) -> list[Offset]:
 
 
 def _measure(seen: Sequence[Sighting], plane: Plane) -> Offset | None:
-    believed = [one.ahead_m for one in seen if one.accepted and (one.direction, one.order) == plane]
-    ahead_m = np.array([value for value in believed if not np.isnan(value)])
-    if len(ahead_m) < FEWEST:
+    believed = [one for one in seen if one.accepted and (one.direction, one.order) == plane]
+    placed = [one for one in believed if not np.isnan(one.ahead_m)]
+    if len(placed) < FEWEST:
         return None
-    median_m = np.median(ahead_m)
+    ahead_m = np.array([one.ahead_m for one in placed])
     # A metre at least: places are that far apart, and a perfect drive must not lose half of its matches.
-    sigma_m = max(1.0, MAD_TO_SIGMA * float(np.median(np.abs(ahead_m - median_m))))
-    used_m = ahead_m[np.abs(ahead_m - median_m) <= OUTLIER * sigma_m]
-    left_m = np.abs(used_m - np.median(used_m))
+    used = np.abs(ahead_m - np.median(ahead_m)) <= OUTLIER * max(1.0, _deviation(ahead_m))
+    error_m = ahead_m - np.median(ahead_m[used])
+    line_sigma_m = np.array([one.line_sigma_m for one in placed])
+    followed = used & ~np.isnan(line_sigma_m)
+    rig_variance = np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed]))
     aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
     aside_m = aside_m[~np.isnan(aside_m)] if not np.isnan(aside_m).all() else np.zeros(1)
     return Offset(
         *plane,
-        used=len(used_m),
-        set_aside=len(believed) - len(used_m),
-        ahead_m=float(np.median(used_m)),
-        sigma_m=MAD_TO_SIGMA * float(np.median(left_m)),
-        left_95_m=float(np.percentile(left_m, 95)),
+        used=int(used.sum()),
+        set_aside=len(believed) - int(used.sum()),
+        ahead_m=float(np.median(ahead_m[used])),
+        left_m=float(np.sqrt(np.mean(np.square(error_m[used])))),
+        left_95_m=float(np.percentile(np.abs(error_m[used]), 95)),
+        sigma_m=max(LEAST_SIGMA_M, float(np.sqrt(max(rig_variance, 0.0)))),
         aside_m=float(np.median(aside_m)),
-        aside_sigma_m=MAD_TO_SIGMA * float(np.median(np.abs(aside_m - np.median(aside_m)))),
+        aside_sigma_m=_deviation(aside_m),
     )
+
+
+def _deviation(values: NDArray[np.float64]) -> float:
+    """Standard deviation that a few wild values do not change."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def rig_config(offsets: Sequence[Offset]) -> RigConfig:
     """The [rig] section, to the decimetre; 0 for what no drive has measured.
 
-    A lane is kept no better than LANE_SIGMA_M, however well these drives kept it.
+    sigma_along_m, for kinds of matches that were not measured, is that of the worst kind that was. A lane is kept no
+    better than LANE_SIGMA_M, however well these drives kept it.
     """
     keys = {rig_key(offset): round(offset.ahead_m, 1) for offset in offsets}
+    keys |= {sigma_key(offset): round(offset.sigma_m, 1) for offset in offsets}
+    along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
     keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
     across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_across_m)
-    return RigConfig(**keys, sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
+    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
 
 
 def rig_key(offset: Offset) -> str:
     """The key of [rig] that an offset goes to."""
     return f"ahead_{offset.direction}_{offset.order}_m"
+
+
+def sigma_key(offset: Offset) -> str:
+    """The key of [rig] that says what it leaves."""
+    return f"sigma_{offset.direction}_{offset.order}_m"

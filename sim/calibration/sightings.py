@@ -33,7 +33,8 @@ class Sighting:
 
     left_m: metres that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
     ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the line's end as the daemon
-    would have it; NaN where the vehicle was not on that drive.
+    would have it; NaN where the vehicle was not on that drive. line_sigma_m: what the daemon knows of that end without
+    the rig, one standard deviation; NaN where it would not follow the line.
     """
 
     direction: Direction
@@ -42,6 +43,7 @@ class Sighting:
     uniqueness: float
     accepted: bool
     left_m: float = float("nan")
+    line_sigma_m: float = 0.0
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -66,7 +68,8 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             further_m = drives.further_m(item.frame.index, match.place) + beyond_m
             ahead_m = further_m if match.direction == "forward" else -further_m
             left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
-            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m)
+            sigma_m = end.sigma_m if end else float("nan")
+            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m, sigma_m)
 
 
 class MapDrives:

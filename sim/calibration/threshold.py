@@ -1,15 +1,20 @@
 """The uniqueness from which a match is believed, for the precision that the user names.
 
 From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
-From the map alone: each of its places is driven again in a map from which its surroundings are missing. Whatever is
-then matched is wrong, as for a vehicle off the map, and the threshold refuses all but the allowed share of it.
+From the map alone: its drives are driven again by its own camera, in a map from which the surroundings of each frame
+are missing. Whatever is then matched is wrong, as for a vehicle off the map, and the threshold refuses all but the
+allowed share of it. On three simulated streets of 1 km 99 % came to 1.145, 1.167 and 1.198, where another street driven
+on that map came to 1.124, 1.135 and 1.142; on a real corridor to 1.21, where recordings of elsewhere stayed below 1.05.
+Nothing is learned of how well places are recognised in other light, which only a drive shows; and of a map without
+positions that passes a place twice nothing at all, since the place itself is then what is found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +24,6 @@ from edge.map_part import MapPart
 from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.store import ReferenceMap
-from edge.sequence.acceptance import best_match
 from edge.sequence.search import NO_LINE
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
@@ -76,21 +80,21 @@ def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
 
 
 def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
-    """Uniqueness of the best match of each place outside its own surroundings."""
+    """Uniqueness of the best match of each place where its own surroundings are missing."""
     header = reference_map.header
-    matcher = CostMatcher.of(reference_map)
-    part = MapPart([(0, header.places)], Atlas.of(reference_map), config)
-    around, search = part.neighbourhood, part.search
-    per_frame = config.sequence.region_order == "frame"
+    matcher, atlas = CostMatcher.of(reference_map), Atlas.of(reference_map)
+    missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum runs over
     for segment in header.segments:
-        search.clear()
+        # The camera that made the drive: with another's region orders its own reflection would be searched for.
+        camera = msgspec.structs.replace(config.camera, view=segment.view)
+        config = msgspec.structs.replace(config, camera=camera)
+        part = MapPart([(0, header.places)], atlas, config)
         for place in range(segment.start, segment.end):
-            costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])[0]
-            search.push(costs.min(axis=0, keepdims=True) if per_frame else costs)
-            lines = search.lines()
-            if lines is None:
+            costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
+            # In the row, and not only among the ends of lines: one on the way back would cross the truth in its middle.
+            costs[..., part.neighbourhood.around(place)] = missing
+            match = part.advance(costs, replaces_ring=False)
+            if match is None or match.cost * config.sequence.length >= missing:
                 continue
-            elsewhere = np.where(around.around(place), NO_LINE, lines.costs).astype(np.int32)
-            match = best_match(search, replace(lines, costs=elsewhere), around, config.acceptance)
-            if match is not None:
-                yield match.uniqueness
+            alone = match.uniqueness * match.cost * config.sequence.length >= missing
+            yield 1.0 if alone else match.uniqueness

@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from edge.camera.feed import Feed, FeedHeader
 from edge.camera.feed_rows import FeedRow
 from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
-from edge.descriptor.normalize import normalize
+from edge.descriptor.normalize import NormalizedRows, normalize
 from edge.errors import ConfigError, LookbackError
+from edge.place_search import PlaceSearch
+from edge.reference_map.atlas import Atlas
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
 from sim import Pose
@@ -21,8 +24,8 @@ from sim.calibration.sightings import MapDrives, Sighting
 from sim.calibration.threshold import curve_of_drive, curve_of_map
 
 
-def sighting(ahead_m: float, uniqueness: float = 1.5, *, accepted: bool = True) -> Sighting:
-    return Sighting("forward", "swapped", ahead_m, uniqueness, accepted)
+def sighting(ahead_m: float, uniqueness: float = 1.5, *, accepted: bool = True, line_sigma_m: float = 0.0) -> Sighting:
+    return Sighting("forward", "swapped", ahead_m, uniqueness, accepted, line_sigma_m=line_sigma_m)
 
 
 def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
@@ -30,9 +33,38 @@ def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
     seen = [sighting(value) for value in (*rng.normal(26, 3, 200), *rng.uniform(-400, 400, 100), *[np.nan] * 10)]
     (offset,) = measure_offsets(seen)
     assert offset.ahead_m == pytest.approx(26, abs=1)
-    assert offset.sigma_m == pytest.approx(3, abs=1)
+    assert offset.left_m == pytest.approx(3, abs=1)
     assert 90 <= offset.set_aside <= 110
-    assert rig_config([offset]) == RigConfig(ahead_forward_swapped_m=round(offset.ahead_m, 1))
+    sigma_m = round(offset.sigma_m, 1)
+    assert rig_config([offset]) == RigConfig(
+        ahead_forward_swapped_m=round(offset.ahead_m, 1), sigma_forward_swapped_m=sigma_m, sigma_along_m=sigma_m
+    )
+
+
+def test_what_the_daemon_knows_of_each_line_is_not_counted_twice() -> None:
+    rng = np.random.default_rng(2)
+    (offset,) = measure_offsets([sighting(value, line_sigma_m=3.0) for value in rng.normal(26, 5, 1000)])
+    assert offset.left_m == pytest.approx(5, abs=0.3)
+    assert offset.sigma_m == pytest.approx(4, abs=0.3)
+    (offset,) = measure_offsets([sighting(value, line_sigma_m=9.0) for value in rng.normal(26, 5, 1000)])
+    assert offset.sigma_m == 0.5
+
+
+def test_lines_that_the_daemon_would_not_follow_do_not_count_in_its_sigma() -> None:
+    rng = np.random.default_rng(4)
+    steep = [sighting(value, line_sigma_m=np.nan) for value in rng.normal(26, 20, 50)]
+    (offset,) = measure_offsets([*[sighting(value) for value in rng.normal(26, 8, 500)], *steep])
+    assert offset.left_m > 9
+    assert offset.sigma_m == pytest.approx(8, abs=0.5)
+
+
+def test_each_kind_of_match_has_its_own_sigma_and_the_unmeasured_the_worst() -> None:
+    rng = np.random.default_rng(3)
+    home = [Sighting("reverse", "same", value, 1.5, True) for value in rng.normal(0, 2, 500)]
+    rig = rig_config(measure_offsets([*[sighting(value) for value in rng.normal(30, 8, 500)], *home]))
+    assert rig.sigma_m("forward", "swapped") == pytest.approx(8, abs=0.5)
+    assert rig.sigma_m("reverse", "same") == pytest.approx(2, abs=0.2)
+    assert rig.sigma_m("forward", "same") == rig.sigma_m("forward", "swapped") == rig.sigma_along_m
 
 
 def test_unbelieved_matches_and_a_handful_of_them_measure_nothing() -> None:
@@ -96,6 +128,31 @@ def test_the_map_against_itself_refuses_the_share_that_is_asked_for(out_and_back
     threshold = curve.lowest_for(0.95)
     assert (curve.thresholds >= threshold).mean() == pytest.approx(0.05, abs=0.01)
     assert curve.thresholds.min() >= 1.0
+
+
+def smooth_street(seed: int) -> NDArray[np.float32]:
+    """Descriptors (N, 2, D) of places that look like their neighbours, as on a street."""
+    noise = np.random.default_rng(seed).normal(size=(400, 2, 64))
+    return np.asarray(sum(np.roll(noise, shift, axis=0) for shift in range(12)), dtype=np.float32)
+
+
+def test_the_map_against_itself_tells_what_another_street_would(tmp_path: Path) -> None:
+    with MapBuilder(
+        tmp_path / "map", ModelKey("m", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
+    ) as builder:
+        builder.begin_segment("out", "rear")
+        for row, raw in enumerate(smooth_street(1)):
+            lat_deg, lon_deg = Pose(0.0, 2.0 * row, 0, 0, 0).geodetic()
+            builder.add(raw, Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row))
+        builder.finish(normalize, "0")
+    reference_map, config = open_map(tmp_path / "map"), Config(sequence=SequenceConfig(length=20))
+    search = PlaceSearch(Atlas.of(reference_map), config)
+    another = smooth_street(2)[:, np.newaxis]
+    rows = (search.push(NormalizedRows(raw, replaces_ring=False), lambda: another[0], None) for raw in another)
+    elsewhere = [match.uniqueness for match in rows if match]
+    curve = curve_of_map(reference_map, config)
+    for share in (0.9, 0.99):
+        assert curve.lowest_for(share) == pytest.approx(np.quantile(elsewhere, share), abs=0.05)
 
 
 def test_lines_go_into_the_config_and_comments_stay(tmp_path: Path) -> None:

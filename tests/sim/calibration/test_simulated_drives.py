@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
+import numpy as np
+import pymap3d
 import pytest
 from msgspec.structs import replace
 
@@ -12,11 +15,17 @@ pytest.importorskip("panda3d")
 
 from edge.camera.feed import Feed, read_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
+from edge.descriptor.network import Head, Network
 from edge.errors import FeedError
 from edge.map_command import build_map
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.atlas import Atlas
+from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
+from edge.tracking import RouteTracker
+from edge.traverse import traverse
 from sim.calibration import command
-from sim.calibration.offset import Offset
+from sim.calibration.offset import Offset, rig_config
 from sim.recording import times_by_distance, write_feed
 from sim.scenario import Scenario
 
@@ -77,6 +86,30 @@ def test_a_front_camera_over_a_rear_camera_map(maps: dict[str, ReferenceMap], ag
     assert ahead.ahead_m - at_antenna.ahead_m == pytest.approx(8.0, abs=2.0)
 
 
+def test_the_sigma_that_a_drive_gives_is_honest_on_another(maps: dict[str, ReferenceMap], folder: Path) -> None:
+    """The way home by day tells what the daemon will say of itself on the way home at dusk."""
+    home = replace(STREET, direction="reverse", drive_seed=5)
+    offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG)
+    dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
+    tracker = RouteTracker(Route(Atlas.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
+    network = Network.load()
+    recognizer = PlaceRecognizer(network, Head.load(network), maps["rear"], CONFIG)
+    in_sigmas = []
+    for item in traverse(dusk, CONFIG.sampling):
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        tracker.see(match, item.frame.stamp_ns, item.distance_m)
+        found = tracker.at_exposure()
+        if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= CONFIG.gates.near_matches:
+            lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
+            assert lat_deg is not None and lon_deg is not None
+            east_m, north_m, _ = pymap3d.geodetic2enu(found.lat_deg, found.lon_deg, 0, lat_deg, lon_deg, 0)
+            heading_rad = math.radians(found.heading_deg)
+            along_m = east_m * math.sin(heading_rad) + north_m * math.cos(heading_rad)
+            in_sigmas.append(along_m / found.sigma_along_m)
+    assert len(in_sigmas) > 30
+    assert 0.5 <= np.sqrt(np.mean(np.square(in_sigmas))) <= 1.5
+
+
 def test_the_command_prints_the_lines_and_writes_them(
     maps: dict[str, ReferenceMap], again: dict[float, Feed], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,8 +123,11 @@ def test_the_command_prints_the_lines_and_writes_them(
     printed = capsys.readouterr().out
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
+    assert "\nsigma_along_m = " in printed
+    assert "off the map, by the map against itself, " in printed
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
+    assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
     assert f"uniqueness_min = {loaded.acceptance.uniqueness_min:g}" in printed
     assert "# short" in config.read_text()
     lines = (tmp_path / "curve.csv").read_text().splitlines()
