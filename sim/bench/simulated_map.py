@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +29,17 @@ def map_bytes(places: int, dimensions: int) -> int:
     return places * (REGIONS.count * dimensions + store.PLACE.itemsize)
 
 
-def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
-    """A whole map, every checksum of which holds."""
+def write_simulated_tiles(folder: Path, places: int, tiles: int, model: ModelKey) -> None:
+    """The streets of so many places in a folder of maps, each with its share of them."""
+    for number, tile in enumerate(np.array_split(np.arange(places), tiles)):
+        write_simulated_map(folder / f"{number:04}", len(tile), model, int(tile[0]))
+
+
+def write_simulated_map(path: Path, places: int, model: ModelKey, first: int = 0) -> None:
+    """A whole map, every checksum of which holds, of the streets from place `first` on."""
     path.mkdir(parents=True)
-    rng = np.random.default_rng(places)
-    records = _places(places)
+    rng = np.random.default_rng(places + first)
+    records = _places(first, places)
     records["norm_sq"] = _write_descriptors(path / store.DESCRIPTORS, rng, places, model.dimensions)
     records.tofile(path / store.PLACES)
     np.ones((2, REGIONS.count, model.dimensions)).tofile(path / store.STATISTICS)
@@ -41,9 +49,8 @@ def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
     sizes = store.expected_sizes(places, REGIONS.count, model.dimensions, model.dimensions)
     files[store.RAW] = _write_hole(path / store.RAW, sizes[store.RAW])
     a_street = round(STREET_M / SPACING_M)
-    segments = tuple(
-        Segment(start, min(start + a_street, places), "front", "simulated") for start in range(0, places, a_street)
-    )
+    borders = [0, *range(a_street - first % a_street, places, a_street), places]
+    segments = tuple(Segment(start, end, "front", "simulated") for start, end in pairwise(borders))
     header = MapHeader(
         format=store.FORMAT,
         version=store.VERSION,
@@ -60,10 +67,10 @@ def write_simulated_map(path: Path, places: int, model: ModelKey) -> None:
     (path / store.HEADER).write_bytes(store.encode_header(header))
 
 
-def _places(places: int) -> NDArray[np.void]:
+def _places(first: int, places: int) -> NDArray[np.void]:
     """Places every 2 m along streets of 10 km that lie 100 m apart."""
     records = np.zeros(places, dtype=store.PLACE)
-    street, along_m = np.divmod(np.arange(places) * SPACING_M, STREET_M)
+    street, along_m = np.divmod((first + np.arange(places)) * SPACING_M, STREET_M)
     records["lat_deg"], records["lon_deg"], _ = pymap3d.enu2geodetic(
         street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0
     )
@@ -89,11 +96,16 @@ def _write_hole(file: Path, size: int) -> FileKey:
     """A file of zeros that takes no room."""
     with file.open("wb") as stream:
         stream.truncate(size)
+    return FileKey(size, _digest_of_zeros(size))
+
+
+@cache
+def _digest_of_zeros(size: int) -> str:
     digest, zeros = hashlib.sha256(), bytes(1 << 20)
     for _ in range(size >> 20):
         digest.update(zeros)
     digest.update(bytes(size % (1 << 20)))
-    return FileKey(size, digest.hexdigest())
+    return digest.hexdigest()
 
 
 def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from edge.errors import FeedError
+from edge.reference_map.atlas import Atlas, open_atlas
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench import frame_rows, map_rows, memory_rows, search_rows
 from sim.bench.machine import Machine
 from sim.bench.page import page
 from sim.bench.rows import Row, Section, Target
-from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map
+from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race
 
 MACHINE = Machine("a slide rule", 1e6, 1e8)
@@ -38,13 +39,27 @@ def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
     write_simulated_map(tmp_path / "m", BLOCK + 1000, KEY)
     reference_map = open_map(tmp_path / "m", every_file=True)
     assert [segment.end for segment in reference_map.header.segments] == [5000, BLOCK + 1000]
-    drive = map_rows.Drive(reference_map, 3000, known=False)
+    drive = map_rows.Drive(Atlas.of(reference_map), 3000, known=False)
     match = drive.step()
     assert match is not None
     assert match.accepted
     assert match.place == 3040
     assert match.cost < 1.0
     assert seen_at(reference_map.descriptors, 7).shape == (2, 64)
+
+
+def test_simulated_tiles_are_a_folder_of_maps(tmp_path: Path) -> None:
+    write_simulated_tiles(tmp_path / "tiles", 12_000, 4, KEY)
+    atlas = open_atlas(tmp_path / "tiles")
+    atlas.check_every_file()
+    assert not atlas.left_out
+    assert [len(header.segments) for header in atlas.headers] == [1, 2, 1, 2]
+    atlas.opened([(0, 12_000)])
+    north, south = atlas.records(2999, 3001)["lat_deg"]
+    assert south - north == pytest.approx(2 / 110_800, rel=0.01)  # the street goes on from one tile to the next
+    match = map_rows.Drive(atlas, 4000, known=True).step()
+    assert match is not None
+    assert (match.accepted, match.place) == (True, 4040)
 
 
 def test_a_floor_is_bytes_and_products() -> None:
