@@ -195,7 +195,7 @@ class Daemon:
         began_ns = self._clock_ns()
         self._frames_used += 1
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near())
-        if match is not None and match.accepted and not self._are_maps_whole():
+        if match is not None and match.accepted and not self._is_whole(match):
             match = None
         self._tracker.see(match, frame.stamp_ns, distance_m)
         self._watch.note(frame, match)
@@ -223,10 +223,10 @@ class Daemon:
         radius_m = max(self._config.map.search_radius_m, SURE_SIGMAS * sigma_m)
         return Near(position.lat_deg, position.lon_deg, radius_m)
 
-    def _are_maps_whole(self) -> bool:
+    def _is_whole(self, match: PlaceMatch) -> bool:
         """Nothing is told of a map before every checksum has been seen to hold; False if one had to be left out."""
         before = len(self._atlas.left_out)
-        while not self._recognizer.verify(CHECK_BYTES):
+        while not self._recognizer.verify(CHECK_BYTES, match):
             self._tell_manager()
         return len(self._atlas.left_out) == before
 

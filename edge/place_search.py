@@ -55,7 +55,8 @@ class PlaceSearch:
         self._part: MapPart | None = None
         self._reach: Near | None = None  # of the part, if it lies around a position
         self._aim: Near | None = None  # around which the next part will lie, once its maps are open
-        self._coming: Ranges = []  # what that will be
+        self._coming_maps: list[int] = []  # what these are
+        self._part_maps: list[int] = []
         self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part has seen no row of the ring yet
         self._unbelieved = 0
@@ -76,7 +77,7 @@ class PlaceSearch:
             self._part.clear()
         else:
             self._part = self._reach = self._aim = None
-            self._coming = []
+            self._part_maps, self._coming_maps = [], []
 
     def push(
         self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None
@@ -106,10 +107,8 @@ class PlaceSearch:
 
     def _needed(self, match: SequenceMatch | None) -> list[int]:
         """The maps that must stay open, and that what is told rests on."""
-        ranges = [*(self._part.ranges if self._part else []), *self._coming]
-        if match is not None and match.accepted:
-            ranges.append((match.place, match.place + 1))
-        return self._atlas.numbering.maps_of(ranges)
+        found = [self._atlas.numbering.map_of(match.place)] if match is not None and match.accepted else []
+        return [*self._part_maps, *self._coming_maps, *found]
 
     def _match(
         self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None
@@ -194,8 +193,11 @@ class PlaceSearch:
         ranges = self._atlas.within(aim.lat_deg, aim.lon_deg, aim.radius_m, limit=self._most, at_most=OPENED_A_FRAME)
         if ranges is None:
             return
-        self._coming = self._atlas.numbering.widened(ranges, self._config.sequence.length)
-        opened = self._atlas.opened(self._coming, OPENED_A_FRAME) if 0 < _count(self._coming) <= self._most else []
+        ranges = self._atlas.numbering.widened(ranges, self._config.sequence.length)
+        if not 0 < _count(ranges) <= self._most:
+            ranges = []
+        self._coming_maps = self._atlas.numbering.maps_of(ranges)
+        opened = self._atlas.opened(ranges, OPENED_A_FRAME)
         if opened is not None:
             self._use(opened, aim)
 
@@ -203,7 +205,8 @@ class PlaceSearch:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
         self._part = self._open(ranges) if 0 < _count(ranges) <= self._most else None
         self._reach, self._is_fresh = reach, True
-        self._aim, self._coming = None, []
+        self._aim, self._coming_maps = None, []
+        self._part_maps = self._atlas.numbering.maps_of(self._part.ranges) if self._part else []
 
     def _open(self, ranges: Ranges) -> MapPart:
         return MapPart(ranges, self._atlas, self._config, self._frame)

@@ -121,13 +121,18 @@ class PlaceRecognizer:
         self.state = "on the map" if match.accepted else "off the map"
         return self._report(match, raw, stamp_ns)
 
-    def verify(self, max_bytes: int) -> bool:
-        """Check that much more of the maps that are searched now; True when all of them have been seen to be whole.
+    def verify(self, max_bytes: int, match: PlaceMatch | None = None) -> bool:
+        """Check that much more of the maps that are searched now; True when they have been seen to be whole.
 
-        Nothing may be told of a match before, nor if a map was left out meanwhile because it is damaged. MapError if
-        that is the only one, or was the last.
+        With a match, of the map that it lies in, and of the tiles that its line may have come from: nothing may be told
+        of the match before, nor if a map was left out meanwhile because it is damaged. MapError if that is the only
+        one, or was the last.
         """
-        return self.atlas.verify(max_bytes)
+        if match is None:
+            return self.atlas.verify(max_bytes)
+        numbering = self.atlas.numbering
+        line = numbering.widened([(match.place, match.place + 1)], self._config.sequence.length)
+        return self.atlas.verify(max_bytes, numbering.maps_of(line))
 
     @property
     def statistics(self) -> RunningStatistics | None:

@@ -15,7 +15,7 @@ from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option
 from edge.descriptor.network import Head, Network
 from edge.map_command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.observation import Observation, observation
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.atlas import open_atlas
 from edge.reference_map.store import MapHeader
 from edge.traverse import traverse
@@ -43,18 +43,18 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
-    _are_whole(recognizer)
+    _is_whole(recognizer)
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        if match is not None and match.accepted and not _are_whole(recognizer):
+        if match is not None and match.accepted and not _is_whole(recognizer, match):
             match = None
         yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas)
 
 
-def _are_whole(recognizer: PlaceRecognizer) -> bool:
-    """Check what is searched now to its end; whether no map had to be left out."""
+def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> bool:
+    """Check what a match rests on, or all that is searched now; False if a map had to be left out."""
     before = len(recognizer.atlas.left_out)
-    while not recognizer.verify(CHECK_BYTES):
+    while not recognizer.verify(CHECK_BYTES, match):
         pass
     return len(recognizer.atlas.left_out) == before
 

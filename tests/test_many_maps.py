@@ -118,7 +118,7 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
     assert atlas.numbering.places == PLACES_OF_ALL
     assert max(len(tile.places) for tile in tiles) <= 300 + 63
     assert min(len(tile.places) for tile in tiles) >= 300 - 64
-    assert atlas.numbering.starts[:-1].tolist() == [tile.header.tile.start for tile in tiles if tile.header.tile]
+    assert atlas.numbering.starts[:-1] == [tile.header.tile.start for tile in tiles if tile.header.tile]
     np.testing.assert_array_equal(np.concatenate([tile.descriptors for tile in tiles], axis=1), whole.descriptors)
     np.testing.assert_array_equal(np.concatenate([tile.raw() for tile in tiles]), whole.raw())
     for field in set(whole.places.dtype.names or ()) - {"thumbnail_at"}:
@@ -230,7 +230,7 @@ def test_a_damaged_tile_is_left_out_with_one_line(
     (damaged / file).write_bytes(data)
     told: list[tuple[str, str]] = []
     atlas = open_atlas(tmp_path / "tiles", lambda name, why: told.append((name, why)))
-    first, last = open_atlas(city / "tiles").numbering.starts[3:5].tolist()
+    first, last = open_atlas(city / "tiles").numbering.starts[3:5]
     missing = last - first if file == "map.json" else 0  # a tile without a header is not counted
     drive = Drive(atlas, look)
     believed = []

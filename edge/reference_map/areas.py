@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -79,7 +80,7 @@ def apart_m(
     return metres
 
 
-def widened(ranges: Ranges, sequence_length: int, breaks: NDArray[np.intp]) -> Ranges:
+def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Ranges:
     """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
 
     breaks: 0, the number of places, and in between what no sequence runs across.
@@ -87,8 +88,7 @@ def widened(ranges: Ranges, sequence_length: int, breaks: NDArray[np.intp]) -> R
     margin = math.ceil(STEEPEST * sequence_length)
     out: Ranges = []
     for start, end in ranges:
-        floor = int(breaks[np.searchsorted(breaks, start, side="right") - 1])
-        ceiling = int(breaks[np.searchsorted(breaks, end, side="left")])
+        floor, ceiling = breaks[bisect_right(breaks, start) - 1], breaks[bisect_left(breaks, end)]
         first, last = max(floor, start - margin), min(ceiling, end + margin)
         if out and first <= out[-1][1]:
             out[-1] = (out[-1][0], last)

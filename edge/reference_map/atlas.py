@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -86,12 +86,12 @@ class Atlas:
     def __str__(self) -> str:
         """For people: how much there is that can be used."""
         used = [header.places for index, header in enumerate(self.headers) if index not in self.left_out]
-        return f"{sum(used)} places" + (f" in {len(used)} maps" if self.is_folder else "")
+        return f"{sum(used)} places" + (f" in {len(used)} map{'s' * (len(used) > 1)}" if self.is_folder else "")
 
     def locate(self, place: int) -> tuple[str | None, int]:
         """The name of a place's map, None if there is only that, and its row there."""
         index = self.numbering.map_of(place)
-        return self.folders[index].name if self.is_folder else None, place - int(self.numbering.starts[index])
+        return self.folders[index].name if self.is_folder else None, place - self.numbering.starts[index]
 
     def feed_row(self, place: int) -> int | None:
         """The row of the feed that a place was made of; None where its map cannot be opened."""
@@ -127,9 +127,9 @@ class Atlas:
         are too many come at once.
         """
         starts = self.numbering.starts
-        inside = self.areas.inside(lat_deg, lon_deg, radius_m)
-        if (starts[inside + 1] - starts[inside]).sum() > limit:
-            return [(int(starts[index]), int(starts[index + 1])) for index in inside]
+        inside = self.areas.inside(lat_deg, lon_deg, radius_m).tolist()
+        if sum(self.headers[index].places for index in inside) > limit:
+            return [(starts[index], starts[index + 1]) for index in inside]
         out: Ranges = []
         for index in self.areas.within(lat_deg, lon_deg, radius_m).tolist():
             if index not in self._areas and index not in self.left_out:
@@ -140,7 +140,7 @@ class Atlas:
             if index in self._areas:
                 origin, areas = self._areas[index]
                 found = areas.within(east_north_of(lat_deg, lon_deg, origin), radius_m)
-                out += [(start + int(starts[index]), end + int(starts[index])) for start, end in found]
+                out += [(start + starts[index], end + starts[index]) for start, end in found]
         return out
 
     def records(self, start: int, end: int) -> NDArray[np.void]:
@@ -175,7 +175,7 @@ class Atlas:
         """The place's small JPEG, for people; b"" where there is none. Any thread may ask."""
         index = self.numbering.map_of(place)
         try:
-            return read_thumbnail(self.folders[index], place - int(self.numbering.starts[index]))
+            return read_thumbnail(self.folders[index], place - self.numbering.starts[index])
         except MapError:
             return b""
 
@@ -191,12 +191,13 @@ class Atlas:
         for index in idle[: max(0, len(idle) - SPARE)]:
             self._close(index)
 
-    def verify(self, max_bytes: int) -> bool:
-        """Read on by that much of what is in use; True when all checksums of it have been seen to hold.
+    def verify(self, max_bytes: int, maps: Collection[int] | None = None) -> bool:
+        """Read on by that much of what is in use, or of some `maps`; True when all checksums of it were seen to hold.
 
         A map of which one does not is left out. MapError if that is the only one, or was the last.
         """
-        for index in sorted(self._in_use & self._open.keys()):
+        wanted = self._in_use if maps is None else maps
+        for index in sorted(self._open.keys() & wanted):
             try:
                 if not self._open[index].verification.step(max_bytes):
                     return False

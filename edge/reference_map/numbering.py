@@ -6,10 +6,9 @@ the next is one segment.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Collection, Iterator, Sequence
-from itertools import pairwise
-
-import numpy as np
+from itertools import accumulate, pairwise
 
 from edge.reference_map.areas import Ranges, widened
 from edge.reference_map.store import MapHeader
@@ -20,29 +19,30 @@ class Numbering:
 
     def __init__(self, headers: Sequence[MapHeader]) -> None:
         """headers: of the maps, in their order."""
-        self.starts = np.cumsum([0, *(header.places for header in headers)])
-        self.places = int(self.starts[-1])
+        self.starts: list[int] = list(accumulate((header.places for header in headers), initial=0))
+        """The first place of each map, and one more at the end."""
+        self.places = self.starts[-1]
         follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
-        self._breaks = self.starts[[*(not one for one in follows), True]]
+        self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
         begins, self._views = [], []
-        for header, start, is_next in zip(headers, self.starts.tolist(), follows, strict=False):
+        for header, start, is_next in zip(headers, self.starts, follows, strict=False):
             for number, segment in enumerate(header.segments):
                 if number or not (is_next and header.tile and header.tile.continues):
                     begins.append(start + segment.start)
                     self._views.append(segment.view)
-        self._segments = np.array([*begins, self.places])
+        self._segments = [*begins, self.places]
 
     def map_of(self, place: int) -> int:
         """The number of the map that a place lies in."""
-        return int(np.searchsorted(self.starts, place, side="right")) - 1
+        return bisect_right(self.starts, place) - 1
 
     def segment_of(self, place: int) -> int:
         """The number of its segment."""
-        return int(np.searchsorted(self._segments, place, side="right")) - 1
+        return bisect_right(self._segments, place) - 1
 
     def segment(self, number: int) -> tuple[int, int]:
         """The places [start, end) of a segment."""
-        return int(self._segments[number]), int(self._segments[number + 1])
+        return self._segments[number], self._segments[number + 1]
 
     def view(self, segment: int) -> str:
         """Where the camera looked that drove a segment."""
@@ -52,7 +52,7 @@ class Numbering:
         """The ranges in pieces that lie in one map each: its number, and rows [start, end) of it."""
         for start, end in ranges:
             for index in range(self.map_of(start), self.map_of(end - 1) + 1):
-                first, last = self.starts[index : index + 2].tolist()
+                first, last = self.starts[index : index + 2]
                 yield index, max(start, first) - first, min(end, last) - first
 
     def by_segment(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
@@ -75,7 +75,7 @@ class Numbering:
             at = start
             for index in range(self.map_of(start), self.map_of(end - 1) + 1):
                 if index in maps:
-                    first, last = self.starts[index : index + 2].tolist()
+                    first, last = self.starts[index : index + 2]
                     out.append((at, first))
                     at = last
             out.append((at, end))
@@ -87,8 +87,8 @@ class Numbering:
 
     def whole(self, place: int) -> tuple[int, int]:
         """The map that a place lies in, with the tiles before and after it: places [start, end)."""
-        number = int(np.searchsorted(self._breaks, place, side="right"))
-        return int(self._breaks[number - 1]), int(self._breaks[number])
+        number = bisect_right(self._breaks, place)
+        return self._breaks[number - 1], self._breaks[number]
 
 
 def _follows(before: MapHeader, after: MapHeader) -> bool:

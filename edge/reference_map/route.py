@@ -98,7 +98,7 @@ class Route:
 
     def _take_out(self, place: int, segment: int, index: int) -> Drive | None:
         numbering = self._atlas.numbering
-        first, last = numbering.starts[index : index + 2].tolist()
+        first, last = numbering.starts[index : index + 2]
         begin, end = numbering.segment(segment)
         around = [(max(begin, first - BEYOND), min(end, last + BEYOND))]
         found = next((one for one in self._atlas.opened(around) or [] if one[0] <= place < one[1]), None)

@@ -54,7 +54,7 @@ class Drive:
         index = numbering.map_of(self._place)
         if self._seen is None or self._seen[0] != index:
             self._seen = index, open_unverified(self.atlas.folders[index])[0].descriptors
-        return seen_at(self._seen[1], self._place - int(numbering.starts[index]))
+        return seen_at(self._seen[1], self._place - numbering.starts[index])
 
 
 def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Section:

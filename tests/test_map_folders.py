@@ -1,0 +1,192 @@
+"""The commands and the daemon with a folder of maps: lines name the map, and one that is damaged is left out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from edge.__main__ import main
+from edge.doctor import examine
+from edge.live_status import map_view
+from edge.reference_map.atlas import open_atlas
+from edge.reference_map.signature import SIGNATURE
+from edge.reference_map.store import DESCRIPTORS
+from edge.telemetry.journal import read_journal
+
+FRAMES, BORDER, PERIOD_MS = 80, 64, 60
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map of a street, its two tiles, and another day on it."""
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "out", range(FRAMES))
+    write_traverse(folder / "again", range(FRAMES), noise=8.0, period_ms=PERIOD_MS)
+    assert main(["map", "build", str(feed), "-o", str(folder / "map")]) == 0
+    assert main(["map", "split", str(folder / "map"), "-o", str(folder / "tiles"), "--places", "50"]) == 0
+    return folder
+
+
+@pytest.fixture
+def damaged(street: Path, tmp_path: Path) -> Path:
+    """The tiles, with a flipped bit among the descriptors of the second."""
+    shutil.copytree(street / "tiles", tmp_path / "tiles")
+    file = tmp_path / "tiles" / "1" / DESCRIPTORS
+    data = bytearray(file.read_bytes())
+    data[-1] ^= 1
+    file.write_bytes(data)
+    return tmp_path / "tiles"
+
+
+def write_config(folder: Path, feed: Path, path: Path, **of_map: Any) -> Path:
+    config = {
+        "camera": {"kind": "feed", "device": str(feed)},
+        "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
+        "map": {"path": str(path), **of_map},
+        "sequence": {"length": 10},
+        "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
+        "telemetry": {"connection": "udp:127.0.0.1:9", "journal": "events.jsonl"},
+        "page": {"port": 0},
+    }
+    (folder / "lookback.toml").write_text(tomli_w.dumps(config))
+    return folder / "lookback.toml"
+
+
+def replayed(street: Path, path: Path, capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
+    capsys.readouterr()
+    command = ["replay", str(street / "again"), "--map", str(path), "--all", "--sequence-length", "10"]
+    assert main([*command, "--uniqueness-min", "1.02", "--spacing-frames", "1"]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_folder_of_tiles_replays_as_the_map_does(street: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole, tiles = replayed(street, street / "map", capsys), replayed(street, street / "tiles", capsys)
+    assert len(whole) == FRAMES
+    answered = [line["place"] for line in whole if line["accepted"]]
+    assert answered[-1] > BORDER + 10
+    assert answered[0] < BORDER - 30
+    for line, of_tile in zip(whole, tiles, strict=True):
+        assert "map" not in line
+        place = line.pop("place")
+        assert (of_tile.pop("map", None), of_tile.pop("place")) == (
+            (None, None) if place is None else ("0", place) if place < BORDER else ("1", place - BORDER)
+        )
+        assert line == of_tile
+
+
+def test_nothing_is_told_of_a_damaged_tile(
+    street: Path, damaged: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    lines = replayed(street, damaged, capsys)
+    assert {line.get("map") for line in lines} == {None, "0"}
+    assert [record.message for record in caplog.records] == [
+        f"{damaged / '1' / DESCRIPTORS}: damaged (its checksum does not hold); build or copy the map again; left out"
+    ]
+    assert sum(line["accepted"] for line in lines) > 30
+
+
+def test_the_daemon_goes_on_without_a_damaged_tile(street: Path, damaged: Path) -> None:
+    config = write_config(damaged.parent, street / "again", damaged)
+    process = subprocess.run(
+        [sys.executable, "-m", "edge", "run", str(config)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert process.returncode == 0, process.stderr
+    records = list(read_journal(damaged.parent / "events.jsonl"))
+    left_out = [record for record in records if record["event"] == "map_left_out"]
+    assert [record["map"] for record in left_out] == ["1"]
+    assert f"{DESCRIPTORS}: damaged" in left_out[0]["why"]
+    assert process.stderr.count("left out") == 1
+    places = [record for record in records if record["event"] == "place"]
+    assert places
+    assert {record["map"] for record in places} == {"0"}
+
+
+def test_info_verify_and_check_of_a_folder(
+    street: Path, damaged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["map", "info", str(street / "tiles")]) == 0
+    told = capsys.readouterr().out
+    assert "80 places in 2 maps" in told
+    assert "map       1: 16 places" in told
+    assert main(["map", "info", str(street / "tiles" / "1")]) == 0
+    assert "from its place 64 on" in capsys.readouterr().out
+    assert main(["map", "verify", str(street / "tiles")]) == 0
+    assert "all 10 checksums hold" in capsys.readouterr().out
+    assert main(["map", "verify", str(damaged)]) == 78
+    out, err = capsys.readouterr()
+    assert f"{DESCRIPTORS}: damaged" in out
+    assert err.endswith("1 of its maps would be left out: 1\n")
+    assert main(["check", str(write_config(tmp_path, street / "again", damaged))]) == 0
+    out = capsys.readouterr().out
+    assert "map of 64 places in 1 map" in out
+    assert "damaged (its checksum does not hold); build or copy the map again; left out\n" in out
+
+
+def test_the_doctor_names_the_damaged_tile(street: Path, damaged: Path, tmp_path: Path) -> None:
+    findings = list(examine(write_config(tmp_path, street / "again", damaged), 0.1, tmp_path))
+    of_map = [finding for finding in findings if finding.what == "map"]
+    assert [finding.level for finding in of_map[:2]] == ["good", "note"]
+    assert "64 places in 1 map" in of_map[0].words
+    assert f"{DESCRIPTORS}: damaged" in of_map[1].words
+
+
+def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(street / "tiles", tmp_path / "tiles")
+    assert main(["map", "keygen", str(tmp_path / "owner")]) == 0
+    assert main(["map", "sign", str(tmp_path / "tiles"), "--key", str(tmp_path / "owner")]) == 0
+    config = write_config(tmp_path, street / "again", tmp_path / "tiles", require_signature_by="owner.pub")
+    capsys.readouterr()
+    assert main(["check", str(config)]) == 0
+    assert "map of 80 places in 2 maps" in capsys.readouterr().out
+    (tmp_path / "tiles" / "0" / SIGNATURE).unlink()
+    assert main(["check", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert "tiles/0: not signed" in out
+    assert "map of 16 places in 1 map" in out
+    (tmp_path / "tiles" / "1" / SIGNATURE).write_text("00" * 64)
+    assert main(["check", str(config)]) == 78
+    assert "none of its 2 maps can be used" in capsys.readouterr().err
+
+
+def test_the_page_shows_where_the_maps_are(street: Path) -> None:
+    atlas = open_atlas(street / "tiles")
+    view = map_view(atlas)
+    assert atlas.open_count == 0
+    assert view.places == FRAMES
+    (south, west), (_, east), (north, _), *_ = view.drives[1]
+    assert south == pytest.approx(-27 + BORDER * 2 / 110_800)
+    assert north == pytest.approx(-27 + 79 * 2 / 110_800)
+    assert (west, east) == (153.0, 153.0)
+    whole = open_atlas(street / "map")
+    assert [view.thumbnail(place) for place in (0, 63, 64, 79)] == [whole.thumbnail(place) for place in (0, 63, 64, 79)]
+
+
+def test_splitting_is_refused_in_one_line(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for places, told in ((0, "--places: 0 is not between 1 and 79"), (80, "--places: 80 is not")):
+        arguments = ["map", "split", str(street / "map"), "-o", str(tmp_path / "new"), "--places", str(places)]
+        assert main(arguments) == 78
+        assert told in capsys.readouterr().err
+    command = ["map", "split", str(street / "map"), "-o", str(street / "tiles"), "--places", "40"]
+    assert main(command) == 78
+    assert "there is something here already" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_tile_of_a_tile_follows_on(street: Path, tmp_path: Path) -> None:
+    """What is cut again is still a piece of the first map, whatever else its folder holds."""
+    assert main(["map", "split", str(street / "tiles" / "0"), "-o", str(tmp_path / "x"), "--places", "63"]) == 0
+    (tmp_path / "x" / "0").rename(tmp_path / "x" / "0again")
+    shutil.copytree(street / "tiles" / "1", tmp_path / "x" / "1")
+    atlas = open_atlas(tmp_path / "x")
+    assert atlas.numbering.segment(0) == (0, FRAMES)
+    shutil.copytree(street / "map", tmp_path / "x" / "0between")
+    assert open_atlas(tmp_path / "x").numbering.whole(0) == (0, BORDER)
