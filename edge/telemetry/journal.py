@@ -36,6 +36,7 @@ class Journal:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
             self._torn = _ends_torn(self._fd)
+            _give_to_owner_of(path.parent, self._fd)
         except OSError as error:
             raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
 
@@ -70,6 +71,13 @@ class Journal:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+def _give_to_owner_of(folder: Path, fd: int) -> None:
+    """What root has begun in a service's folder, with a first `lookback run`, must not be closed to the service."""
+    owner, file = folder.stat(), os.fstat(fd)
+    if os.geteuid() == 0 and file.st_uid == 0 and owner.st_uid != 0 and stat.S_ISREG(file.st_mode):
+        os.fchown(fd, owner.st_uid, owner.st_gid)
 
 
 def _ends_torn(fd: int) -> bool:

@@ -92,7 +92,7 @@ TEXTS: list[tuple[str, str]] = [
     (f"[{LONG}]\n", LONG),
     ('[telemetry]\njournal = "a\\u0000b"\n', "journal"),
     ('[map]\npath = "a\\u0000b"\n', "path"),
-    ("[map]\npath = 'no-such-map'\n", "no-such-map"),
+    ("[map]\npath = 'no-such-map'\n[telemetry]\njournal = ''\n", "no-such-map"),
     ('[descriptor]\nmodel = "a\\u0000b"\n', "model"),
 ]
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from edge.config import load_config
 from edge.errors import EXIT_SETUP
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
@@ -121,15 +120,6 @@ def test_directories_and_modes_agree_with_tmpfiles() -> None:
         f"/etc/{unit_values('ConfigurationDirectory')[0]}": unit_values("ConfigurationDirectoryMode")[0],
         f"/var/lib/{unit_values('StateDirectory')[0]}": unit_values("StateDirectoryMode")[0],
     }
-
-
-def test_what_a_run_as_root_has_left_is_the_services_from_the_next_boot_on() -> None:
-    """A journal that root has begun would keep the service from starting."""
-    lines = [line.split() for line in (SYSTEMD / "lookback.tmpfiles").read_text().splitlines() if line[:1] == "z"]
-    given = {path for _, path, mode, user, group, _ in lines if (mode, user, group) == ("0640", "lookback", "lookback")}
-    telemetry = load_config(SYSTEMD.parent / "edge/default.toml").telemetry
-    state = Path(telemetry.journal).with_suffix(".state")
-    assert given == {telemetry.journal, str(state), f"{telemetry.signing_clock}.*"}
 
 
 def test_backoff_drop_in_is_a_unit_file() -> None:

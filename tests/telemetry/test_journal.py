@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import msgspec
@@ -86,3 +87,15 @@ def test_a_disk_that_fills_inside_a_line_leaves_the_next_line_whole(
 def test_a_journal_that_cannot_be_opened_is_a_config_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"\[telemetry\] journal: {tmp_path}: cannot append to it: Is a directory"):
         Journal(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, who may give files away")
+def test_what_root_begins_in_a_services_folder_is_the_services(path: Path) -> None:
+    path.parent.mkdir()
+    os.chown(path.parent, 4242, 4343)
+    for _ in range(2):
+        journal = Journal(path)
+        journal.write(Note("one"))
+        journal.close()
+    assert (path.stat().st_uid, path.stat().st_gid) == (4242, 4343)
+    assert texts(path) == ["one", "one"]
