@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import select
+import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,8 @@ from sim.pty_link import open_pty
 
 FIGURES = pytest.StashKey[list[str]]()
 PERIOD_MS = 40
-PATIENCE_S = 60.0
+CALM_FRAMES = 1500
+PATIENCE_S = 120.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -70,22 +72,14 @@ def seed(request: pytest.FixtureRequest) -> int:
     return value
 
 
-def resident_bytes(pid: int | str = "self") -> int:
-    """Resident memory of a process."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def open_descriptors(pid: int | str = "self") -> int:
-    """How many descriptors a process has open."""
-    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
-
-
-@dataclass(frozen=True)
 class ProcessNumbers:
     """What /proc says of a process."""
 
-    resident_bytes: Callable[..., int] = resident_bytes
-    open_descriptors: Callable[..., int] = open_descriptors
+    def resident_bytes(self, pid: int | str = "self") -> int:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    def open_descriptors(self, pid: int | str = "self") -> int:
+        return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
 @pytest.fixture
@@ -120,19 +114,15 @@ def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
     return folder
 
 
-@pytest.fixture
-def lengthen(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a feed of so many frames that plays another's pictures over and over."""
-
-    def write(source: Path, frames: int) -> Path:
-        feed = read_feed(source)
-        pictures, path = FeedImages(feed), tmp_path / "long"
-        with FeedWriter(path, feed.header) as writer:
-            for number in range(frames):
-                writer.write(pictures.read(number % len(feed.rows)), number * PERIOD_MS * 1_000_000)
-        return path
-
-    return write
+@pytest.fixture(scope="session")
+def calm_feed(street: Path) -> Path:
+    """The street over and over, five frames a second for five minutes: also a busy machine keeps up, and has time."""
+    feed, path = read_feed(street / "feed"), street / "calm"
+    pictures = FeedImages(feed)
+    with FeedWriter(path, feed.header) as writer:
+        for number in range(CALM_FRAMES):
+            writer.write(pictures.read(number % len(feed.rows)), number * 200_000_000)
+    return path
 
 
 @pytest.fixture
@@ -201,11 +191,26 @@ class Process:
         """What it has written to standard error so far."""
         return Path(self._errors.name).read_text()
 
+    def end(self, by: signal.Signals = signal.SIGTERM) -> tuple[int, float]:
+        """Send a signal; the exit code, and how many seconds it took, less those in which it waited for a processor."""
+        gone, pid = os.pidfd_open(self.popen.pid), self.popen.pid
+        waited_s, told_s = _waited_for_cpu_s(pid), time.monotonic()
+        self.popen.send_signal(by)
+        assert select.select([gone], [], [], PATIENCE_S)[0], self.told()
+        took_s = time.monotonic() - told_s - (_waited_for_cpu_s(pid) - waited_s)
+        os.close(gone)
+        return self.popen.wait(), took_s
+
     def close(self) -> None:
         self.popen.kill()
         self.popen.wait()
         self._errors.close()
         self._socket.close()
+
+
+def _waited_for_cpu_s(pid: int) -> float:
+    """How long the first thread of a process, which may have ended, was ready and did not get to run."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
 
 
 @pytest.fixture

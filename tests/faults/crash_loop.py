@@ -124,6 +124,8 @@ def crash(what: str, folder: Path, kills: int, seed: int) -> dict[str, int]:
         child = os.fork()
         if child == 0:
             write_until_killed(write, folder, version, told)
+        while os.pread(told, 8, 0) == os.pread(told, 8, 8):
+            time.sleep(0.0005)  # until it has begun: a busy machine lets it wait
         time.sleep(rng.uniform(0.0, LONGEST_S[what]))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)

@@ -15,7 +15,9 @@ from edge.telemetry.journal import read_journal
 
 SHIM = Path(__file__).with_name("clock_shim.c")
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
-HOLD_OFF_S = 0.2
+HOLD_OFF_S = 0.3
+LATE_S = 30.0
+"""A step would show as its own length; a machine that is busy may take a while."""
 
 
 @pytest.fixture(scope="module")
@@ -41,18 +43,26 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wall_clock_is_stepped(
     step_s: int,
     shim: Path,
+    calm_feed: Path,
     write_config: Callable[..., Path],
     start: Callable[..., Any],
     tmp_path: Path,
     figures: Callable[[str], None],
 ) -> None:
-    config = write_config(telemetry={"journal_frames": True}, acceptance={"hold_off_s": HOLD_OFF_S})
+    config = write_config(
+        camera={"device": str(calm_feed)},
+        telemetry={"journal_frames": True},
+        acceptance={"hold_off_s": HOLD_OFF_S},
+    )
     steps = tmp_path / "step"
     steps.write_text("0")
     process = start(config, environment={"LD_PRELOAD": str(shim), "LOOKBACK_CLOCK_STEP": str(steps)})
     process.wait_for_word("STATUS=on the map")
+    before = told(tmp_path)
     steps.write_text(str(step_s))
-    assert process.popen.wait(60) == 0, process.told()
+    while told(tmp_path) < before + 5:
+        process.wait_for_word("WATCHDOG=1")
+    assert process.end()[0] == 0, process.told()
     records = list(read_journal(tmp_path / "events.jsonl"))
     frames = [record for record in records if record["event"] == "frame"]
     places = [record for record in records if record["event"] == "place"]
@@ -77,4 +87,9 @@ def test_the_wall_clock_is_stepped(
     spread_s = max(late_s) - min(late_s)
     figures(f"{len(places)} events of {len(frames)} frames; told within {spread_s:.2f} s of each other's delay")
     assert len(places) >= 5
-    assert spread_s < 1.0
+    assert spread_s < LATE_S
+
+
+def told(folder: Path) -> int:
+    """How many events there are."""
+    return sum(record["event"] == "place" for record in read_journal(folder / "events.jsonl"))

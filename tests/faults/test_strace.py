@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -18,6 +19,7 @@ CALLS = (
 WRITES = re.compile(r"O_WRONLY|O_RDWR|O_CREAT|O_TRUNC|O_APPEND")
 QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"')
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
+PATIENCE_S = 120.0
 DEVICES = ("/dev/null", "/dev/tty", "/dev/pts/", "/dev/shm/")
 
 
@@ -31,6 +33,7 @@ def strace() -> str:
 
 def test_what_a_run_touches(
     strace: str,
+    calm_feed: Path,
     write_config: Callable[..., Path],
     start: Callable[..., Any],
     tmp_path: Path,
@@ -39,7 +42,7 @@ def test_what_a_run_touches(
     figures: Callable[[str], None],
 ) -> None:
     log, home = tmp_path_factory.mktemp("strace") / "log", tmp_path_factory.mktemp("home")
-    config = write_config(page={"port": 0})
+    config = write_config(camera={"device": str(calm_feed)}, page={"port": 0})
     environment = {"HOME": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
     process = start(
         config, environment=environment, wrapper=[strace, "-f", "-qq", "-e", f"trace={CALLS}", "-o", str(log)]
@@ -47,8 +50,9 @@ def test_what_a_run_touches(
     if process.popen.poll() is not None and "ptrace" in process.told():
         pytest.skip("strace is not permitted here")
     process.wait_for_word("STATUS=on the map")
-    process.popen.send_signal(signal.SIGTERM)
-    process.popen.wait(20)
+    (daemon,) = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children").read_text().split()
+    os.kill(int(daemon), signal.SIGTERM)  # strace keeps signals to itself
+    assert process.popen.wait(PATIENCE_S) == 0, process.told()
     lines = log.read_text(errors="replace").splitlines()
     assert any("events.jsonl" in line for line in lines), "the log shows the run"
 
