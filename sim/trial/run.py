@@ -140,7 +140,8 @@ def seeded_autopilot(
         return autopilot, None
     lat_deg, lon_deg = drive.pose(0.0).geodetic()
     east_m, north_m = rng.normal(0.0, START_OFF_M, 2)
-    return autopilot, pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, ORIGIN_ALT_M)
+    lat_deg, lon_deg, alt_m = pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, ORIGIN_ALT_M)
+    return autopilot, (float(lat_deg), float(lon_deg), float(alt_m))
 
 
 def trial_config(
