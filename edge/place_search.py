@@ -119,6 +119,8 @@ class PlaceSearch:
             if not self._is_small and near is None and match is not None:
                 self._follow(match.place)
             return match
+        if self._part is None and self._aim is not None:
+            return None  # maps are being opened around a position, and that is the work of a frame
         self._unbelieved += 1
         if self._part is None or self._is_doubtful:
             found = self._scan.step(ring())

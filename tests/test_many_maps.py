@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -125,6 +126,10 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
         np.testing.assert_array_equal(np.concatenate([tile.places[field] for tile in tiles]), whole.places[field])
     assert [atlas.thumbnail(place) for place in (0, 299, 300, 5999)] == [b"0", b"299", b"300", b"5999"]
     assert [atlas.numbering.segment(number) for number in range(3)] == [(0, 2500), (2500, 5000), (5000, 6000)]
+    atlas.opened([(0, PLACES_OF_ALL)])
+    somewhere = [(1500, 1900)]
+    metres = Atlas.of(whole).east_north_m(somewhere)
+    np.testing.assert_array_equal(atlas.east_north_m(somewhere), metres)
     for tile in tiles:
         assert (tile.path / "statistics.f64").read_bytes() == (city / "whole.map/statistics.f64").read_bytes()
         bounds = tile.header.bounds
@@ -214,6 +219,29 @@ def test_a_scan_opens_few_at_a_time(city: Path, look: Look) -> None:
     first = drive.go(range(4100, 4100 + LENGTH + PLACES_OF_ALL // (LIMIT // 8)))
     assert any(match and match.accepted for match in first)
     assert drive.most_open <= SPARE + 2
+
+
+def test_no_frame_opens_many(city: Path, known: bool, look: Look, tmp_path: Path) -> None:
+    """A wide position is worth many tiles, and they come a few at a time; until then nothing is searched there."""
+    if not known:
+        pytest.skip("needs positions")
+    config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=2400))
+    split_map(open_map(city / "whole.map"), tmp_path / "small", 64)
+    atlas = open_atlas(tmp_path / "small")
+    drive = Drive(atlas, look, config)
+    opened = []
+    for place in range(1250, 1250 + LENGTH + 30):
+        match = drive.see(place, close_to(place, 900.0))
+        opened.append(atlas.open_count)
+        assert match is None or (drive.search.part is not None and len(drive.search.part.places) > 1000)
+    # Some to see where their places are, which may be closed again until all are open for the part.
+    assert max(np.diff([0, *opened])) <= 2 * OPENED_A_FRAME
+    assert max(opened) > 2 * SPARE
+    assert match is not None
+    assert match.accepted
+    huge = Drive(open_atlas(city / "tiles"), look, config)
+    huge.see(1250, close_to(1250, 90_000.0))
+    assert huge.atlas.open_count == 0  # too many for a frame, as the headers say
 
 
 @pytest.mark.parametrize("file", [PLACES, DESCRIPTORS, "map.json"])

@@ -10,15 +10,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import tomli_w
 
 from edge.__main__ import main
+from edge.camera.feed import read_feed
+from edge.config import MapConfig, SamplingConfig
+from edge.descriptor.network import Head, Network
 from edge.doctor import examine
 from edge.live_status import map_view
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map.atlas import open_atlas
 from edge.reference_map.signature import SIGNATURE
-from edge.reference_map.store import DESCRIPTORS
+from edge.reference_map.store import DESCRIPTORS, open_map
+from edge.replay import config_for_map, replay
 from edge.telemetry.journal import read_journal
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 60
@@ -30,6 +36,7 @@ def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
     folder = tmp_path_factory.mktemp("street")
     feed = write_traverse(folder / "out", range(FRAMES))
     write_traverse(folder / "again", range(FRAMES), noise=8.0, period_ms=PERIOD_MS)
+    write_traverse(folder / "last", range(BORDER, FRAMES), noise=8.0, period_ms=PERIOD_MS)
     assert main(["map", "build", str(feed), "-o", str(folder / "map")]) == 0
     assert main(["map", "split", str(folder / "map"), "-o", str(folder / "tiles"), "--places", "50"]) == 0
     return folder
@@ -91,6 +98,26 @@ def test_nothing_is_told_of_a_damaged_tile(
         f"{damaged / '1' / DESCRIPTORS}: damaged (its checksum does not hold); build or copy the map again; left out"
     ]
     assert sum(line["accepted"] for line in lines) > 30
+
+
+def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
+    street: Path, damaged: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognised."""
+    config = config_for_map(open_map(street / "map").header, 5, 1.02)
+    acceptance = msgspec.structs.replace(config.acceptance, window_m=10.0)
+    config = msgspec.structs.replace(config, map=MapConfig(places_per_frame=79), acceptance=acceptance)
+    network, feed = Network.load(), read_feed(street / "last")
+
+    def told(path: Path) -> list[str]:
+        recognizer = PlaceRecognizer(network, Head.load(network), open_atlas(path), config)
+        lines = replay(recognizer, feed, SamplingConfig(by="frames"))
+        return [str(line.map) for line in lines if line.accepted]
+
+    assert told(street / "tiles") == ["1"]
+    assert not caplog.records
+    assert told(damaged) == []
+    assert len(caplog.records) == 1
 
 
 def test_the_daemon_goes_on_without_a_damaged_tile(street: Path, damaged: Path) -> None:

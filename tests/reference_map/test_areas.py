@@ -6,7 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.reference_map.areas import Areas, widened
+from edge.reference_map.areas import Areas, MapAreas, apart_m, widened
+from edge.reference_map.extent import bounds_of
+from edge.reference_map.store import PLACE
 
 
 @settings(max_examples=60, deadline=None)
@@ -24,6 +26,39 @@ def test_every_place_within_the_radius_is_in_the_ranges(seed: int, places: int, 
     with np.errstate(invalid="ignore"):
         must = ~(np.hypot(*(east_north_m - centre).T) > radius_m)
     assert inside[must].all()
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    lat_deg=st.floats(-85, 85),
+    lon_deg=st.sampled_from([0.0, 179.99, -179.995, 180.0, 77.7]),
+    spread_deg=st.sampled_from([1e-4, 0.01, 0.3]),
+    radius_m=st.floats(1, 50_000),
+    around=st.sampled_from([-360, 0, 360]),
+)
+def test_a_map_is_near_if_any_of_its_places_is(
+    seed: int, lat_deg: float, lon_deg: float, spread_deg: float, radius_m: float, around: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    places = np.zeros(20, dtype=PLACE)
+    places["lat_deg"] = lat_deg + rng.uniform(-spread_deg, spread_deg, 20)
+    places["lon_deg"] = (lon_deg + rng.uniform(-spread_deg, spread_deg, 20) + 180) % 360 - 180
+    places["lat_deg"][:3] = np.nan
+    lat, lon = lat_deg + rng.normal(0, 2 * spread_deg), lon_deg + rng.normal(0, 2 * spread_deg) + around
+    known = places[3:]
+    away_m = apart_m(lat, lon, known["lat_deg"], known["lon_deg"])
+    nowhere = places[:3]
+    areas = MapAreas([bounds_of(nowhere), bounds_of(places)])
+    assert areas.are_known
+    near, inside = areas.within(lat, lon, radius_m).tolist(), areas.inside(lat, lon, radius_m).tolist()
+    assert near in ([], [1])
+    assert inside in ([], [1])
+    assert near or away_m.min() > radius_m
+    assert not inside or away_m.max() <= radius_m + 1e-6
+    assert near or not inside
+    assert areas.within(lat, lon, 0.5 * away_m.min() - 50_000).tolist() == []
+    assert not MapAreas([None]).are_known
 
 
 def test_far_blocks_are_left_out() -> None:
