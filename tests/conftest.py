@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,22 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"needs the real recordings in {SHARED.name}/ beside the checkout, which is not there")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def read_tlog(shared: Path) -> Callable[[str], Iterator[tuple[int, bytes]]]:
+    """Yields (arrival in ns, one MAVLink 2 frame) of a real autopilot's recording, named without its suffix."""
+
+    def read(name: str) -> Iterator[tuple[int, bytes]]:
+        data = (shared / "autopilot" / f"{name}.tlog").read_bytes()
+        at = 0
+        while at + 20 <= len(data):
+            (stamp_us,) = struct.unpack_from(">Q", data, at)
+            size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+            yield stamp_us * 1000, data[at + 8 : at + 8 + size]
+            at += 8 + size
+
+    return read
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.journal import read_journal
 from sim.pty_link import PtyLink, open_pty
 
+ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
 STREAMS = {33, 32, 74, 9000, 24, 2, 230}
 STAMPED = {"SYSTEM_TIME", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE"}
 VALUES = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
@@ -31,8 +31,9 @@ PATIENCE_S = 90.0
 class Played:
     """A recording on one end of a cable: what it says, when it is due, and what comes back."""
 
-    def __init__(self, tlog: Path, cable: PtyLink) -> None:
-        self._frames = list(_frames(tlog))
+    def __init__(self, recorded: Iterator[tuple[int, bytes]], cable: PtyLink) -> None:
+        frames = list(recorded)
+        self._frames = [((at_ns - frames[0][0]) / 1e9, frame) for at_ns, frame in frames]
         self._cable = cable
         self._began_s: float | None = None
         self._next = 0
@@ -67,17 +68,6 @@ class Played:
         return [message for _, message in self.answers if message.get_type() == name]
 
 
-def _frames(tlog: Path) -> Iterator[tuple[float, bytes]]:
-    """Seconds since the first, and one MAVLink 2 frame."""
-    data, at = tlog.read_bytes(), 0
-    (first_us,) = struct.unpack_from(">Q", data)
-    while at + 20 <= len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        yield (stamp_us - first_us) / 1e6, data[at + 8 : at + 8 + size]
-        at += 8 + size
-
-
 def _boot_s(message: Any) -> float | None:
     if message.get_type() == "TIMESYNC" and message.tc1 == 0:
         return float(message.ts1 / 1e9)
@@ -86,13 +76,13 @@ def _boot_s(message: Any) -> float | None:
 
 @pytest.mark.parametrize("recording", ["ardurover-4.6.3-nogps", "px4-1.18-agp"])
 def test_the_daemon_hears_a_real_autopilot(
-    shared: Path, write_traverse: Callable[..., Path], tmp_path: Path, recording: str
+    read_tlog: ReadTlog, write_traverse: Callable[..., Path], tmp_path: Path, recording: str
 ) -> None:
     """Link up, streams asked for, the boot clock right to 20 ms, and with `report` never a position."""
     feed = write_traverse(tmp_path / "feed", range(FRAMES), period_ms=PERIOD_MS)
     build_map([read_feed(feed)], tmp_path / "map", DescriptorConfig(), SamplingConfig())
     cable = open_pty()
-    played = Played(shared / "autopilot" / f"{recording}.tlog", cable)
+    played = Played(read_tlog(recording), cable)
     (tmp_path / "lookback.toml").write_text(
         tomli_w.dumps(
             {

@@ -1,8 +1,7 @@
-"""Recorded telemetry of real autopilots, frame by frame; and our connection against a simulated one."""
+"""Our connection against a simulated autopilot."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,26 +16,9 @@ from sim.autopilot import SimulatedAutopilot
 from sim.autopilot_command import straight_line
 from sim.pty_link import PtyLink, open_pty
 
-TlogReader = Callable[[str], Iterator[tuple[int, bytes]]]
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
 LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, confirm_m=0.0)
-
-
-@pytest.fixture(scope="session")
-def read_tlog(shared: Path) -> TlogReader:
-    """Yields (arrival in ns, one MAVLink 2 frame) of a recording, named without its suffix."""
-
-    def read(name: str) -> Iterator[tuple[int, bytes]]:
-        data = (shared / "autopilot" / f"{name}.tlog").read_bytes()
-        at = 0
-        while at + 20 <= len(data):
-            (stamp_us,) = struct.unpack_from(">Q", data, at)
-            size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-            yield stamp_us * 1000, data[at + 8 : at + 8 + size]
-            at += 8 + size
-
-    return read
 
 
 class Rig:
