@@ -50,12 +50,10 @@ class Played:
         while self._began_s is not None and self._frames[self._next][0] <= now_s - self._began_s:
             frame = self._frames[self._next][1]
             self._next += 1
-            for message in self._theirs.decode(frame):
-                boot_s = _boot_s(message)
-                sent_s = time.monotonic()
-                if boot_s is not None:
-                    self._stamps.append((sent_s, boot_s - sent_s))
-            assert self._cable.send(frame)
+            boots_s = [_boot_s(message) for message in self._theirs.decode(frame)]
+            sent_s = time.monotonic()
+            if self._cable.send(frame):  # else it is lost, as on a line whose reader is busy
+                self._stamps += [(sent_s, boot_s - sent_s) for boot_s in boots_s if boot_s is not None]
 
     def boot_s(self, now_s: float) -> float:
         """The autopilot's clock: what delays its stamps makes them older, so the newest of a second is the best.
