@@ -169,13 +169,23 @@ def test_never_ready_with_a_bad_config(manager: Manager, config: Path) -> None:
     assert process.returncode == EXIT_SETUP
 
 
-def test_never_ready_without_a_map(manager: Manager, config: Path) -> None:
-    config.write_text(config.read_text().replace("/map", "/no-map"))
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("no-map", ("/map", "/no-map")),
+        ("no-model", ("[map]", '[descriptor]\nmodel = "no-model.onnx"\n[map]')),
+        ("no-owner", ("[sequence]", 'require_signature_by = "no-owner.pub"\n[sequence]')),
+    ],
+)
+def test_never_ready_without_map_model_or_key(
+    manager: Manager, config: Path, what: str, change: tuple[str, str]
+) -> None:
+    config.write_text(config.read_text().replace(*change))
     process = manager.start(config)
     starting, failed = manager.words()
     assert starting == "STATUS=starting"
     assert failed.startswith("STATUS=failed: ")
-    assert "no-map" in failed
+    assert what in failed
     (line,) = process.communicate()[1].splitlines()
-    assert "no-map" in line
+    assert what in line
     assert process.returncode == EXIT_SETUP
