@@ -66,7 +66,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[map]: the reference map to recognise places of."""
+    """[map]: the reference map, or the folder of maps, to recognise places of."""
 
     path: str = "/var/lib/lookback/map"
     require_signature_by: str = ""

@@ -157,8 +157,27 @@ class LiveStatus:
             journal_lost=self._journal.lost if self._journal else 0,
             camera=self._camera_status(),
             link=self._link_status(now_ns),
-            match=_match_status(self._match),
+            match=self._match_status(),
             history=tuple(self._history),
+        )
+
+    def _match_status(self) -> MatchStatus | None:
+        match = self._match
+        if match is None:
+            return None
+        name, row = self._recognizer.atlas.locate(match.place)
+        return MatchStatus(
+            place=match.place,
+            direction=match.direction,
+            order=match.order,
+            slope=round(match.slope, 4),
+            distance=round(match.distance, 4),
+            uniqueness=round(match.uniqueness, 4),
+            accepted=match.accepted,
+            lat_deg=match.lat_deg,
+            lon_deg=match.lon_deg,
+            map=name,
+            row=row,
         )
 
     def _window(self, match: PlaceMatch | None) -> tuple[np.ndarray, int]:
@@ -203,19 +222,3 @@ class LiveStatus:
             speed_mps=vehicle.speed_mps(now_ns),
             gps_healthy=vehicle.gps_healthy(now_ns),
         )
-
-
-def _match_status(match: PlaceMatch | None) -> MatchStatus | None:
-    if match is None:
-        return None
-    return MatchStatus(
-        place=match.place,
-        direction=match.direction,
-        order=match.order,
-        slope=round(match.slope, 4),
-        distance=round(match.distance, 4),
-        uniqueness=round(match.uniqueness, 4),
-        accepted=match.accepted,
-        lat_deg=match.lat_deg,
-        lon_deg=match.lon_deg,
-    )

@@ -18,6 +18,7 @@ from edge.errors import MapError
 from edge.place_search import OPENED_A_FRAME, Near, PlaceSearch
 from edge.reference_map.atlas import SPARE, Atlas, open_atlas
 from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.route import Route
 from edge.reference_map.split import split_map
 from edge.reference_map.store import DESCRIPTORS, PLACES, ModelKey, RegionsKey, open_map
 from edge.sequence import SequenceMatch
@@ -171,6 +172,19 @@ def test_tiles_give_the_same_matches_as_their_map(
         assert found == expected
         atlas.opened([(0, PLACES_OF_ALL)])
     atlas.close()
+
+
+@settings(max_examples=100, deadline=None)
+@given(place=st.integers(0, PLACES_OF_ALL - 1), offset_m=st.floats(-600, 600))
+def test_a_position_along_a_drive_crosses_borders(city: Path, place: int, offset_m: float) -> None:
+    whole, tiles = Route(Atlas.of(open_map(city / "whole.map"))), Route(open_atlas(city / "tiles"))
+    assert tiles.position(place, offset_m) == whole.position(place, offset_m)
+    along_m = whole.route_m(place) + offset_m
+    assert tiles.reaches(place, along_m) == whole.reaches(place, along_m)
+    drive, of_whole = tiles.drive(place), whole.drive(place)
+    assert drive is not None
+    assert of_whole is not None
+    assert (drive.segment, drive.spacing_m) == (of_whole.segment, of_whole.spacing_m)
 
 
 def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look) -> None:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,20 @@ import tomli_w
 
 from edge.__main__ import main
 from edge.camera.feed import read_feed
+from edge.camera.newest import CameraHealth
 from edge.config import MapConfig, SamplingConfig
 from edge.descriptor.network import Head, Network
 from edge.doctor import examine
-from edge.live_status import map_view
+from edge.live_status import LiveStatus, map_view
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.atlas import open_atlas
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
 from edge.replay import config_for_map, replay
+from edge.stage_times import StageTimes
+from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import read_journal
+from edge.traverse import traverse
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 60
 
@@ -195,6 +200,25 @@ def test_the_page_shows_where_the_maps_are(street: Path) -> None:
     assert (west, east) == (153.0, 153.0)
     whole = open_atlas(street / "map")
     assert [view.thumbnail(place) for place in (0, 63, 64, 79)] == [whole.thumbnail(place) for place in (0, 63, 64, 79)]
+
+
+def test_the_page_says_which_map(street: Path, tmp_path: Path) -> None:
+    config = config_for_map(open_map(street / "map").header, 5, 1.02)
+    telemetry = msgspec.structs.replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600")
+    config = msgspec.structs.replace(
+        config, telemetry=telemetry, map=MapConfig(path="city"), sampling=SamplingConfig(by="frames")
+    )
+    network = Network.load()
+    recognizer = PlaceRecognizer(network, Head.load(network), open_atlas(street / "tiles"), config)
+    with closing(AutopilotConnection(config.telemetry)) as autopilot:
+        camera = CameraHealth("running", "", 0)
+        status = LiveStatus(config, "a model", recognizer, StageTimes(), lambda: camera, autopilot, None, lambda: 0)
+        for item in traverse(read_feed(street / "last"), config.sampling):
+            status.note(item.frame, recognizer.observe(item.frame.image, item.frame.stamp_ns))
+        shown = status.snapshot("on the map", "").status
+    assert shown.map_name == "city, 80 places in 2 maps"
+    assert shown.match is not None
+    assert (shown.match.map, shown.match.row, shown.match.place) == ("1", FRAMES - BORDER - 1, FRAMES - 1)
 
 
 def test_splitting_is_refused_in_one_line(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

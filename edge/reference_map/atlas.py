@@ -32,7 +32,7 @@ from edge.reference_map.store import (
 )
 from edge.reference_map.verification import Verification
 
-SPARE = 8
+SPARE = 2
 """So many maps stay open beyond those in use: a vehicle may come back to where it has just been."""
 
 log = logging.getLogger(__name__)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import pymap3d
+from msgspec import UNSET
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry import PlaceFix
@@ -127,9 +128,10 @@ def _position(fix: PlaceFix) -> tuple[float, float]:
 
 
 def describe(fix: PlaceFix) -> str:
-    """The line that a pilot reads, at most 50 bytes for names of categories up to 18 letters."""
+    """The line that a pilot reads, at most 50 bytes for names of categories up to 18 letters, and of a single map."""
     way = "" if fix.direction == "forward" else " backwards"
-    return f"Place {fix.place}{way}, {fix.category}, {fix.uniqueness:.2f}"
+    of = "" if fix.map is UNSET else f" of {fix.map}"
+    return f"Place {fix.place}{of}{way}, {fix.category}, {fix.uniqueness:.2f}"
 
 
 def status_text(text: str, severity: int, text_id: int) -> list[Message]:

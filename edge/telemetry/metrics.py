@@ -50,7 +50,9 @@ class _OneStatus(Collector):
         yield _gauge("uniqueness_min", "Uniqueness from which a match is believed", {}, status.uniqueness_min)
         if status.match is not None:
             yield _gauge("uniqueness", "Of the newest match", {}, status.match.uniqueness)
-            yield _gauge("place", "Row of the map that was matched last", {}, status.match.place)
+            match = status.match
+            of_map, row = ({}, match.place) if match.map is None else ({"map": match.map}, match.row or 0)
+            yield _gauge("place", "Row of the map that was matched last", of_map, row)
         stages = GaugeMetricFamily("lookback_stage_seconds", "Median time of a stage of a frame", labels=["stage"])
         for stage, took_ms in status.stages_ms.items():
             stages.add_metric([stage], took_ms / 1e3)

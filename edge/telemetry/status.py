@@ -39,7 +39,10 @@ class LinkStatus(msgspec.Struct, frozen=True):
 
 
 class MatchStatus(msgspec.Struct, frozen=True):
-    """The newest match, believed or not; see `edge.recognizer.PlaceMatch`."""
+    """The newest match, believed or not; see `edge.recognizer.PlaceMatch`.
+
+    map, row: the name of the place's map, where there is a folder of them, and its row there.
+    """
 
     place: int
     direction: str
@@ -50,6 +53,8 @@ class MatchStatus(msgspec.Struct, frozen=True):
     accepted: bool
     lat_deg: float | None
     lon_deg: float | None
+    map: str | None = None
+    row: int | None = None
 
 
 class Used(msgspec.Struct, frozen=True, array_like=True):

@@ -53,6 +53,8 @@ def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, An
 
 
 def test_a_fix_fits_into_one_status_text() -> None:
+    of_tile = replace(FIX, map="tile-3", place=7)
+    assert fixes.describe(of_tile) == "Place 7 of tile-3 backwards, residential_street, 1.23"
     text = fixes.describe(FIX)
     assert text == "Place 1207 backwards, residential_street, 1.23"
     assert len(fixes.status_text(text, 6, 1)) == 1
