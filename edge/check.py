@@ -38,8 +38,8 @@ def _run(args: argparse.Namespace) -> int:
     AutopilotConnection(config.telemetry)  # reads connections and keys, and opens nothing yet
     print(f"{args.config}: good; model {network.info.name}, map of {atlas}")
     wanted = config.sampling
-    for folder, header in zip(atlas.folders, atlas.headers, strict=True):
+    for name, header in zip(atlas.names, atlas.headers, strict=True):
         if header.sampling != wanted:
-            what = f"map {folder.name}" if atlas.is_folder else "map"
+            what = f"map {name}" if atlas.is_folder else "map"
             print(f"note: the {what} was sampled by {header.sampling}, the config asks for {wanted}")
     return 0

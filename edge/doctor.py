@@ -164,7 +164,7 @@ def _places(atlas: Atlas, config: Config) -> Iterator[Finding]:
     for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
         if index in atlas.left_out:
             continue
-        it = folder.name if atlas.is_folder else "it"
+        it = atlas.names[index] if atlas.is_folder else "it"
         if header.sampling != config.sampling:
             yield note(
                 "map", f"{it} was sampled otherwise than [sampling] asks for", "sample a query as its map was sampled"

@@ -37,8 +37,8 @@ def _info(args: argparse.Namespace) -> int:
         _tell_of_map(open_map(args.map))
         return 0
     print(f"maps      {atlas}, in {args.map}")
-    for folder, header in zip(atlas.folders, atlas.headers, strict=True):
-        print(f"map       {folder.name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
+    for name, header in zip(atlas.names, atlas.headers, strict=True):
+        print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
     for why in damaged:
         print(f"left out  {why}")
     return 0

@@ -25,6 +25,8 @@ from edge.sequence import SequenceMatch
 SLACK_M = 250.0
 """So much further than it must does a part reach, so that it need not be chosen anew with every frame."""
 OPENED_A_FRAME = 2
+MOST_MAPS = 256
+"""In a part, however small they are: a process may usually have 1,024 files open."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class PlaceSearch:
         self._stopwatch = stopwatch
         self._atlas, self._config = atlas, config
         self._most = config.map.places_per_frame
-        self._is_small = atlas.numbering.places <= self._most
+        self._is_small = atlas.numbering.places <= self._most and len(atlas.headers) <= MOST_MAPS
         self._scan = MapScan(atlas, config, self._open)
         self._frame = 0
         self._part: MapPart | None = None
@@ -196,9 +198,10 @@ class PlaceSearch:
         if ranges is None:
             return
         ranges = self._atlas.numbering.widened(ranges, self._config.sequence.length)
-        if not 0 < _count(ranges) <= self._most:
-            ranges = []
-        self._coming_maps = self._atlas.numbering.maps_of(ranges)
+        maps = self._atlas.numbering.maps_of(ranges)
+        if not (0 < _count(ranges) <= self._most and len(maps) <= MOST_MAPS):
+            ranges, maps = [], []
+        self._coming_maps = maps
         opened = self._atlas.opened(ranges, OPENED_A_FRAME)
         if opened is not None:
             self._use(opened, aim)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import NormalizedRows, normalize
 from edge.errors import MapError
-from edge.place_search import OPENED_A_FRAME, Near, PlaceSearch
+from edge.place_search import MOST_MAPS, OPENED_A_FRAME, Near, PlaceSearch
 from edge.reference_map.atlas import SPARE, Atlas, open_atlas
 from edge.reference_map.build import MapBuilder, Place
 from edge.reference_map.route import Route
@@ -291,6 +292,47 @@ def test_a_damaged_tile_is_left_out_with_one_line(
     # Where the tile begins and ends, a sequence is partly on it, and its end looks like what is left.
     clear = [(place, match) for place, match in believed if not first <= place < last + 3 * LENGTH]
     assert all(match - place == (-missing if place >= last else 0) for place, match in clear)
+
+
+def test_a_map_that_was_replaced_meanwhile_is_left_out(city: Path, look: Look, tmp_path: Path) -> None:
+    """What model, cut and signature were asked of at the start is what is opened."""
+    shutil.copytree(city / "tiles", tmp_path / "tiles")
+    told: list[str] = []
+    atlas = open_atlas(tmp_path / "tiles", lambda name, why: told.append(why))
+    shutil.rmtree(tmp_path / "tiles" / "04")
+    (tmp_path / "tiles" / "05").rename(tmp_path / "tiles" / "04")
+    start, _, end, _ = atlas.numbering.starts[3:7]
+    assert atlas.opened([(start, end + 10)]) == [(start, atlas.numbering.starts[4])]
+    assert [why.partition(": ")[2] for why in told] == [
+        "another map than at the start; start again to use it",
+        f"no such map; make one with `lookback map build FEED -o {tmp_path / 'tiles' / '05'}`",
+    ]
+
+
+def test_a_name_that_is_no_text_is_told_all_the_same(city: Path, tmp_path: Path) -> None:
+    name = os.fsdecode(b"\xff1")
+    for folder in (name, "2"):
+        shutil.copytree(city / "tiles" / "03", tmp_path / "maps" / folder)
+    told: list[tuple[str, str]] = []
+    atlas = open_atlas(tmp_path / "maps", lambda *what: told.append(what))
+    assert {atlas.locate(place)[0] for place in (0, 300)} == {"2", "?1"}
+    (tmp_path / "maps" / name / PLACES).unlink()
+    atlas.opened([(0, atlas.numbering.places)])
+    assert told[0][0] == "?1"
+    assert msgspec.json.encode(told)
+
+
+def test_very_many_tiny_maps_do_not_use_up_the_open_files(city: Path, known: bool, look: Look, tmp_path: Path) -> None:
+    """All of them would fit into a frame, but each open map is an open file."""
+    (tmp_path / "maps").mkdir()
+    split_map(open_map(city / "whole.map"), tmp_path / "maps" / "0", 64)
+    tile = next((tmp_path / "maps" / "0").iterdir())
+    for number in range(MOST_MAPS + 1):
+        shutil.copytree(tile, tmp_path / "many" / f"{number:03}")
+    atlas = open_atlas(tmp_path / "many")
+    drive = Drive(atlas, look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=20_000)))
+    drive.go(range(0, LENGTH + 5), close_to if known else lambda place: None)
+    assert drive.most_open <= MOST_MAPS
 
 
 def test_nothing_left_to_use_is_an_error(city: Path, look: Look, tmp_path: Path) -> None:

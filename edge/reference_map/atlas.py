@@ -51,6 +51,7 @@ class Atlas:
     def __init__(self, path: Path, folders: Sequence[Path], headers: Sequence[MapHeader], tell: Tell | None) -> None:
         """folders, headers: of the maps at `path`. tell: None for a single map, which is not left out."""
         self.path, self.folders, self.headers = path, tuple(folders), tuple(headers)
+        self.names = tuple(map(_name_of, folders))
         self.numbering = Numbering(headers)
         self.areas = MapAreas([header.bounds for header in headers])
         self.left_out: dict[int, str] = {}
@@ -91,7 +92,7 @@ class Atlas:
     def locate(self, place: int) -> tuple[str | None, int]:
         """The name of a place's map, None if there is only that, and its row there."""
         index = self.numbering.map_of(place)
-        return self.folders[index].name if self.is_folder else None, place - self.numbering.starts[index]
+        return self.names[index] if self.is_folder else None, place - self.numbering.starts[index]
 
     def feed_row(self, place: int) -> int | None:
         """The row of the feed that a place was made of; None where its map cannot be opened."""
@@ -102,8 +103,8 @@ class Atlas:
         if self._tell is None:
             raise error
         self._close(index)
-        self.left_out[index] = str(error)
-        self._tell(self.folders[index].name, str(error))
+        self.left_out[index] = _printable(str(error))
+        self._tell(self.names[index], self.left_out[index])
         if len(self.left_out) == len(self.headers):
             raise MapError(f"{self.path}: none of its {len(self.headers)} maps can be used; build or copy them again")
 
@@ -232,13 +233,20 @@ class Atlas:
         if index in self.left_out:
             return
         try:
-            sheet = self._open.pop(index, None) or Sheet.open(self.folders[index])
+            sheet = self._open.pop(index, None) or self._opened_anew(index)
         except MapError as error:
             self.leave_out(index, error)
             return
         self._open[index] = sheet
         if index not in self._areas and sheet.origin is not None:
             self._areas[index] = sheet.origin, sheet.areas()
+
+    def _opened_anew(self, index: int) -> Sheet:
+        """Open a map, if it is still the one whose header was read and agreed to at the start."""
+        sheet = Sheet.open(self.folders[index])
+        if sheet.map.header != self.headers[index]:
+            raise MapError(f"{self.folders[index]}: another map than at the start; start again to use it")
+        return sheet
 
     def _close(self, index: int) -> None:
         sheet = self._open.pop(index, None)
@@ -259,7 +267,7 @@ def open_atlas(path: Path, tell: Tell = log_left_out) -> Atlas:
         try:
             known.append((folder, read_header(folder)))
         except MapError as error:
-            tell(folder.name, str(error))
+            tell(_name_of(folder), _printable(str(error)))
     if not known:
         raise MapError(f"{path}: none of its {len(folders)} maps can be used; build or copy them again")
     return Atlas(path, [folder for folder, _ in known], [header for _, header in known], tell)
@@ -267,7 +275,19 @@ def open_atlas(path: Path, tell: Tell = log_left_out) -> Atlas:
 
 def _maps_in(path: Path) -> list[Path]:
     """The maps of a folder, in the order of their names; none if it is a map itself."""
-    if (path / HEADER).exists() or not path.is_dir():
-        return []
-    # What is hidden is still being built.
-    return sorted(one for one in path.iterdir() if not one.name.startswith(".") and (one / HEADER).exists())
+    try:
+        if (path / HEADER).exists() or not path.is_dir():
+            return []
+        # What is hidden is still being built.
+        return sorted(one for one in path.iterdir() if not one.name.startswith(".") and (one / HEADER).exists())
+    except OSError as error:
+        raise MapError(f"{error.filename}: cannot read it: {error.strerror}") from None
+
+
+def _name_of(folder: Path) -> str:
+    return _printable(folder.name)
+
+
+def _printable(text: str) -> str:
+    """A text with names of files that are not UTF-8, as journal and page can have it."""
+    return text.encode("utf-8", "replace").decode()

@@ -181,11 +181,14 @@ def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceM
     wanted = [name for name in sorted(header.files) if every_file or name in MATCHING_FILES]
     Verification(path, header.files, [name for name in wanted if name not in LARGE_FILES]).finish()
     regions, kept = header.regions.count, header.dimensions
-    places = np.fromfile(path / PLACES, dtype=PLACE)
-    descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
     projection = None
-    if PROJECTION in header.files:
-        projection = np.fromfile(path / PROJECTION, dtype="<f4").reshape(kept, header.model.dimensions)
+    try:
+        places = np.fromfile(path / PLACES, dtype=PLACE)
+        descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
+        if PROJECTION in header.files:
+            projection = np.fromfile(path / PROJECTION, dtype="<f4").reshape(kept, header.model.dimensions)
+    except OSError as error:  # too many open files, or no memory to map it
+        raise MapError(f"{path}: cannot open it: {error.strerror}") from None
     later = Verification(path, header.files, [name for name in wanted if name in LARGE_FILES])
     return ReferenceMap(path, header, descriptors, places, projection), later
 
