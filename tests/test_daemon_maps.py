@@ -21,7 +21,8 @@ from edge.descriptor.normalize import normalize
 from edge.map_command import build_map
 from edge.recognizer import model_key
 from edge.reference_map.build import MapBuilder, Place
-from edge.reference_map.store import DESCRIPTORS, RegionsKey
+from edge.reference_map.split import split_map
+from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
 from edge.telemetry.journal import read_journal
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.autopilot import SimulatedAutopilot
@@ -77,8 +78,8 @@ def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(str
     assert not [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "place"]
 
 
-@pytest.fixture(scope="module")
-def long_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=["one map", "tiles"])
+def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """12 km of places that look like nothing, around the place where the simulated autopilot stands."""
     path = tmp_path_factory.mktemp("long") / "map"
     rng = np.random.default_rng(0)
@@ -90,6 +91,9 @@ def long_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
             place = Place(index, ORIGIN_LAT_DEG + north_deg, ORIGIN_LON_DEG, route_m=index * APART_M)
             builder.add(rng.random((2, 4096), dtype=np.float32), place)
         builder.finish(normalize, "test")
+    if request.param == "tiles":
+        split_map(open_map(path), path.with_name("tiles"), 64)
+        return path.with_name("tiles")
     return path
 
 
