@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import argparse
 import logging
-import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from types import FrameType
 from typing import Protocol
 
 import msgspec
@@ -34,7 +32,7 @@ from edge.recording import RunRecording
 from edge.reference_map.atlas import log_left_out, open_atlas
 from edge.reference_map.signature import check_signatures
 from edge.sampling import Sampler
-from edge.service import Supervision, notify
+from edge.service import Supervision, notify, when_told_to_stop
 from edge.stage_times import StageTimes
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.journal import Journal
@@ -283,13 +281,12 @@ def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     stop, opened = threading.Event(), threading.Event()
 
-    def told_to_stop(number: int, at: FrameType | None) -> None:
+    def told_to_stop() -> None:
         stop.set()
         if not opened.is_set():
             raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
 
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, told_to_stop)
+    when_told_to_stop(told_to_stop)
     with naming(args.config):
         stopped = run(config, stop, opened.set)
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)

@@ -9,7 +9,6 @@ import argparse
 import logging
 import math
 import shutil
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
 from edge.recording import feed_header, write_frame
 from edge.sampling import Sampler
+from edge.service import when_told_to_stop
 from edge.telemetry.autopilot import AutopilotConnection
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
@@ -173,8 +173,7 @@ def _existing(path: Path) -> Path:
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    when_told_to_stop(stop.set)
     with naming(args.config):
         done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)

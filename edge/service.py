@@ -1,10 +1,14 @@
-"""Words to systemd (sd_notify): ready, watchdog, status. Silent where systemd did not start the program."""
+"""Words to systemd (sd_notify): ready, watchdog, status; silent where it did not start the program. And its signals."""
 
 from __future__ import annotations
 
 import os
+import signal
 import socket
+from collections.abc import Callable
+from types import FrameType
 
+STOPS = (signal.SIGTERM, signal.SIGINT)
 EXTEND_EACH_S = 20
 FED_EACH_S = 0.1
 MANAGER_S = 1.0
@@ -39,6 +43,22 @@ class Supervision:
         if self._fed_ns is None or now_ns - self._fed_ns >= FED_EACH_S * 1e9:
             self._fed_ns = now_ns
             notify("WATCHDOG=1", wait_s=0.0)
+
+
+def when_told_to_stop(then: Callable[[], object]) -> None:
+    """Call `then` at the first SIGTERM or SIGINT; any that follow do nothing.
+
+    They come in pairs (timeout(1) sends two), and the second would interrupt the handling of the first: an Event, whose
+    lock is taken while it is being set, would be waited for without end.
+    """
+
+    def handle(number: int, at: FrameType | None) -> None:
+        for each in STOPS:
+            signal.signal(each, signal.SIG_IGN)
+        then()
+
+    for each in STOPS:
+        signal.signal(each, handle)
 
 
 def notify(state: str, *, wait_s: float = MANAGER_S) -> None:

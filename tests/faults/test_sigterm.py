@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import time
@@ -16,6 +17,7 @@ from edge.telemetry.journal import read_journal
 
 GONE_WITHIN_S = 3.0
 LATEST_S = 2.0
+BURST_S = 0.2
 
 
 @pytest.mark.parametrize("times", [3, pytest.param(200, marks=pytest.mark.soak)])
@@ -45,6 +47,25 @@ def test_sigterm_at_any_moment(
         check_files(tmp_path)
     assert early <= -(-times // 4), "those that were not waited for"
     figures(f"{times} times, gone after {slowest_s:.2f} s at most, {early} before the program had begun")
+
+
+@pytest.mark.parametrize("times", [3, pytest.param(50, marks=pytest.mark.soak)])
+def test_a_burst_of_signals(
+    times: int, write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path, seed: int
+) -> None:
+    """`timeout` sends two at once, and a hand on Ctrl-C more: each may come while the one before is being handled."""
+    rng = random.Random(seed)
+    config = write_config(camera={"kind": "v4l2", "device": str(tmp_path / "no-camera")})
+    for _ in range(times):
+        process = start(config)
+        process.wait_for_word("WATCHDOG=1")
+        end_s = time.monotonic() + BURST_S
+        while time.monotonic() < end_s:
+            os.kill(process.popen.pid, rng.choice([signal.SIGTERM, signal.SIGINT]))
+        code, took_s = process.end()
+        assert code == 0, process.told()
+        assert took_s < GONE_WITHIN_S
+        process.close()
 
 
 def check_files(folder: Path) -> None:
