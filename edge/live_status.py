@@ -118,7 +118,8 @@ class LiveStatus:
         uniqueness = round(match.uniqueness, 4) if match else None
         place = match.place if match else None
         state = self._recognizer.state
-        self._history.append(Used(frame.stamp_ns, state, uniqueness, place, event, lat_deg, lon_deg))
+        fix = (match.lat_deg, match.lon_deg) if match and match.event else (None, None)
+        self._history.append(Used(frame.stamp_ns, state, uniqueness, place, event, lat_deg, lon_deg, *fix))
 
     def snapshot(self, state: str, why: str) -> Snapshot:
         """What is to be shown now; `state` is the daemon's, and why it is so."""

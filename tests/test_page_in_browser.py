@@ -55,15 +55,15 @@ PICTURES = os.environ.get("LOOKBACK_PICTURES", "")
 
 @pytest.fixture(scope="module")
 def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A config whose camera plays the corridor at 4 frames a second, for longer than the test takes."""
+    """A config whose camera plays the corridor at 8 frames a second, for longer than the test takes."""
     folder = tmp_path_factory.mktemp("page")
     corridor = read_feed(shared / "feeds/corridor_reference")
     build_map([corridor], folder / "corridor.map", DescriptorConfig(), SamplingConfig(by="frames"))
     query = read_feed(shared / "feeds/corridor_query")
     with FeedWriter(folder / "walk", replace(query.header, video="", name="walk")) as writer:
         images = FeedImages(query)
-        for number in range(4 * len(query.rows)):
-            writer.write(images.read(number % len(query.rows)), number * 250_000_000)
+        for number in range(8 * len(query.rows)):
+            writer.write(images.read(number % len(query.rows)), number * 125_000_000)
     with socket.create_server(("127.0.0.1", 0)) as free, socket.socket(type=socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
         port, link_port = free.getsockname()[1], link.getsockname()[1]
@@ -174,6 +174,7 @@ def test_it_survives_a_restart_and_says_what_is_wrong(config: Path) -> None:
         until(driver, "!document.getElementById('silent').hidden")
         assert driver.find_element("id", "silent").is_displayed()
         assert "stale" in driver.find_element("id", "main").get_attribute("class")
+        until(driver, "document.getElementById('state').textContent === 'no answer'")
         with daemon(config):
             until(driver, f"document.getElementById('silent').hidden && status.started_unix_s > {first}")
             assert until(driver, "past.length > 0 && past.length <= status.frames_used")

@@ -1,7 +1,8 @@
 """The live page: a read-only web server in a thread of its own. This file is that thread.
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
-requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser.
+requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A look of the page's
+takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recogniser's time.
 
 Only GET, no files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of
 [page] hosts, so that no foreign web site can read the page by a name that it points here. Who sends or reads slower
@@ -120,10 +121,13 @@ class StatusPage:
             return HTMLResponse(html, headers={"Content-Security-Policy": policy})
 
         async def status(request: Request, snapshot: Snapshot) -> Response:
-            since = request.query_params.get("since", "0")
-            if not re.fullmatch(r"-?\d{1,19}", since):
-                return PlainTextResponse("since: not a stamp\n", 400)
-            return Response(status_as_json(snapshot, int(since)), media_type="application/json")
+            stamps = {name: request.query_params.get(name, "0") for name in ("since", "shown")}
+            for name, stamp in stamps.items():
+                if not re.fullmatch(r"-?\d{1,19}", stamp):
+                    return PlainTextResponse(f"{name}: not a stamp\n", 400)
+            asked = "shown" in request.query_params and snapshot.status.frame_stamp_ns != int(stamps["shown"])
+            picture = self._picture(snapshot) if asked else b""
+            return Response(status_as_json(snapshot, int(stamps["since"]), picture), media_type="application/json")
 
         async def metrics(request: Request, snapshot: Snapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
@@ -169,9 +173,11 @@ class StatusPage:
             return b""
         if self._jpeg[0] != stamp_ns:
             height, width = image.shape[:2]
-            if width > PICTURE_WIDTH_PX:
-                size = (PICTURE_WIDTH_PX, round(height * PICTURE_WIDTH_PX / width))
-                image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+            parts = -(-width // PICTURE_WIDTH_PX)
+            if parts > 1:
+                # By a whole number, which takes a tenth of the time of any other.
+                size = (max(1, width // parts), max(1, height // parts))
+                image = cv2.resize(image[: size[1] * parts, : size[0] * parts], size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
             self._jpeg = stamp_ns, cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
         return self._jpeg[1]
 

@@ -13,12 +13,15 @@ ROW_POINTS = 300
 """A cost row of a large map is drawn as the lowest of so many stretches."""
 
 
-def status_as_json(snapshot: Snapshot, since_ns: int) -> bytes:
-    """The status, its history after `since_ns`, the cost row, and the cost matrix window; costs as cosine distances."""
+def status_as_json(snapshot: Snapshot, since_ns: int, picture: bytes = b"") -> bytes:
+    """The status, its history after `since_ns`, the cost row, and the cost matrix window; costs as cosine distances.
+
+    picture: JPEG of the newest frame, in base64 within, which saves a request; "" for who has it already.
+    """
     status = snapshot.status
     new = tuple(used for used in status.history if used.stamp_ns > since_ns)
     fields = msgspec.to_builtins(msgspec.structs.replace(status, history=new))
-    return msgspec.json.encode({**fields, "row": _row(snapshot), "window": _window(snapshot)})
+    return msgspec.json.encode({**fields, "row": _row(snapshot), "window": _window(snapshot), "picture": picture})
 
 
 def route_as_json(map_view: MapView) -> bytes:

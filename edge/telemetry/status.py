@@ -60,7 +60,8 @@ class MatchStatus(msgspec.Struct, frozen=True):
 class Used(msgspec.Struct, frozen=True, array_like=True):
     """One used frame in the history: where the vehicle then was by its autopilot, else by a believed match.
 
-    uniqueness is None while there was no match. event: it went out as a place.
+    uniqueness is None while there was no match. event: it went out as a place, and fix_lat_deg, fix_lon_deg are where
+    that put the vehicle, None where the map does not know.
     """
 
     stamp_ns: int
@@ -70,6 +71,8 @@ class Used(msgspec.Struct, frozen=True, array_like=True):
     event: bool
     lat_deg: float | None
     lon_deg: float | None
+    fix_lat_deg: float | None = None
+    fix_lon_deg: float | None = None
 
 
 class Status(msgspec.Struct, frozen=True):

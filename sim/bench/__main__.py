@@ -12,15 +12,16 @@ from pathlib import Path
 import cv2
 
 from edge.descriptor.network import Network
-from edge.errors import LookbackError
+from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
-from sim.bench import frame_rows, map_rows, memory_rows, network_rows, search_rows
+from sim.bench import frame_rows, map_rows, memory_rows, network_rows, page_rows, search_rows
 from sim.bench.machine import Machine, measure_machine
 from sim.bench.page import page
 from sim.bench.rows import Section
 
 FULL = (1_000, 10_000, 100_000)
 QUICK = (1_000, 10_000)
+QUICK_PARTS = ("network", "matching", "search", "frames", "maps", "memory")
 FULL_MAPS = (1_000, 10_000, 100_000, 1_000_000)
 
 
@@ -31,7 +32,13 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--places", type=int, nargs="+", metavar="N", help="sizes of maps instead of the usual ones")
     parser.add_argument("--rounds", type=int, metavar="R", help="runs of each row (default 21, quick 7)")
     parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame and memory runs")
+    parser.add_argument(
+        "--page-s", type=float, default=15.0, metavar="S", help="seconds of each run of the page's part"
+    )
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
+    parser.add_argument(
+        "--only", nargs="+", metavar="PART", help="network, matching, search, frames, maps, page, memory"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
 
@@ -71,9 +78,15 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(machine, folder, usual, args.frames or (60 if args.quick else 300)),
         "maps": lambda: map_rows.measure(folder, maps, rounds, model),
+        "page": lambda: page_rows.measure(folder, usual, args.page_s, 1 if args.quick else 5, model),
         "memory": lambda: memory_rows.measure(folder, usual, args.frames or (100 if args.quick else 1200), model),
     }
+    unknown = set(args.only or ()) - set(sections)
+    if unknown:
+        raise ConfigError(f"--only: {', '.join(sorted(unknown))}: it is one of {', '.join(sections)}")
     for name, measure in sections.items():
+        if name not in (args.only or (QUICK_PARTS if args.quick else sections)):
+            continue
         print(f"{name} ...", file=sys.stderr)
         yield measure()
 

@@ -40,8 +40,8 @@ class Resident:
 def measure(folder: Path, places: int, frames: int, model: ModelKey) -> Section:
     """Peak and steady memory with regions on, on a simulated map."""
     write_simulated_map(folder / "memory.map", places, model)
-    _write_feed(folder / "memory_feed", frames)
-    looks = watch(_start(folder))
+    write_pictures(folder / "memory_feed", WARM_FRAMES + frames, PERIOD_MS)
+    looks = watch(start_daemon(folder, folder / "memory_feed", folder / "memory.map", PERIOD_MS))
     steady = looks[round(len(looks) * WARM_FRAMES / (WARM_FRAMES + frames)) :]
     third = max(1, len(steady) // 3)
     peak = max(look.total for look in looks)
@@ -59,22 +59,24 @@ def measure(folder: Path, places: int, frames: int, model: ModelKey) -> Section:
     return Section(f"Memory of `lookback run`, {places:,} places", rows, [target])
 
 
-def _write_feed(path: Path, frames: int) -> None:
-    """Pictures that all differ, so that each is used."""
+def write_pictures(path: Path, frames: int, period_ms: int) -> None:
+    """A feed of pictures that all differ, so that each is used."""
     rng = np.random.default_rng(2)
     with FeedWriter(path, FeedHeader(path.name, "front", *SIZE_PX)) as writer:
-        for row in range(WARM_FRAMES + frames):
-            writer.write(smooth_picture(rng, SIZE_PX), row * PERIOD_MS * 1_000_000)
+        for row in range(frames):
+            writer.write(smooth_picture(rng, SIZE_PX), row * period_ms * 1_000_000)
 
 
-def _start(folder: Path) -> subprocess.Popen[str]:
+def start_daemon(folder: Path, feed: Path, map_path: Path, period_ms: int, page_port: int = 0) -> subprocess.Popen[str]:
+    """`lookback run` on a feed, at its own pace, every frame used."""
     config = {
-        "camera": {"kind": "feed", "device": str(folder / "memory_feed")},
-        "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
-        "map": {"path": str(folder / "memory.map")},
+        "camera": {"kind": "feed", "device": str(feed)},
+        "sampling": {"by": "time", "interval_s": period_ms / 1000},
+        "map": {"path": str(map_path)},
         "telemetry": {"connection": "udp:127.0.0.1:9", "journal": JOURNAL},
+        "page": {"port": page_port},
     }
-    file = folder / "memory.toml"
+    file = folder / "daemon.toml"
     file.write_text(tomli_w.dumps(config))
     command = [sys.executable, "-m", "edge", "run", str(file)]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

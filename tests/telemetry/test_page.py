@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import http.client
 import json
 import socket
@@ -114,10 +115,24 @@ def test_history_is_sent_once(page: StatusPage, loop: Loop) -> None:
     assert get(page, "/status.json?since=yesterday")[0] == 400
 
 
+def test_the_picture_comes_with_the_status_to_who_has_not_shown_it(page: StatusPage, loop: Loop) -> None:
+    status = json.loads(get(page, "/status.json?shown=0")[1])
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(status["picture"]), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (240, 320, 3)
+    shown = 0
+    while status["frame_stamp_ns"] != shown:  # another snapshot where the last is no longer fresh
+        assert status["picture"]
+        shown = status["frame_stamp_ns"]
+        status = json.loads(get(page, f"/status.json?shown={shown}")[1])
+    assert status["picture"] == ""
+    assert json.loads(get(page, "/status.json")[1])["picture"] == ""
+    assert get(page, "/status.json?shown=it")[0] == 400
+
+
 def test_pictures(page: StatusPage, loop: Loop) -> None:
     code, body, headers = get(page, "/frame.jpg")
     picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
-    assert (code, headers["content-type"], picture.shape) == (200, "image/jpeg", (360, 480, 3))
+    assert (code, headers["content-type"], picture.shape) == (200, "image/jpeg", (240, 320, 3))
     assert np.abs(picture[180, 240].astype(int) - (10, 120, 240)).max() < 6
     assert get(page, "/place/3.jpg")[:2] == (200, THUMBNAIL)
     assert get(page, "/place/450.jpg")[0] == get(page, "/place/500.jpg")[0] == 404
