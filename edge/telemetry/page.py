@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import hashlib
 import ipaddress
 import logging
@@ -70,7 +71,7 @@ class StatusPage:
         self._socket = socket.create_server((config.bind, config.port), family=family, backlog=CONNECTIONS)
         self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
-        self._server = uvicorn.Server(_server_config(_OnlyForUs(self._app(), config.hosts), patience_s))
+        self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts), patience_s))
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
@@ -82,6 +83,8 @@ class StatusPage:
     def close(self) -> None:
         """Stop serving, at once; more than once is harmless."""
         self._server.should_exit = self._server.force_exit = True
+        with contextlib.suppress(RuntimeError):  # it has ended already
+            self._loop.call_soon_threadsafe(self._server.told_to_stop.set)
         self._thread.join(5.0)
         self._socket.close()
 
@@ -182,6 +185,19 @@ class StatusPage:
         return self._jpeg[1]
 
 
+class _Server(uvicorn.Server):
+    """Sleeps until somebody asks or it is told to stop; uvicorn's own looks ten times a second whether it should."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.told_to_stop = asyncio.Event()
+
+    async def main_loop(self) -> None:
+        """Begin as uvicorn does, and wait."""
+        if not await self.on_tick(0):
+            await self.told_to_stop.wait()
+
+
 class _OnlyForUs:
     """Refuses requests that name this computer by a foreign name, and tells browsers to keep the page to itself."""
 
@@ -255,6 +271,7 @@ def _server_config(app: ASGIApp, patience_s: float) -> uvicorn.Config:
         log_config=None,
         access_log=False,
         server_header=False,
+        date_header=False,  # it would be that of the start
         proxy_headers=False,
         limit_concurrency=CONNECTIONS,
         timeout_keep_alive=5,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import pytest
 from edge.errors import FeedError
 from edge.reference_map.atlas import Atlas, open_atlas
 from edge.reference_map.store import ModelKey, open_map
-from sim.bench import frame_rows, map_rows, memory_rows, search_rows
+from sim.bench import frame_rows, map_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
 from sim.bench.page import page
 from sim.bench.rows import Row, Section, Target
@@ -105,6 +106,20 @@ def test_matching_against_rivals() -> None:
 
     section = matching_rows.measure(MACHINE, [300], 2, dimensions=64)
     assert {row.what.partition(": ")[2] for row in section.rows} >= {"faiss SQ8, both orders", "ours, both orders"}
+
+
+def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path) -> None:
+    from edge.descriptor.network import Network
+    from edge.recognizer import model_key
+
+    model = model_key(Network.load())
+    section = page_rows.measure(tmp_path, 200, 3.0, 1, model, periods_ms=[100], settled_s=1.0)
+    (row,) = section.rows
+    assert row.what.startswith("10 used frames a second: ")
+    used = {kind: float(ms) for kind, ms in re.findall(r"(no page|nobody looks|somebody looks) (\d+)", row.note)}
+    assert len(used) == 3
+    assert min(used.values()) > 0
+    assert int(re.findall(r"(\d+) looks", row.note)[0]) >= 1
 
 
 def test_memory_is_of_a_daemon_that_ran(tmp_path: Path) -> None:
