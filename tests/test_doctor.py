@@ -163,7 +163,7 @@ def test_devices_and_rights(tmp_path: Path) -> None:
     (dev / "v4l/by-id/usb-cam-video-index0").touch()
     (dev / "v4l/by-id/usb-gone-video-index0").symlink_to(tmp_path / "unplugged")
     findings = list(examine(None, 0.0, dev))
-    assert "usb-cam-video-index0: may be used" in told(findings, "camera", "good")
+    assert "usb-cam-video-index0: there, and may be used" in told(findings, "camera", "good")
     assert "usb-gone-video-index0: leads nowhere -> unplug" in told(findings, "camera", "note")
 
 
@@ -172,6 +172,27 @@ def test_a_wrong_config_is_a_finding_and_the_rest_is_still_looked_at(tmp_path: P
     findings = list(examine(tmp_path / "lookback.toml", 0.0, tmp_path / "dev"))
     assert "unknown key `fsp`" in told(findings, "config", "bad")
     assert told(findings, "clock", "good")
+
+
+def test_a_recorded_feed_needs_no_camera(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(), 0.1, dev=tmp_path / "dev"))
+    if not any("OAK device" in one.words for one in findings):
+        assert '[camera] kind = "feed" needs none' in told(findings, "camera", "good")
+
+
+def test_a_config_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "nowhere.toml"]) == 1
+    printed = capsys.readouterr().out
+    assert "name the file that the daemon is run with" in printed
+    assert printed.endswith(" in the way of `lookback run`\n")
+
+
+def test_what_is_tried_again_is_not_logged_as_well(
+    write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    main(["doctor", str(write_config()), "--seconds", "0.1"])
+    assert "none: no such port" in capsys.readouterr().out
+    assert caplog.records == []
 
 
 def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -183,4 +204,4 @@ def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytes
 
 def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     main(["doctor"])
-    assert "name one: lookback doctor CONFIG" in capsys.readouterr().out
+    assert "lookback doctor CONFIG; `lookback check --default > lookback.toml` makes one" in capsys.readouterr().out
