@@ -40,6 +40,24 @@ def test_a_recording_becomes_a_test_with_one_command(
     assert expected.read_text().splitlines() == lines
 
 
+def test_what_was_recorded_in_the_field_becomes_a_test(write_traverse: Callable[..., Path], tmp_path: Path) -> None:
+    """Two drives through `lookback record`, which has no positions here, and one of them as an MCAP file."""
+    for name, noise in (("out", 0.0), ("again", 8.0)):
+        street = write_traverse(tmp_path / f"street_{name}", range(40), noise=noise, period_ms=80)
+        config = tmp_path / f"{name}.toml"
+        config.write_text(
+            f'[camera]\nkind = "feed"\ndevice = "{street}"\n[sampling]\nby = "frames"\n'
+            '[telemetry]\nconnection = "udp:127.0.0.1:9"\n'
+        )
+        assert main(["record", str(config), "-o", str(tmp_path / name)]) == 0
+    assert main(["mcap", "write", str(tmp_path / "again"), "-o", str(tmp_path / "again.mcap")]) == 0
+    folder, options = tmp_path / "golden/field", ["--spacing-frames", "1", "--sequence-length", "5"]
+    made = ["golden", str(folder), "--reference", str(tmp_path / "out"), "--query", str(tmp_path / "again.mcap")]
+    assert main([*made, *options]) == 0
+    assert main(["golden", str(folder)]) == 0
+    assert '"direction":"forward"' in (folder / EXPECTED).read_text()
+
+
 def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["golden", str(tmp_path)]) == 78
     assert "make one with --reference and --query" in capsys.readouterr().err
