@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from edge.telemetry.journal import read_journal
+
 CALLS = (
     "connect,sendto,sendmsg,bind,openat,open,creat,mkdir,mkdirat,rename,renameat,renameat2,"
     "unlink,unlinkat,symlink,symlinkat,link,linkat,truncate"
@@ -50,6 +52,8 @@ def test_what_a_run_touches(
     if process.popen.poll() is not None and "ptrace" in process.told():
         pytest.skip("strace is not permitted here")
     process.wait_for_word("STATUS=on the map")
+    while sum(record["event"] == "place" for record in read_journal(tmp_path / "events.jsonl")) < 12:
+        process.wait_for_word("WATCHDOG=1")  # until there are statistics worth keeping
     (daemon,) = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children").read_text().split()
     os.kill(int(daemon), signal.SIGTERM)  # strace keeps signals to itself
     assert process.popen.wait(PATIENCE_S) == 0, process.told()
@@ -76,5 +80,6 @@ def test_what_a_run_touches(
         f"{len(lines)} calls; addresses {sorted(addresses)}; written: {sorted(Path(name).name for name in written)}"
     )
     assert outside == set()
+    assert {Path(name).name for name in written} >= {"events.jsonl", "events.state"}
     assert {name for name in sockets if not name.startswith(notify)} == set()
     assert list(home.iterdir()) == []
