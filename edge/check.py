@@ -37,9 +37,7 @@ def _run(args: argparse.Namespace) -> int:
     PlaceRecognizer(network, Head.load(network), atlas, config)
     AutopilotConnection(config.telemetry)  # reads connections and keys, and opens nothing yet
     print(f"{args.config}: good; model {network.info.name}, map of {atlas}")
-    wanted = config.sampling
-    for name, header in zip(atlas.names, atlas.headers, strict=True):
-        if header.sampling != wanted:
-            what = f"map {name}" if atlas.is_folder else "map"
-            print(f"note: the {what} was sampled by {header.sampling}, the config asks for {wanted}")
+    for sampling in {header.sampling: None for header in atlas.headers if header.sampling != config.sampling}:
+        maps = [index for index, header in enumerate(atlas.headers) if header.sampling == sampling]
+        print(f"note: {atlas.spell(maps)}: sampled by {sampling}, the config asks for {config.sampling}")
     return 0

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import grp
 import importlib.util
-import logging
 import os
-import platform
 import shutil
 import sys
 import time
@@ -19,7 +16,6 @@ import msgspec
 import numpy as np
 from serial.tools import list_ports
 
-import edge
 from edge.camera import open_camera
 from edge.config import CameraConfig, Config, load_config
 from edge.descriptor.network import Head, Network
@@ -42,7 +38,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "doctor",
         help="check this computer, its devices and the autopilot, and say what to do",
         description="Checks cameras, ports, rights, model, map, disk, clock and the autopilot. Exit code 1 if something"
-        " is in the way of `lookback run`. Stop the service first: a camera and a port have one user at a time.",
+        " keeps `lookback run` from working. Stop the service first: a camera and a port have one user at a time.",
     )
     parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="what the daemon is to be run with")
     parser.add_argument("--json", action="store_true", help="the findings as one JSON list")
@@ -52,14 +48,22 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def examine(path: Path | None, seconds: float, dev: Path = Path("/dev")) -> Iterator[Finding]:
     """All findings, as they come; without a config only what this computer has. dev: where its devices are."""
-    yield _computer()
-    config, finding = _config(path)
-    yield finding
-    yield from _cameras(dev, config.camera if config else None)
+    config = Config()
+    if path is not None:
+        try:
+            config = load_config(path)
+            yield good("config", f"{path}: every key is good")
+        except LookbackError as error:
+            yield bad(
+                "config", str(error), "correct that key; `lookback check --default` prints every key with its range"
+            )
+            path = None
+    yield from _cameras(dev)
     yield from _ports(dev)
     yield from _clock()
-    yield from _page(config or Config())
-    if config is None:
+    yield from _page(config)
+    if path is None:
+        yield note("config", "no config, so no camera, map or autopilot was tried", "name one: lookback doctor CONFIG")
         return
     yield from _recogniser(config)
     yield from _camera(config.camera)
@@ -67,26 +71,7 @@ def examine(path: Path | None, seconds: float, dev: Path = Path("/dev")) -> Iter
     yield from check_autopilot(config.telemetry, seconds)
 
 
-def _computer() -> Finding:
-    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    return good("computer", f"lookback {edge.__version__}, Python {platform.python_version()}, {machine}")
-
-
-def _config(path: Path | None) -> tuple[Config | None, Finding]:
-    """The config, None where there is none or a wrong one, and what is to be said of it."""
-    if path is None:
-        words = "none was named, so no camera, map or autopilot is tried"
-        return None, note(
-            "config", words, "lookback doctor CONFIG; `lookback check --default > lookback.toml` makes one"
-        )
-    try:
-        return load_config(path), good("config", f"{path}: every key is good")
-    except LookbackError as error:
-        remedy = "`lookback check --default` prints every key with its range; what this one asks for is not tried"
-        return None, bad("config", str(error), remedy if path.exists() else "name the file that the daemon is run with")
-
-
-def _cameras(dev: Path, config: CameraConfig | None) -> Iterator[Finding]:
+def _cameras(dev: Path) -> Iterator[Finding]:
     """V4L2 devices that give pictures, by their stable names, and OAK cameras on USB."""
     nodes = sorted(dev.glob("v4l/by-id/*-index0")) or sorted(dev.glob("video*"))
     for node in nodes:
@@ -101,11 +86,7 @@ def _cameras(dev: Path, config: CameraConfig | None) -> Iterator[Finding]:
         if importlib.util.find_spec("depthai") is None:
             yield note("camera", "DepthAI is not installed", "pip install 'lookback[oak]'")
     if not nodes and not oaks:
-        none = "no V4L2 device and no OAK was found"
-        if config is not None and config.kind not in ("v4l2", "oak"):
-            yield good("camera", f'{none}, and [camera] kind = "{config.kind}" needs none')
-        else:
-            yield note("camera", none, "plug one in; a recorded feed and the simulator need none")
+        yield note("camera", "no V4L2 device and no OAK was found", "plug one in; a feed or the simulator need none")
 
 
 def _ports(dev: Path) -> Iterator[Finding]:
@@ -121,7 +102,7 @@ def _rights(what: str, device: Path) -> Finding:
     if not device.exists():
         return note(what, f"{device}: leads nowhere", "unplug the device and plug it in again")
     if os.access(device, os.R_OK | os.W_OK):
-        return good(what, f"{device}: there, and may be used")
+        return good(what, f"{device}: may be used")
     try:
         group = grp.getgrgid(device.stat().st_gid).gr_name
     except (OSError, KeyError):
@@ -166,7 +147,7 @@ def _recogniser(config: Config) -> Iterator[Finding]:
         PlaceRecognizer(network, head, atlas, config)
         yield good("map", f"{config.map.path}: {atlas}, all checksums hold")
     except LookbackError as error:
-        yield bad("map", str(error), f"record a drive, then: lookback map build FEED -o {config.map.path}")
+        yield bad("map", str(error), f"build one: lookback map build FEED -o {config.map.path}")
         return
     for why in left_out:
         yield note("map", f"{why}; left out", "the others are used; build or copy this one again")
@@ -180,23 +161,19 @@ def _places(atlas: Atlas, config: Config) -> Iterator[Finding]:
         yield bad(
             "map", f"{places} places are too few for sequences of {length}", "drive further, or shorten [sequence]"
         )
-    for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
-        if index in atlas.left_out:
-            continue
-        it = atlas.names[index] if atlas.is_folder else "it"
-        if header.sampling != config.sampling:
-            yield note(
-                "map", f"{it} was sampled otherwise than [sampling] asks for", "sample a query as its map was sampled"
-            )
-        if np.isnan(open_unverified(folder)[0].places["lat_deg"]).any():
-            some = f"some places of {it}" if atlas.is_folder else "some places"
-            yield note("map", f"{some} have no position", "they can be recognised, but no position is told of them")
-        if atlas.is_folder and header.places > config.map.places_per_frame:
-            yield note(
-                "map",
-                f"{it}: opening {header.places} places between two frames takes long",
-                f"lookback map split {folder} -o FOLDER --places {config.map.places_per_frame // 2}",
-            )
+    used = [index for index in range(len(atlas.headers)) if index not in atlas.left_out]
+    otherwise = [index for index in used if atlas.headers[index].sampling != config.sampling]
+    if otherwise:
+        words = f"{atlas.spell(otherwise)}: sampled otherwise than [sampling] asks for"
+        yield note("map", words, "sample a query as its map was sampled")
+    blank = [index for index in used if np.isnan(open_unverified(atlas.folders[index])[0].places["lat_deg"]).any()]
+    if blank:
+        words = f"{atlas.spell(blank)}: some places have no position"
+        yield note("map", words, "without it a place is told, and never a position")
+    large = [index for index in used if atlas.headers[index].places > config.map.places_per_frame]
+    if large and atlas.is_folder:
+        words = f"{atlas.spell(large)}: so large that opening one between two frames takes long"
+        yield note("map", words, f"lookback map split MAP -o FOLDER --places {config.map.places_per_frame // 2}")
 
 
 def _describe_ms(network: Network) -> float:
@@ -214,7 +191,7 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
     try:
         camera = open_camera(config)
     except LookbackError as error:
-        yield bad("camera", str(error), "name a device that is listed above, if one is; stop whatever else uses it")
+        yield bad("camera", str(error), "name a device from the list above; stop whatever else uses it")
         return
     try:
         frame = camera.read()
@@ -254,34 +231,13 @@ def _disk(config: Config) -> Iterator[Finding]:
 
 def _run(args: argparse.Namespace) -> int:
     findings = []
-    with _unlogged():
-        for finding in examine(args.config, args.seconds):
-            findings.append(finding)
-            if not args.json:
-                _print(finding)
+    for finding in examine(args.config, args.seconds):
+        findings.append(finding)
+        if not args.json:
+            print(f"{LOOKS[finding.level]}  {finding.what:<12}  {finding.words}")
+            if finding.remedy:
+                print(f"{'':20}-> {finding.remedy}")
+            sys.stdout.flush()
     if args.json:
         print(msgspec.json.format(msgspec.json.encode(findings), indent=1).decode())
-    count = sum(finding.level == "bad" for finding in findings)
-    if args.config and not args.json:
-        what = "nothing is" if not count else "1 thing is" if count == 1 else f"{count} things are"
-        print(f"\n{what} in the way of `lookback run`")
-    return 1 if count else 0
-
-
-def _print(finding: Finding) -> None:
-    print(f"{LOOKS[finding.level]}  {finding.what:<12}  {finding.words}")
-    if finding.remedy:
-        print(f"{'':20}-> {finding.remedy}")
-    sys.stdout.flush()
-
-
-@contextlib.contextmanager
-def _unlogged() -> Iterator[None]:
-    """What the parts say to the log while they try again is a finding here."""
-    log = logging.getLogger("edge")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
+    return 1 if any(finding.level == "bad" for finding in findings) else 0

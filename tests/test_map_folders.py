@@ -161,6 +161,7 @@ def test_info_verify_and_check_of_a_folder(
     out = capsys.readouterr().out
     assert "map of 64 places in 1 map" in out
     assert "damaged (its checksum does not hold); build or copy the map again; left out\n" in out
+    assert "note: 2 of its maps (0, 1): sampled by SamplingConfig(by='distance'" in out
 
 
 def test_the_doctor_names_the_damaged_tile(street: Path, damaged: Path, tmp_path: Path) -> None:
@@ -169,6 +170,9 @@ def test_the_doctor_names_the_damaged_tile(street: Path, damaged: Path, tmp_path
     assert [finding.level for finding in of_map[:2]] == ["good", "note"]
     assert "64 places in 1 map" in of_map[0].words
     assert f"{DESCRIPTORS}: damaged" in of_map[1].words
+    assert [finding.words for finding in of_map[2:]] == [
+        "1 of its maps (0): sampled otherwise than [sampling] asks for"
+    ]
 
 
 def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -89,6 +89,11 @@ class Atlas:
         used = [header.places for index, header in enumerate(self.headers) if index not in self.left_out]
         return f"{sum(used)} places" + (f" in {len(used)} map{'s' * (len(used) > 1)}" if self.is_folder else "")
 
+    def spell(self, maps: Sequence[int]) -> str:
+        """Some maps, for people; the names of the first."""
+        names = ", ".join(self.names[index] for index in maps[:3])
+        return f"{len(maps)} of its maps ({names}{', ...' if len(maps) > 3 else ''})" if self.is_folder else "the map"
+
     def locate(self, place: int) -> tuple[str | None, int]:
         """The name of a place's map, None if there is only that, and its row there."""
         index = self.numbering.map_of(place)
