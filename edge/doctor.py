@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import grp
 import importlib.util
+import logging
 import os
+import platform
 import shutil
 import sys
 import time
@@ -16,6 +19,7 @@ import msgspec
 import numpy as np
 from serial.tools import list_ports
 
+import edge
 from edge.camera import open_camera
 from edge.config import CameraConfig, Config, load_config
 from edge.descriptor.network import Head, Network
@@ -38,7 +42,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "doctor",
         help="check this computer, its devices and the autopilot, and say what to do",
         description="Checks cameras, ports, rights, model, map, disk, clock and the autopilot. Exit code 1 if something"
-        " keeps `lookback run` from working. Stop the service first: a camera and a port have one user at a time.",
+        " is in the way of `lookback run`. Stop the service first: a camera and a port have one user at a time.",
     )
     parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="what the daemon is to be run with")
     parser.add_argument("--json", action="store_true", help="the findings as one JSON list")
@@ -48,22 +52,14 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def examine(path: Path | None, seconds: float, dev: Path = Path("/dev")) -> Iterator[Finding]:
     """All findings, as they come; without a config only what this computer has. dev: where its devices are."""
-    config = Config()
-    if path is not None:
-        try:
-            config = load_config(path)
-            yield good("config", f"{path}: every key is good")
-        except LookbackError as error:
-            yield bad(
-                "config", str(error), "correct that key; `lookback check --default` prints every key with its range"
-            )
-            path = None
-    yield from _cameras(dev)
+    yield _computer()
+    config, finding = _config(path)
+    yield finding
+    yield from _cameras(dev, config.camera if config else None)
     yield from _ports(dev)
     yield from _clock()
-    yield from _page(config)
-    if path is None:
-        yield note("config", "no config, so no camera, map or autopilot was tried", "name one: lookback doctor CONFIG")
+    yield from _page(config or Config())
+    if config is None:
         return
     yield from _recogniser(config)
     yield from _camera(config.camera)
@@ -71,7 +67,26 @@ def examine(path: Path | None, seconds: float, dev: Path = Path("/dev")) -> Iter
     yield from check_autopilot(config.telemetry, seconds)
 
 
-def _cameras(dev: Path) -> Iterator[Finding]:
+def _computer() -> Finding:
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    return good("computer", f"lookback {edge.__version__}, Python {platform.python_version()}, {machine}")
+
+
+def _config(path: Path | None) -> tuple[Config | None, Finding]:
+    """The config, None where there is none or a wrong one, and what is to be said of it."""
+    if path is None:
+        words = "none was named, so no camera, map or autopilot is tried"
+        return None, note(
+            "config", words, "lookback doctor CONFIG; `lookback check --default > lookback.toml` makes one"
+        )
+    try:
+        return load_config(path), good("config", f"{path}: every key is good")
+    except LookbackError as error:
+        remedy = "`lookback check --default` prints every key with its range; what this one asks for is not tried"
+        return None, bad("config", str(error), remedy if path.exists() else "name the file that the daemon is run with")
+
+
+def _cameras(dev: Path, config: CameraConfig | None) -> Iterator[Finding]:
     """V4L2 devices that give pictures, by their stable names, and OAK cameras on USB."""
     nodes = sorted(dev.glob("v4l/by-id/*-index0")) or sorted(dev.glob("video*"))
     for node in nodes:
@@ -86,7 +101,11 @@ def _cameras(dev: Path) -> Iterator[Finding]:
         if importlib.util.find_spec("depthai") is None:
             yield note("camera", "DepthAI is not installed", "pip install 'lookback[oak]'")
     if not nodes and not oaks:
-        yield note("camera", "no V4L2 device and no OAK was found", "plug one in; a feed or the simulator need none")
+        none = "no V4L2 device and no OAK was found"
+        if config is not None and config.kind not in ("v4l2", "oak"):
+            yield good("camera", f'{none}, and [camera] kind = "{config.kind}" needs none')
+        else:
+            yield note("camera", none, "plug one in; a recorded feed and the simulator need none")
 
 
 def _ports(dev: Path) -> Iterator[Finding]:
@@ -102,7 +121,7 @@ def _rights(what: str, device: Path) -> Finding:
     if not device.exists():
         return note(what, f"{device}: leads nowhere", "unplug the device and plug it in again")
     if os.access(device, os.R_OK | os.W_OK):
-        return good(what, f"{device}: may be used")
+        return good(what, f"{device}: there, and may be used")
     try:
         group = grp.getgrgid(device.stat().st_gid).gr_name
     except (OSError, KeyError):
@@ -147,7 +166,7 @@ def _recogniser(config: Config) -> Iterator[Finding]:
         PlaceRecognizer(network, head, atlas, config)
         yield good("map", f"{config.map.path}: {atlas}, all checksums hold")
     except LookbackError as error:
-        yield bad("map", str(error), f"build one: lookback map build FEED -o {config.map.path}")
+        yield bad("map", str(error), f"record a drive, then: lookback map build FEED -o {config.map.path}")
         return
     for why in left_out:
         yield note("map", f"{why}; left out", "the others are used; build or copy this one again")
@@ -169,7 +188,7 @@ def _places(atlas: Atlas, config: Config) -> Iterator[Finding]:
     blank = [index for index in used if np.isnan(open_unverified(atlas.folders[index])[0].places["lat_deg"]).any()]
     if blank:
         words = f"{atlas.spell(blank)}: some places have no position"
-        yield note("map", words, "without it a place is told, and never a position")
+        yield note("map", words, "they can be recognised, but no position is told of them")
     large = [index for index in used if atlas.headers[index].places > config.map.places_per_frame]
     if large and atlas.is_folder:
         words = f"{atlas.spell(large)}: so large that opening one between two frames takes long"
@@ -191,7 +210,7 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
     try:
         camera = open_camera(config)
     except LookbackError as error:
-        yield bad("camera", str(error), "name a device from the list above; stop whatever else uses it")
+        yield bad("camera", str(error), "name a device that is listed above, if one is; stop whatever else uses it")
         return
     try:
         frame = camera.read()
@@ -231,13 +250,34 @@ def _disk(config: Config) -> Iterator[Finding]:
 
 def _run(args: argparse.Namespace) -> int:
     findings = []
-    for finding in examine(args.config, args.seconds):
-        findings.append(finding)
-        if not args.json:
-            print(f"{LOOKS[finding.level]}  {finding.what:<12}  {finding.words}")
-            if finding.remedy:
-                print(f"{'':20}-> {finding.remedy}")
-            sys.stdout.flush()
+    with _unlogged():
+        for finding in examine(args.config, args.seconds):
+            findings.append(finding)
+            if not args.json:
+                _print(finding)
     if args.json:
         print(msgspec.json.format(msgspec.json.encode(findings), indent=1).decode())
-    return 1 if any(finding.level == "bad" for finding in findings) else 0
+    count = sum(finding.level == "bad" for finding in findings)
+    if args.config and not args.json:
+        what = "nothing is" if not count else "1 thing is" if count == 1 else f"{count} things are"
+        print(f"\n{what} in the way of `lookback run`")
+    return 1 if count else 0
+
+
+def _print(finding: Finding) -> None:
+    print(f"{LOOKS[finding.level]}  {finding.what:<12}  {finding.words}")
+    if finding.remedy:
+        print(f"{'':20}-> {finding.remedy}")
+    sys.stdout.flush()
+
+
+@contextlib.contextmanager
+def _unlogged() -> Iterator[None]:
+    """What the parts say to the log while they try again is a finding here."""
+    log = logging.getLogger("edge")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
