@@ -71,7 +71,7 @@ def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(str
     data[-1] ^= 1
     (tmp_path / "map" / DESCRIPTORS).write_bytes(data)
     process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
-    said = process.communicate(timeout=60)[1]
+    said = process.communicate(timeout=120)[1]
     assert process.returncode == 78, said
     assert f"{DESCRIPTORS}: damaged" in said.splitlines()[-1]
     assert "Traceback" not in said
@@ -109,7 +109,7 @@ def test_a_large_map_is_searched_where_the_autopilot_says(
     try:
         connection = f"serial:{cable.device}:921600"
         process = start(tmp_path, street / "feed", long_map, connection, places_per_frame=250, search_radius_m=10.0)
-        said = process.communicate(timeout=60)[1]
+        said = process.communicate(timeout=120)[1]
     finally:
         stop.set()
         flying.join()

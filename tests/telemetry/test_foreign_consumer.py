@@ -216,7 +216,7 @@ def test_the_daemon_as_its_own_process_is_seen(
         assert foreigner.read("HEARTBEAT")[-1]["component"] == 191
     finally:
         daemon.terminate()
-        code = daemon.wait(30)
+        code = daemon.wait(120)
     assert code == 0
 
 

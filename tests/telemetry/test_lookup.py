@@ -14,7 +14,7 @@ from edge.telemetry.link import parse_connection
 from edge.telemetry.lookup import is_address, look_up
 from edge.telemetry.port import Port
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def open_port(name: str, look_up: Callable[[str], str]) -> Port:
