@@ -1,8 +1,12 @@
-"""What the journal says of positions for the autopilot: the way, what was held back, sent, answered and checked."""
+"""What the journal says of positions for the autopilot: the way, what was held back, sent, answered and checked.
+
+place: row of the map. map: its name, where there is a folder of them.
+"""
 
 from __future__ import annotations
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 
 class WayChosen(msgspec.Struct, frozen=True, tag_field="event", tag="way"):
@@ -18,6 +22,7 @@ class FixWithheld(msgspec.Struct, frozen=True, tag_field="event", tag="fix_withh
     place: int
     reason: str
     distance_m: float | None = None
+    map: str | UnsetType = UNSET
 
 
 class FixSent(msgspec.Struct, frozen=True, tag_field="event", tag="fix_sent"):
@@ -35,6 +40,7 @@ class FixSent(msgspec.Struct, frozen=True, tag_field="event", tag="fix_sent"):
     age_s: float
     distance_m: float | None
     again: bool = False
+    map: str | UnsetType = UNSET
 
 
 class FixAnswered(msgspec.Struct, frozen=True, tag_field="event", tag="fix_answered"):
@@ -42,6 +48,7 @@ class FixAnswered(msgspec.Struct, frozen=True, tag_field="event", tag="fix_answe
 
     place: int
     result: str
+    map: str | UnsetType = UNSET
 
 
 class FixChecked(msgspec.Struct, frozen=True, tag_field="event", tag="fix_checked"):
@@ -50,3 +57,4 @@ class FixChecked(msgspec.Struct, frozen=True, tag_field="event", tag="fix_checke
     place: int
     moved: bool
     remaining_m: float
+    map: str | UnsetType = UNSET

@@ -139,7 +139,7 @@ class PositionSender:
         if held.reason == self._held:
             return
         self._held = held.reason
-        self._record(FixWithheld(fix.place, held.reason, held.distance_m))
+        self._record(FixWithheld(fix.place, held.reason, held.distance_m, fix.map))
         if held.reason == "impossibly far" and held.distance_m is not None:
             self._tell_pilot(f"Lookback: place {fix.place} is {held.distance_m:.0f} m off, not sent")
 
@@ -176,6 +176,7 @@ class PositionSender:
                     age_s,
                     distance_m,
                     again,
+                    fix.map,
                 )
             )
         self._last_sent_ns = now_ns
@@ -217,7 +218,7 @@ class PositionSender:
             return
         fix, _, _ = self._waiting
         self._waiting = None
-        self._record(FixAnswered(fix.place, result_name(result)))
+        self._record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
             self._back_off.succeeded()
             if self._jump is not None:
@@ -253,7 +254,7 @@ class PositionSender:
         if messages:
             self._waiting = fix, now_ns, True
         else:
-            self._record(FixAnswered(fix.place, "NO_ANSWER"))
+            self._record(FixAnswered(fix.place, "NO_ANSWER", fix.map))
         return messages
 
     def _check_jump(self, now_ns: int) -> None:
@@ -269,7 +270,7 @@ class PositionSender:
             return
         self._jump = None
         remaining_m = jump.remaining_m(own)
-        self._record(FixChecked(fix.place, moved, round(remaining_m, 2)))
+        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
         if moved:
             self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
         else:

@@ -139,6 +139,16 @@ def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig
     assert [record["reason"] for record in rig.journalled("fix_withheld")] == ["GPS is healthy"]
 
 
+def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5))
+    rig.run(4.0)
+    offer_for(rig, 2.0, map="tile-3")
+    rig.autopilot.gps = False
+    offer_for(rig, 8.0, map="tile-3")
+    for event in ("fix_withheld", "fix_sent", "fix_answered"):
+        assert {record["map"] for record in rig.journalled(event)} == {"tile-3"}, event
+
+
 def test_px4_is_told_five_times_a_second_and_follows(open_rig: OpenRig) -> None:
     rig = open_rig(emit="auto", gates=GatesConfig(), firmware="px4", drift_percent=10.0)
     rig.run(5.0)
