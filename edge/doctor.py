@@ -42,7 +42,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "doctor",
         help="check this computer, its devices and the autopilot, and say what to do",
         description="Checks cameras, ports, rights, model, map, disk, clock and the autopilot. Exit code 1 if something"
-        " is in the way of `lookback run`. Stop the service first: a camera and a port have one user at a time.",
+        " has to be put right before `lookback run` can do all of its work. Stop the service first: a camera and a port"
+        " have one user at a time.",
     )
     parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="what the daemon is to be run with")
     parser.add_argument("--json", action="store_true", help="the findings as one JSON list")
@@ -259,8 +260,8 @@ def _run(args: argparse.Namespace) -> int:
         print(msgspec.json.format(msgspec.json.encode(findings), indent=1).decode())
     count = sum(finding.level == "bad" for finding in findings)
     if args.config and not args.json:
-        what = "nothing is" if not count else "1 thing is" if count == 1 else f"{count} things are"
-        print(f"\n{what} in the way of `lookback run`")
+        what = "nothing" if not count else "1 thing, marked BAD," if count == 1 else f"{count} things, marked BAD,"
+        print(f"\n{what} to put right before `lookback run` can do all of its work")
     return 1 if count else 0
 
 

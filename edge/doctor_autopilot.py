@@ -10,6 +10,14 @@ from edge.finding import Finding, bad, good, note
 from edge.telemetry.checkup import PX4, WANTED, Checkup, Wanted, look_at_autopilot
 from edge.telemetry.ways import NAMES, suitable_way
 
+SERIAL = (
+    "check the wires, the baud rate, and that the port speaks MAVLink 2 (ArduPilot: SERIALn_PROTOCOL 2); with signing,"
+    " both ends need the same key"
+)
+NETWORK = (
+    "check that something sends MAVLink 2 there (a mavlink-router, or MAVProxy with --out), that its system is running,"
+    " and that no firewall is between; with signing, both ends need the same key"
+)
 RIGHTS = "see firmware_config/README.md for wiring and rights"
 
 
@@ -27,12 +35,8 @@ def check_autopilot(config: TelemetryConfig, seconds: float) -> Iterator[Finding
     if found.why_closed and not found.connected:
         yield bad("autopilot", found.why_closed, RIGHTS)
     elif not found.connected:
-        yield bad(
-            "autopilot",
-            f"{config.connection}: no heartbeat in {seconds:g} s",
-            "check the wires, the baud rate, and that the port speaks MAVLink 2 (ArduPilot: SERIALn_PROTOCOL 2); "
-            "with signing, both ends need the same key",
-        )
+        heard = f"{config.connection}: no heartbeat in {seconds:g} s"
+        yield bad("autopilot", heard, SERIAL if config.connection.startswith("serial:") else NETWORK)
     else:
         yield from _judge(config, found)
 

@@ -157,6 +157,12 @@ def test_a_silent_port(write_config: Callable[..., Path], tmp_path: Path) -> Non
         link.close()
 
 
+def test_a_silent_network(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(telemetry={"connection": "udp:127.0.0.1:9"})
+    found = told(list(examine(config, 0.1, dev=tmp_path / "dev")), "autopilot", "bad")
+    assert "no heartbeat in 0.1 s -> check that something sends MAVLink 2 there" in found
+
+
 def test_devices_and_rights(tmp_path: Path) -> None:
     dev = tmp_path / "dev"
     (dev / "v4l/by-id").mkdir(parents=True)
@@ -184,7 +190,7 @@ def test_a_config_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "nowhere.toml"]) == 1
     printed = capsys.readouterr().out
     assert "name the file that the daemon is run with" in printed
-    assert printed.endswith(" in the way of `lookback run`\n")
+    assert printed.endswith(" to put right before `lookback run` can do all of its work\n")
 
 
 def test_what_is_tried_again_is_not_logged_as_well(

@@ -141,11 +141,11 @@ def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
     """What the threshold of a drive means for a vehicle that leaves the map, which most drives never do."""
     if not strangers.answers:
         return
-    refused = np.mean(strangers.thresholds < threshold)
-    print(
-        f"off the map, by the map against itself, {threshold:.4f} refuses {refused:.1%} of the matches and"
-        f" {strangers.lowest_for(share):.4f} {share:.1%}: where the vehicle may leave the map, choose between the two"
-    )
+    refused, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
+    line = f"off the map, by the map against itself, {threshold:.4f} refuses {refused:.1%} of the matches"
+    if refused < share:
+        line += f" and {needed:.4f} {share:.1%}: where the vehicle may leave the map, choose between the two"
+    print(line)
 
 
 def _curve_as_csv(curve: Curve) -> str:
