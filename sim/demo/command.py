@@ -144,7 +144,7 @@ def _photographer(lives: list[LiveDrive], pictures: Path) -> Iterator[None]:
             one.process.poll() is None for one in lives
         ):
             time.sleep(WATCH_S)
-        for live, (width, height) in zip(lives, ((1280, 1040), (390, 1500)), strict=True):
+        for live, (width, height) in zip(lives, ((1280, 1070), (390, 1500)), strict=True):
             photograph_page(live.page, pictures / f"page_{live.name}.png", width, height)
 
     thread = threading.Thread(target=photograph, name="photographer")

@@ -19,7 +19,7 @@ from sim.demo.live import LiveDrive
 from sim.demo.report import cost_matrix, curves, route
 from sim.demo.review import Review
 
-DPI = 64
+DPI = 80
 PAIR_HEIGHT_PX = 150
 SHOT_S = 25.0
 log = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ def write_pictures(
 
 
 def _save(plot: Figure, path: Path) -> Path:
-    plot.savefig(path, format="png", dpi=DPI)
+    plot.savefig(path, format="png", dpi=DPI, bbox_inches="tight")
     return path
 
 

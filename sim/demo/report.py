@@ -142,7 +142,8 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
         step = match.slope if match.direction == "forward" else -match.slope
         axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
-    axes.legend(loc="upper left", fontsize=8, facecolor=GREY)
+    # Below it, since there is data everywhere in it; on grey, or the white ones would not be seen.
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GREY, markerscale=2.5)
     return figure
 
 
