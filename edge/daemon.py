@@ -192,15 +192,16 @@ class Daemon:
         self._times.start()
         began_ns = self._clock_ns()
         self._frames_used += 1
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near())
+        missed = self._sampler.missed
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near(), missed)
         if match is not None and match.accepted and not self._is_whole(match):
             match = None
-        self._tracker.see(match, frame.stamp_ns, distance_m)
+        self._tracker.see(match, frame.stamp_ns, distance_m, missed)
         self._watch.note(frame, match)
         if self._recording is not None:
             self._recording.keep(frame, self._autopilot.vehicle.position(began_ns), distance_m)
         if self._journal and self._config.telemetry.journal_frames:
-            seen = observation(frame.index, frame.stamp_ns, match, self._atlas)
+            seen = observation(frame.index, frame.stamp_ns, match, self._atlas, missed)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
         if match is not None and match.accepted:
             self._newest = match

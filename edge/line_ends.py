@@ -11,6 +11,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from edge.recognizer import PlaceMatch
 from edge.reference_map.route import Drive, Route
 
@@ -53,9 +55,12 @@ class LineEnds:
         self.odometer_m = 0.0
         """Metres driven: by the odometer, or where there is none by the lines' own slopes."""
 
-    def move(self, match: PlaceMatch | None, driven_m: float | None) -> bool:
-        """A frame was used at that reading, None where nobody tells; False when the odometer was counted anew."""
-        goes_on = True
+    def move(self, match: PlaceMatch | None, driven_m: float | None, missed: int = 0) -> bool:
+        """A frame was used at that reading, None where nobody tells; False when the odometer was counted anew.
+
+        missed: places passed before it without a frame, which the line has room for.
+        """
+        goes_on, before_m = True, self.odometer_m
         if driven_m is not None and self._driven_m is not None and driven_m >= self._driven_m:
             self.odometer_m += driven_m - self._driven_m
         elif driven_m is None and match is not None:
@@ -65,7 +70,8 @@ class LineEnds:
             goes_on = False
         self._driven_m = driven_m
         if not self._readings_m or self.odometer_m > self._readings_m[-1]:  # a frame while standing is in no line
-            self._readings_m.append(self.odometer_m)
+            rooms = missed + 1 if self._readings_m else 1
+            self._readings_m.extend(np.linspace(before_m, self.odometer_m, rooms + 1)[1:].tolist())
         return goes_on
 
     def odometer_at(self, driven_m: float | None) -> float | None:

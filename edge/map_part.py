@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map.areas import Ranges
 from edge.reference_map.atlas import Atlas
+from edge.reference_map.costs import COST_ONE
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Order, Plane, SequenceMatch
 from edge.sequence.acceptance import Neighbourhood, best_match
 from edge.sequence.search import SequenceSearch, slopes_around_diagonal
@@ -53,6 +54,10 @@ class MapPart:
         # Where every frame took its better order, the line is said to have that of the newest.
         order = ORDERS[int(costs[-1][:, match.place].argmin())] if self._per_frame_order else match.order
         return replace(match, place=int(self.places[match.place]), order=order)
+
+    def skip(self) -> None:
+        """Take in a row of which nothing is known: every place is as far as one with nothing in common."""
+        self.search.push(np.full((len(ORDERS), len(self.places)), COST_ONE, dtype=np.int32))
 
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
         """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""

@@ -11,17 +11,18 @@ from edge.sequence import Direction, Order
 
 
 class Observation(msgspec.Struct, frozen=True):
-    """The fields after `emitted` are null while there is no match (warming up, standing).
+    """The fields from `place` on are null while there is no match (warming up, standing).
 
-    frame: the camera's index, or the row of the query's feed. map: name of the place's map, where there is a folder of
-    them. place: row of the map. map_row: that place's row in the feed it came from. accepted: the place is believed.
-    emitted: it went out as an event. category: of events.
+    frame: the camera's index, or the row of the query's feed. missed: places passed unseen before it, if any. map: name
+    of the place's map, where there is a folder of them. place: row of the map. map_row: that place's row in the feed it
+    came from. accepted: the place is believed. emitted: it went out as an event. category: of events.
     """
 
     frame: int
     stamp_ns: int
     accepted: bool = False
     emitted: bool = False
+    missed: int | UnsetType = UNSET
     map: str | UnsetType = UNSET
     place: int | None = None
     map_row: int | None = None
@@ -35,16 +36,17 @@ class Observation(msgspec.Struct, frozen=True):
     category: str | None = None
 
 
-def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, atlas: Atlas) -> Observation:
+def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, atlas: Atlas, missed: int = 0) -> Observation:
     """The record of one frame, and of its match on the maps of an atlas."""
     if match is None:
-        return Observation(frame, stamp_ns)
+        return Observation(frame, stamp_ns, missed=missed or UNSET)
     name, row = atlas.locate(match.place)
     return Observation(
         frame=frame,
         stamp_ns=stamp_ns,
         accepted=match.accepted,
         emitted=match.event,
+        missed=missed or UNSET,
         map=name if name is not None else UNSET,
         place=row,
         map_row=atlas.feed_row(match.place),

@@ -81,6 +81,12 @@ class PlaceSearch:
             self._part = self._reach = self._aim = None
             self._part_maps, self._coming_maps = [], []
 
+    def skip(self) -> None:
+        """A place was passed of which there is no frame; the ring that `push` asks for has a row of nothing for it."""
+        self._frame += 1
+        if self._part is not None and not self._is_fresh:
+            self._part.skip()
+
     def push(
         self, change: NormalizedRows, ring: Callable[[], NDArray[np.float32]], near: Near | None
     ) -> SequenceMatch | None:

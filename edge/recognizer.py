@@ -26,6 +26,9 @@ from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
 from edge.sequence import Direction, Order, SequenceMatch
 from edge.sequence.acceptance import HoldOff
 
+MOST_MISSED = 0.5
+"""Of a sequence: beyond, what was seen before says too little of where the vehicle is."""
+
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
 
 
@@ -96,11 +99,14 @@ class PlaceRecognizer:
         self._last_ns: int | None = None
         self.state: State = "warming up"
 
-    def observe(self, image: NDArray[np.uint8], stamp_ns: int, near: Near | None = None) -> PlaceMatch | None:
+    def observe(
+        self, image: NDArray[np.uint8], stamp_ns: int, near: Near | None = None, missed: int = 0
+    ) -> PlaceMatch | None:
         """Take in one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
         stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near: where the
-        autopilot says that the vehicle is; only maps too large to be searched whole make use of it.
+        autopilot says that the vehicle is; only maps too large to be searched whole make use of it. missed: places that
+        were passed since the last frame without one (`Sampler.missed`).
         """
         descriptor = self._config.descriptor
         regions = cut_regions(image, descriptor.regions, descriptor.region_width)
@@ -111,6 +117,7 @@ class PlaceRecognizer:
             self.state = "standing"
             return None
         self._forget_across_gap(stamp_ns)
+        self._skip(missed)
         normalized = self._normalizer.push(raw)
         self._stopwatch("normalization")
         match = self.places.push(normalized, self._normalizer.rows, near)
@@ -166,6 +173,16 @@ class PlaceRecognizer:
             self._normalizer.clear_ring()
             self.places.clear()
         self._last_ns = stamp_ns
+
+    def _skip(self, missed: int) -> None:
+        """Leave room in the ring for places of which there is no frame, or every line would end too far back."""
+        if missed > MOST_MISSED * self._config.sequence.length:
+            self._normalizer.clear_ring()
+            self.places.clear()
+            return
+        for _ in range(missed):
+            if self._normalizer.skip():
+                self.places.skip()
 
     def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
         forward = match.direction == "forward"

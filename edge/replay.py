@@ -45,10 +45,10 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
     _is_whole(recognizer)
     for item in traverse(feed, sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
         if match is not None and match.accepted and not _is_whole(recognizer, match):
             match = None
-        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas)
+        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas, item.missed)
 
 
 def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> bool:

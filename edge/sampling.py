@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from edge.config import SamplingConfig
 
 EARLY = 0.02
@@ -12,6 +14,8 @@ class Sampler:
     """Chooses frames of one traverse, in order."""
 
     def __init__(self, config: SamplingConfig) -> None:
+        self.missed = 0
+        """Places that were passed unseen before the frame taken last: no frame came where one should have been."""
         self._config = config
         self._seen = 0
         self._last: tuple[int, float | None] | None = None
@@ -24,14 +28,20 @@ class Sampler:
             return (self._seen - 1) % self._config.spacing_frames == 0
         if self._last is not None and not self._is_due(stamp_ns, distance_m, *self._last):
             return False
-        if distance_m is not None:
-            # From where the last place should have been, so that the spacing holds on average; anew after a jump.
-            self._due_m += self._config.spacing_m
-            is_next = self._last is not None and self._last[1] is not None
-            if not (is_next and distance_m < self._due_m <= distance_m + self._config.spacing_m):
-                self._due_m = distance_m + self._config.spacing_m
+        if self._config.by == "distance" and distance_m is not None:
+            self._count(distance_m)
         self._last = (stamp_ns, distance_m)
         return True
+
+    def _count(self, distance_m: float) -> None:
+        """Set the next place from where this one should have been, so that the spacing holds on average."""
+        spacing_m = self._config.spacing_m
+        last_m = self._last[1] if self._last is not None else None
+        if last_m is None or distance_m < last_m:
+            self.missed, self._due_m = 0, distance_m + spacing_m
+        else:
+            self.missed = max(0, math.floor((distance_m - self._due_m) / spacing_m + EARLY))
+            self._due_m += (self.missed + 1) * spacing_m
 
     def _is_due(self, stamp_ns: int, distance_m: float | None, last_ns: int, last_m: float | None) -> bool:
         if self._config.by == "distance" and distance_m is not None and last_m is not None:

@@ -93,12 +93,12 @@ class RouteTracker:
         self._rival: _Track | None = None
         self._matched: tuple[int, float, int] = (0, 0.0, 0)  # of the last match that agreed: when, odometer, place
 
-    def see(self, match: PlaceMatch | None, stamp_ns: int, driven_m: float | None) -> None:
+    def see(self, match: PlaceMatch | None, stamp_ns: int, driven_m: float | None, missed: int = 0) -> None:
         """Take in the answer to one used frame; driven_m is the odometer at its exposure, None where nobody tells.
 
-        Without an odometer the line's own slope tells how far the vehicle has come.
+        Without an odometer the line's own slope tells how far the vehicle has come. missed: as `observe` was told.
         """
-        if not self._ends.move(match, driven_m):
+        if not self._ends.move(match, driven_m, missed):
             self.forget()
         self._lose_if_due(stamp_ns)
         if match is None or not match.accepted:

@@ -21,11 +21,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TraverseFrame:
-    """One chosen frame, its row of the feed, and metres driven since the first row (None where unknown)."""
+    """One chosen frame, its row of the feed, metres driven since the first row (None where unknown).
+
+    missed: places passed before it without a frame of the feed.
+    """
 
     frame: Frame
     row: FeedRow
     distance_m: float | None
+    missed: int = 0
 
 
 def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:
@@ -52,7 +56,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
                 return
             distance_m = distances_m[frame.index] if distances_m else None
             if sampler.take(frame.stamp_ns, distance_m):
-                yield TraverseFrame(frame, feed.rows[frame.index], distance_m)
+                yield TraverseFrame(frame, feed.rows[frame.index], distance_m, sampler.missed)
     finally:
         camera.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -110,6 +111,44 @@ def test_standing_still_changes_nothing(network: Network, street_map: ReferenceM
         assert halting.observe(noisy, 20 * FRAME_NS) is None
         assert halting.state == "standing"
     assert drive(halting, frames[20:30], 21 * FRAME_NS)[-1] == expected[-1]
+
+
+def test_places_passed_unseen_leave_room_in_the_line(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    """Three frames are lost on the way: every later line through the hole ends where the vehicle is."""
+    recogniser = recognizer(network, street_map)
+    drive(recogniser, frames[:20])
+    rows = range(23, 23 + LENGTH)
+    matches = [recogniser.observe(frames[row], row * FRAME_NS, missed=3 if row == rows[0] else 0) for row in rows]
+    assert [match.place for match in matches if match] == pytest.approx(list(rows), abs=1)
+
+
+@pytest.mark.parametrize("order", ["rig", "frame"])
+def test_lost_frames_are_the_same_to_a_search_that_begins_anew(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], order: Any
+) -> None:
+    """The ring that is matched again as a whole has the same room in it."""
+    answers = []
+    for renormalize_ring in (True, False):
+        config = msgspec.structs.replace(
+            CONFIG,
+            descriptor=DescriptorConfig(renormalize_ring=renormalize_ring),
+            sequence=SequenceConfig(length=LENGTH, region_order=order),
+        )
+        recogniser = recognizer(network, street_map, config)
+        drive(recogniser, frames[:12])
+        answers.append(recogniser.observe(frames[14], 14 * FRAME_NS, missed=2))
+    assert all(answer and abs(answer.place - 14) <= 1 for answer in answers)
+
+
+def test_when_too_much_was_missed_a_sequence_begins_anew(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    recogniser = recognizer(network, street_map)
+    drive(recogniser, frames[:20])
+    assert recogniser.observe(frames[30], 30 * FRAME_NS, missed=LENGTH // 2 + 1) is None
+    assert recogniser.state == "warming up"
 
 
 @pytest.mark.parametrize("next_s", [100.0, -5.0])

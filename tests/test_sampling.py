@@ -55,3 +55,13 @@ def test_a_jump_is_one_place_not_many() -> None:
 def test_the_first_known_distance_starts_the_count() -> None:
     frames = [(0.0, None), (1.0, 1.6), (2.0, 2.2), (3.0, 3.7)]
     assert taken(SamplingConfig(spacing_m=2.0, interval_s=0.5), frames) == [0, 1, 3]
+
+
+def test_places_passed_without_a_frame_are_counted() -> None:
+    sampler = Sampler(SamplingConfig(spacing_m=2.0))
+    passed = {
+        metres: sampler.missed for metres in (0.0, 2.0, 3.9, 4.1, 9.9, 10.1, 12.0, 0.0, 7.0) if sampler.take(0, metres)
+    }
+    assert passed == {2.0: 0, 4.1: 0, 9.9: 1, 10.1: 0, 12.0: 0, 0.0: 0, 7.0: 2}, (
+        "at 6, and after a new count at 2 and 4"
+    )

@@ -79,13 +79,13 @@ class Drive:
     def driven_m(self) -> float | None:
         return self.frames * SPACING_M if self.odometer else None
 
-    def go(self, frames: int, sees: Callable[[int], PlaceMatch | None] | None = None) -> None:
+    def go(self, frames: int, sees: Callable[[int], PlaceMatch | None] | None = None, missed: int = 0) -> None:
         for _ in range(frames):
             self.frames += 1
             self.stamp_ns += FRAME_NS
             self.place += self.sign
             seen = sees(self.place) if sees else match(self.place, self.direction)
-            self.tracker.see(seen, self.stamp_ns, self.driven_m)
+            self.tracker.see(seen, self.stamp_ns, self.driven_m, missed)
 
     def north_m(self, tracked: TrackedPosition | None) -> float:
         assert tracked is not None
@@ -107,6 +107,16 @@ def test_a_vehicle_is_followed(open_tracker: Callable[..., RouteTracker], direct
     assert tracked is not None
     assert (tracked.heading_deg, tracked.matches, tracked.stamp_ns) == (heading_deg, 30, drive.stamp_ns)
     assert tracked.lon_deg == pytest.approx(153.0, abs=1e-7)
+
+
+def test_places_passed_unseen_are_part_of_the_line(open_tracker: Callable[..., RouteTracker]) -> None:
+    drive = warm(open_tracker())
+    drive.frames += 5
+    drive.place += 5
+    drive.go(1, missed=5)
+    assert drive.north_m(drive.tracker.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
+    drive.go(6)
+    assert drive.north_m(drive.tracker.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
 
 
 def test_it_is_moved_on_by_what_was_driven_since_and_is_then_less_certain(

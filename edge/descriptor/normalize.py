@@ -91,6 +91,18 @@ class OnlineNormalizer:
         self._normalized = self._normalized[-self._length :]
         return change
 
+    def skip(self) -> bool:
+        """Leave a row of NaN for a place of which there is no frame; False at the beginning, which needs none.
+
+        It is all zero to the map, and so as far from every place as another.
+        """
+        if not self._ring:
+            return False
+        nothing = np.full_like(self._ring[0], np.nan)
+        self._ring = [*self._ring[1 - self._length :], nothing]
+        self._normalized = [*self._normalized, nothing][-self._length :]
+        return True
+
     def _change(self, raw: NDArray[np.float32]) -> NormalizedRows:
         if not self._enabled:
             return NormalizedRows(raw[np.newaxis], replaces_ring=False)

@@ -60,8 +60,8 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     drives = MapDrives(reference_map, feed)
     ends = LineEnds(recognizer.route, config.sequence.length)
     for item in traverse(feed, config.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        ends.move(match, item.distance_m)
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
+        ends.move(match, item.distance_m, item.missed)
         if match is not None:
             end = ends.end_of(match)
             beyond_m = end.along_m - float(places["route_m"][match.place]) if end else 0.0
