@@ -20,7 +20,7 @@ from sim import ORIGIN_ALT_M
 from sim.autopilot import SimulatedAutopilot
 from sim.drive import Drive
 from sim.pty_link import PtyLink, open_pty
-from sim.trial.course import JOURNAL, Course, RememberingNetwork, World
+from sim.trial.course import CAMERA_FPS, JOURNAL, Course, RememberingNetwork, World
 from sim.trial.score import RunScore, judge
 
 Origin = tuple[float, float, float]
@@ -29,6 +29,8 @@ DRIFT_PERCENT = 3.0
 WITH_GPS_S = 8.0
 """Of every drive, before the receiver fails: so does the autopilot know where it begins."""
 LONGEST_LATENCY_S = 0.25
+HOLES, LONGEST_HOLE_S = 20, 1.5
+"""Times on each drive at which no picture comes for a while, as on a computer that is busy with something else."""
 START_OFF_M = 20.0
 """Standard deviation of where an origin is set, east and north of where the vehicle starts, if it has no GPS at all."""
 
@@ -54,17 +56,21 @@ class SimulatedClock:
 
 
 class PlayedFrames:
-    """A feed as a camera whose pictures arrive some time after their exposure; taking one moves all time on."""
+    """A feed as a camera whose pictures arrive some time after their exposure, or not; taking one moves all time on."""
 
     def __init__(
-        self, feed: Feed, clock: SimulatedClock, autopilot: SimulatedAutopilot, latencies_s: list[float]
+        self, feed: Feed, clock: SimulatedClock, autopilot: SimulatedAutopilot, rng: np.random.Generator
     ) -> None:
         self._images = FeedImages(feed)
         self._feed = feed
         self._clock = clock
         self._autopilot = autopilot
         self._epoch_ns = clock.now_ns
-        self._latencies_ns = [round(latency_s * 1e9) for latency_s in latencies_s]
+        self._latencies_ns = (rng.uniform(0.03, LONGEST_LATENCY_S, len(feed.rows)) * 1e9).astype(int).tolist()
+        lost = np.zeros(len(feed.rows), dtype=bool)
+        for at in rng.integers(len(feed.rows), size=HOLES):
+            lost[at : at + round(rng.uniform(0.0, LONGEST_HOLE_S) * CAMERA_FPS)] = True
+        self._rows = np.flatnonzero(~lost).tolist()
         self._next = 0
 
     @property
@@ -75,7 +81,7 @@ class PlayedFrames:
     @property
     def ended(self) -> bool:
         """See NewestFrame."""
-        return self._next >= len(self._feed.rows)
+        return self._next >= len(self._rows)
 
     def take(self, timeout_s: float) -> Frame | None:
         """Let `timeout_s` pass, for the autopilot as well; the frame that has arrived meanwhile."""
@@ -84,7 +90,7 @@ class PlayedFrames:
             self._autopilot.step()
         if self.ended:
             return None
-        row = self._next
+        row = self._rows[self._next]
         stamp_ns = self._epoch_ns + self._feed.rows[row].stamp_ns
         if stamp_ns + self._latencies_ns[row] > self._clock.now_ns:
             return None
@@ -107,8 +113,7 @@ def drive_home(
     with ExitStack() as parts:
         link = parts.enter_context(closing(open_pty()))
         autopilot, origin = seeded_autopilot(link, drive, epoch_s, clock, rng, rules)
-        latencies_s = rng.uniform(0.03, LONGEST_LATENCY_S, len(world.feed.rows)).tolist()
-        frames = PlayedFrames(world.feed, clock, autopilot, latencies_s)
+        frames = PlayedFrames(world.feed, clock, autopilot, rng)
         config = trial_config(world, course, link, journal, rules.emit, origin)
         daemon = Daemon(config, parts, clock, frames=frames, network=network)
         while daemon.turn():
