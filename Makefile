@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test soak check bench bench-quick clean
+.PHONY: demo test soak check lint smoke bench bench-quick clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -14,11 +14,14 @@ test: $(VENV)/.dev
 soak: $(VENV)/.dev
 	$(BIN)/python -m pytest -m soak tests/faults
 
-check: $(VENV)/.dev
+check: lint test smoke
+
+lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+
+smoke: $(VENV)/.dev
 	$(BIN)/lookback demo -o demo --require-good
 
 bench: $(VENV)/.dev
