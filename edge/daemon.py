@@ -287,8 +287,7 @@ def _run(args: argparse.Namespace) -> int:
         if not opened.is_set():
             raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
 
-    when_told_to_stop(told_to_stop)
-    with naming(args.config):
+    with when_told_to_stop(told_to_stop), naming(args.config):
         stopped = run(config, stop, opened.set)
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0

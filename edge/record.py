@@ -173,8 +173,7 @@ def _existing(path: Path) -> Path:
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     stop = threading.Event()
-    when_told_to_stop(stop.set)
-    with naming(args.config):
+    with when_told_to_stop(stop.set), naming(args.config):
         done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)
     return 1 if done.why == "disk nearly full" else 0

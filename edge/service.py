@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 STOPS = (signal.SIGTERM, signal.SIGINT)
@@ -45,20 +46,29 @@ class Supervision:
             notify("WATCHDOG=1", wait_s=0.0)
 
 
-def when_told_to_stop(then: Callable[[], object]) -> None:
+@contextlib.contextmanager
+def when_told_to_stop(then: Callable[[], object]) -> Iterator[None]:
     """Call `then` at the first SIGTERM or SIGINT; any that follow do nothing.
 
     They come in pairs (timeout(1) sends two), and the second would interrupt the handling of the first: an Event, whose
     lock is taken while it is being set, would be waited for without end.
     """
+    told = False
 
     def handle(number: int, at: FrameType | None) -> None:
+        nonlocal told
+        told = True
         for each in STOPS:
             signal.signal(each, signal.SIG_IGN)
         then()
 
-    for each in STOPS:
-        signal.signal(each, handle)
+    before = [signal.signal(each, handle) for each in STOPS]
+    try:
+        yield
+    finally:
+        if not told:  # else they stay ignored until the process is gone
+            for each, handler in zip(STOPS, before, strict=True):
+                signal.signal(each, handler)
 
 
 def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
