@@ -52,7 +52,7 @@ def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, tmp_path: P
     reference_map = open_map(tmp_path / "map")
     network = Network.load()
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
-    lines = list(replay(recognizer, query, plan.sampling, list(range(FRAMES))))
+    lines = list(replay(recognizer, query, plan.sampling))
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
     uniqueness = [line.uniqueness for line in lines[LENGTH - 1 :]]
