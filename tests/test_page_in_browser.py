@@ -100,7 +100,7 @@ def autopilot(config: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            process.send_signal(signal.SIGINT)
+            process.terminate()  # not SIGINT, which a program that was started in the background ignores
 
 
 def is_up(url: str) -> bool:
