@@ -121,13 +121,18 @@ class PositionSender:
 
     def _situation(self, fix: PlaceFix, now_ns: int) -> Situation:
         vehicle = self._vehicle
-        confirmed = self._witnesses.confirm(fix, vehicle.reckoned(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns))
+        position, uncertainty_m = vehicle.position(now_ns), self.uncertainty_m(now_ns)
+        # Only then does it matter, and this is asked with every turn while a fix waits.
+        may_be_anywhere = position is None or uncertainty_m is None
+        confirmed = may_be_anywhere and self._witnesses.confirm(
+            fix, vehicle.reckoned(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
+        )
         return Situation(
             now_ns,
             vehicle.gps_healthy(now_ns),
             vehicle.speed_mps(now_ns),
-            vehicle.position(now_ns),
-            self.uncertainty_m(now_ns),
+            position,
+            uncertainty_m,
             self._last_sent_ns,
             confirmed,
         )
