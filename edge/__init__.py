@@ -1,20 +1,26 @@
-"""Lookback: tells an autopilot where it is by recognising places, seen from behind, in other light.
+"""Lookback recognizes places that were seen from behind, in other light, and sends an autopilot its position.
 
-The folders in alphabetical order are the data path; each hands a plain record to the next:
+A frame goes through these rooms in this order, and none calls back; each hands a plain record to the next:
 
     camera/         -> Frame            image (H, W, 3), stamp_ns, index
-    descriptor/     -> (R, D) float32   fc6 of R regions, D = 4096, raw and normalised (NSD)
+    feed/           recorded traverses  read, written, sampled
+    descriptor/     -> (R, D) float32   fc6 of R regions, D = 4096, raw and normalized (NSD)
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
     sequence/       -> SequenceMatch    the best line through the last L cost rows, accepted or off the map
-    telemetry/      -> the robot        words, positions, journal, live page
+    localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
+    telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
+    journal/        what happened, a JSON object a line
+    health/         the daemon's state, and systemd
+    page/           the live page
+    commands/       run, map, replay, record, doctor, ...
 
-The files beside them, by what they are for:
+The files beside them:
 
-    one frame       recognizer (read it first), place_search, map_part, map_scan, line_ends, tracking, place_fixes
-    the daemon      daemon, condition, health, memory, kept_state, live_status, recording, service, stage_times
-    commands        map_command (map_files, shrinking, signing_commands), model_command, replay, record, check,
-                    completion, doctor (doctor_autopilot, finding)
-    below all       errors, config, sampling, traverse, observation
+    recognizer      one frame in, one answer out: the file to read first
+    daemon          opens the parts that the config names, and runs the loop
+    config          the one TOML file
+    warm_start      what is kept from one run to the next
+    errors          everything that can go wrong, in three kinds
 """
 
 __version__ = "0.1.0"

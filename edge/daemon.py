@@ -19,24 +19,24 @@ import msgspec
 
 from edge.camera import Frame, open_camera
 from edge.camera.newest import CameraHealth, NewestFrame
-from edge.condition import Condition
 from edge.config import Config, load_config, naming
 from edge.descriptor.network import Head, Network
-from edge.live_status import LiveStatus, open_page
-from edge.memory import Memory
-from edge.observation import observation
-from edge.place_fixes import place_fix, tracked_fix
-from edge.place_search import Near
+from edge.feed.recorder import RunRecording
+from edge.feed.sampling import Sampler
+from edge.health.monitor import HealthMonitor
+from edge.health.service import Supervision, notify, when_told_to_stop
+from edge.health.stage_times import StageTimes
+from edge.journal.frame_record import observation
+from edge.journal.journal import Journal
+from edge.localization.place_fix import place_fix, tracked_fix
+from edge.localization.route_tracker import RouteTracker
+from edge.page.snapshot import LiveStatus, open_page
 from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.recording import RunRecording
-from edge.reference_map.atlas import log_left_out, open_atlas
+from edge.reference_map.map_set import log_left_out, open_map_set
 from edge.reference_map.signature import check_signatures
-from edge.sampling import Sampler
-from edge.service import Supervision, notify, when_told_to_stop
-from edge.stage_times import StageTimes
+from edge.sequence.place_search import Near
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.journal import Journal
-from edge.tracking import RouteTracker
+from edge.warm_start import WarmStart
 
 TURN_S = 0.02  # at most this long between looks at the MAVLink port
 CLOSE_S = 1.5  # a camera that does not let go must not keep the program from ending
@@ -114,18 +114,18 @@ class Daemon:
             closing(AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates))
         )
         # Opened first, so that whatever else cannot be opened is told.
-        self.condition = Condition(self._autopilot, self._journal, clock_ns, config.gates.min_speed_mps)
+        self.condition = HealthMonitor(self._autopilot, self._journal, clock_ns, config.gates.min_speed_mps)
         with self.condition.failures():
             self._open(parts, network, frames)
 
     def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
         config = self._config
         network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        self._atlas = parts.enter_context(closing(open_atlas(Path(config.map.path), self._tell_left_out)))
+        self._atlas = parts.enter_context(closing(open_map_set(Path(config.map.path), self._tell_left_out)))
         if config.map.require_signature_by:
             check_signatures(self._atlas, Path(config.map.require_signature_by))
         self._recognizer = PlaceRecognizer(network, Head.load(network), self._atlas, config, self._times.lap)
-        self._memory = Memory(config, self._recognizer)
+        self._memory = WarmStart(config, self._recognizer)
         self._sampler = Sampler(config.sampling)
         self._tracker = RouteTracker(self._recognizer.route, config.tracking, config.rig, config.sequence.length)
         self._newest: PlaceMatch | None = None

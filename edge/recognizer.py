@@ -18,13 +18,13 @@ from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
 from edge.errors import MapError
-from edge.place_search import Near, PlaceSearch
-from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import COST_ONE
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
 from edge.sequence import Direction, Order, SequenceMatch
 from edge.sequence.acceptance import HoldOff
+from edge.sequence.place_search import Near, PlaceSearch
 
 MOST_MISSED = 0.5
 """Of a sequence: beyond, what was seen before says too little of where the vehicle is."""
@@ -37,7 +37,7 @@ class PlaceMatch:
     """What one used frame says.
 
     place: row of the map that looks most like here, even where it is not believed; in a folder of maps, counted
-    through all of them (`Atlas.locate`).
+    through all of them (`MapSet.locate`).
     lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
     slope: places passed a frame. distance: mean cosine distance along the line.
     uniqueness: 1 is ambiguous, see `edge.sequence`.
@@ -69,7 +69,7 @@ class PlaceRecognizer:
         self,
         network: Network,
         head: Head,
-        maps: ReferenceMap | Atlas,
+        maps: ReferenceMap | MapSet,
         config: Config,
         stopwatch: Callable[[str], None] = lambda stage: None,
     ) -> None:
@@ -77,7 +77,7 @@ class PlaceRecognizer:
 
         Maps that do not fit the config are left out; MapError if none does.
         """
-        self.atlas = maps if isinstance(maps, Atlas) else Atlas.of(maps)
+        self.atlas = maps if isinstance(maps, MapSet) else MapSet.of(maps)
         for index, (folder, header) in enumerate(zip(self.atlas.folders, self.atlas.headers, strict=True)):
             try:
                 _check_fit(model_key(network), folder, header, config)

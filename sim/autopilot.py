@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.fixes import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from sim import Pose
 from sim.autopilot_messages import ENCODERS, Knowledge

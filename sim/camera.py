@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.camera import Camera, Frame
-from edge.camera.feed import read_feed
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge.feed import read_feed
 from sim.drive import Drive
 from sim.scenario import Scenario, load_scenario
 

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from edge.errors import ConfigError, FeedError
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 from sim.evaluation.trajectories import Fix, tum
 
 EVENT, SEEN = "place", "frame"

@@ -19,14 +19,14 @@ from pathlib import Path
 import msgspec
 import tomli_w
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import add_spacing_options, build_map, sampling_from
+from edge.commands.replay import config_for_map, replay
 from edge.config import DescriptorConfig, SamplingConfig, SequenceConfig, checked_option
 from edge.descriptor.network import Head, Network
 from edge.errors import ConfigError
-from edge.map_command import add_spacing_options, build_map, sampling_from
+from edge.feed import read_feed
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
-from edge.replay import config_for_map, replay
 
 if sys.version_info >= (3, 11):
     import tomllib

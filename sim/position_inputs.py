@@ -9,7 +9,7 @@ import pymap3d
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import Message
-from edge.telemetry.fixes import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.dead_reckoning import DeadReckoning
 from sim.firmware import Firmware

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.camera.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.camera import open_renderer
 from sim.drive import Drive

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 import tomli_w
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
-from edge.map_command import build_map
+from edge.feed import read_feed
+from edge.journal.journal import read_journal
 from edge.recognizer import model_key
-from edge.reference_map.build import MapBuilder, Place
-from edge.reference_map.split import split_map
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
-from edge.telemetry.journal import read_journal
+from edge.reference_map.tiles import split_map
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.autopilot import SimulatedAutopilot
 from sim.pty_link import PtyLink, open_pty

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 import tomli_w
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.map_command import build_map
+from edge.feed import read_feed
+from edge.journal.journal import read_journal
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.journal import read_journal
 from sim.pty_link import PtyLink, open_pty
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]

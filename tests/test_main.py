@@ -85,7 +85,7 @@ def test_a_map_of_another_model_or_other_regions(
 
     from edge.config import SamplingConfig
     from edge.descriptor.normalize import normalize
-    from edge.reference_map.build import MapBuilder
+    from edge.reference_map.builder import MapBuilder
     from edge.reference_map.store import ModelKey, open_map
 
     original = open_map(street_map)
@@ -93,7 +93,7 @@ def test_a_map_of_another_model_or_other_regions(
     with MapBuilder(tmp_path / "other.map", other, original.header.regions, SamplingConfig()) as builder:
         builder.begin_segment("x", "front")
         for index, raw in enumerate(original.raw()):
-            from edge.reference_map.build import Place
+            from edge.reference_map.builder import Place
 
             builder.add(raw.astype("f4"), Place(row=index))
         builder.finish(normalize, "test")

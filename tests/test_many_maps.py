@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import NormalizedRows, normalize
 from edge.errors import MapError
-from edge.place_search import MOST_MAPS, OPENED_A_FRAME, Near, PlaceSearch
-from edge.reference_map.atlas import SPARE, Atlas, open_atlas
-from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.map_set import SPARE, MapSet, open_map_set
 from edge.reference_map.route import Route
-from edge.reference_map.split import split_map
 from edge.reference_map.store import DESCRIPTORS, PLACES, ModelKey, RegionsKey, open_map
+from edge.reference_map.tiles import split_map
 from edge.sequence import SequenceMatch
+from edge.sequence.place_search import MOST_MAPS, OPENED_A_FRAME, Near, PlaceSearch
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800
@@ -92,7 +92,7 @@ def look_at(path: Path) -> Look:
 class Drive:
     """Feeds a search with one place after another, as the recogniser does."""
 
-    def __init__(self, atlas: Atlas, look: Look, config: Config = CONFIG) -> None:
+    def __init__(self, atlas: MapSet, look: Look, config: Config = CONFIG) -> None:
         self.atlas = atlas
         self.search = PlaceSearch(atlas, config)
         self._look = look
@@ -116,7 +116,7 @@ def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> Near:
 
 
 def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
-    whole, atlas = open_map(city / "whole.map"), open_atlas(city / "tiles")
+    whole, atlas = open_map(city / "whole.map"), open_map_set(city / "tiles")
     tiles = [open_map(folder, every_file=True) for folder in atlas.folders]
     assert atlas.numbering.places == PLACES_OF_ALL
     assert max(len(tile.places) for tile in tiles) <= 300 + 63
@@ -130,7 +130,7 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
     assert [atlas.numbering.segment(number) for number in range(3)] == [(0, 2500), (2500, 5000), (5000, 6000)]
     atlas.opened([(0, PLACES_OF_ALL)])
     somewhere = [(1500, 1900)]
-    metres = Atlas.of(whole).east_north_m(somewhere)
+    metres = MapSet.of(whole).east_north_m(somewhere)
     np.testing.assert_array_equal(atlas.east_north_m(somewhere), metres)
     for tile in tiles:
         assert (tile.path / "statistics.f64").read_bytes() == (city / "whole.map/statistics.f64").read_bytes()
@@ -162,10 +162,10 @@ def test_tiles_give_the_same_matches_as_their_map(
     def near(place: int) -> Near | None:
         return None if tells == "nothing" else close_to(place, radius_m, off_m)
 
-    atlas = open_atlas(city / "tiles")
+    atlas = open_map_set(city / "tiles")
     # All bounds known and all tiles open, so that not even that differs.
     atlas.opened([(0, PLACES_OF_ALL)])
-    whole = Drive(Atlas.of(open_map(city / "whole.map")), look, config)
+    whole = Drive(MapSet.of(open_map(city / "whole.map")), look, config)
     tiles = Drive(atlas, look, config)
     atlas.opened([(0, PLACES_OF_ALL)])
     for place in places:
@@ -178,7 +178,7 @@ def test_tiles_give_the_same_matches_as_their_map(
 @settings(max_examples=100, deadline=None)
 @given(place=st.integers(0, PLACES_OF_ALL - 1), offset_m=st.floats(-600, 600))
 def test_a_position_along_a_drive_crosses_borders(city: Path, place: int, offset_m: float) -> None:
-    whole, tiles = Route(Atlas.of(open_map(city / "whole.map"))), Route(open_atlas(city / "tiles"))
+    whole, tiles = Route(MapSet.of(open_map(city / "whole.map"))), Route(open_map_set(city / "tiles"))
     assert tiles.position(place, offset_m) == whole.position(place, offset_m)
     along_m = whole.route_m(place) + offset_m
     assert tiles.reaches(place, along_m) == whole.reaches(place, along_m)
@@ -190,7 +190,7 @@ def test_a_position_along_a_drive_crosses_borders(city: Path, place: int, offset
 
 def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look) -> None:
     """With a position, and without once the place is found: tiles are opened ahead, and closed behind."""
-    drive = Drive(open_atlas(city / "tiles"), look)
+    drive = Drive(open_map_set(city / "tiles"), look)
     passed = range(200, 2300)
     matches = drive.go(passed, close_to if known else lambda place: None)
     first = next(at for at, match in enumerate(matches) if match and match.accepted)
@@ -207,7 +207,7 @@ def test_only_headers_are_read_at_the_start(city: Path, known: bool, look: Look,
     """All other files are missing, but for those of the tiles where the vehicle is."""
     shutil.copytree(city / "tiles", tmp_path / "tiles")
     told: list[str] = []
-    atlas = open_atlas(tmp_path / "tiles", lambda name, why: told.append(name))
+    atlas = open_map_set(tmp_path / "tiles", lambda name, why: told.append(name))
     driven = range(1200, 1240)
     places = open_map(city / "whole.map").places
     for index, folder in enumerate(atlas.folders):
@@ -230,7 +230,7 @@ def test_only_headers_are_read_at_the_start(city: Path, known: bool, look: Look,
 
 
 def test_a_scan_opens_few_at_a_time(city: Path, look: Look) -> None:
-    drive = Drive(open_atlas(city / "tiles"), look)
+    drive = Drive(open_map_set(city / "tiles"), look)
     first = drive.go(range(4100, 4100 + LENGTH + PLACES_OF_ALL // (LIMIT // 8)))
     assert any(match and match.accepted for match in first)
     assert drive.most_open <= SPARE + 2
@@ -242,7 +242,7 @@ def test_no_frame_opens_many(city: Path, known: bool, look: Look, tmp_path: Path
         pytest.skip("needs positions")
     config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=2400))
     split_map(open_map(city / "whole.map"), tmp_path / "small", 64)
-    atlas = open_atlas(tmp_path / "small")
+    atlas = open_map_set(tmp_path / "small")
     drive = Drive(atlas, look, config)
     opened = []
     for place in range(1250, 1250 + LENGTH + 30):
@@ -254,7 +254,7 @@ def test_no_frame_opens_many(city: Path, known: bool, look: Look, tmp_path: Path
     assert max(opened) > 2 * SPARE
     assert match is not None
     assert match.accepted
-    huge = Drive(open_atlas(city / "tiles"), look, config)
+    huge = Drive(open_map_set(city / "tiles"), look, config)
     huge.see(1250, close_to(1250, 90_000.0))
     assert huge.atlas.open_count == 0  # too many for a frame, as the headers say
 
@@ -272,8 +272,8 @@ def test_a_damaged_tile_is_left_out_with_one_line(
     data[len(data) // 2] ^= 1
     (damaged / file).write_bytes(data)
     told: list[tuple[str, str]] = []
-    atlas = open_atlas(tmp_path / "tiles", lambda name, why: told.append((name, why)))
-    first, last = open_atlas(city / "tiles").numbering.starts[3:5]
+    atlas = open_map_set(tmp_path / "tiles", lambda name, why: told.append((name, why)))
+    first, last = open_map_set(city / "tiles").numbering.starts[3:5]
     missing = last - first if file == "map.json" else 0  # a tile without a header is not counted
     drive = Drive(atlas, look)
     believed = []
@@ -298,7 +298,7 @@ def test_a_map_that_was_replaced_meanwhile_is_left_out(city: Path, look: Look, t
     """What model, cut and signature were asked of at the start is what is opened."""
     shutil.copytree(city / "tiles", tmp_path / "tiles")
     told: list[str] = []
-    atlas = open_atlas(tmp_path / "tiles", lambda name, why: told.append(why))
+    atlas = open_map_set(tmp_path / "tiles", lambda name, why: told.append(why))
     shutil.rmtree(tmp_path / "tiles" / "04")
     (tmp_path / "tiles" / "05").rename(tmp_path / "tiles" / "04")
     start, _, end, _ = atlas.numbering.starts[3:7]
@@ -314,7 +314,7 @@ def test_a_name_that_is_no_text_is_told_all_the_same(city: Path, tmp_path: Path)
     for folder in (name, "2"):
         shutil.copytree(city / "tiles" / "03", tmp_path / "maps" / folder)
     told: list[tuple[str, str]] = []
-    atlas = open_atlas(tmp_path / "maps", lambda *what: told.append(what))
+    atlas = open_map_set(tmp_path / "maps", lambda *what: told.append(what))
     assert {atlas.locate(place)[0] for place in (0, 300)} == {"2", "?1"}
     (tmp_path / "maps" / name / PLACES).unlink()
     atlas.opened([(0, atlas.numbering.places)])
@@ -328,7 +328,7 @@ def test_very_many_tiny_maps_do_not_use_up_the_open_files(city: Path, known: boo
     tile = tmp_path / "small" / "00"
     for number in range(MOST_MAPS + 1):
         shutil.copytree(tile, tmp_path / "many" / f"{number:03}")
-    atlas = open_atlas(tmp_path / "many")
+    atlas = open_map_set(tmp_path / "many")
     drive = Drive(atlas, look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=20_000)))
     drive.go(range(0, MOST_MAPS + 50), lambda place: close_to(0) if known else None)
     assert drive.most_open <= MOST_MAPS
@@ -341,12 +341,12 @@ def test_nothing_left_to_use_is_an_error(city: Path, look: Look, tmp_path: Path)
         (tmp_path / "maps" / str(number) / PLACES).unlink()
     told: list[str] = []
     with pytest.raises(MapError, match="none of its 2 maps can be used"):
-        PlaceSearch(open_atlas(tmp_path / "maps", lambda name, why: told.append(name)), CONFIG)
+        PlaceSearch(open_map_set(tmp_path / "maps", lambda name, why: told.append(name)), CONFIG)
     assert told == ["0", "1"]
     for number in range(2):
         (tmp_path / "maps" / str(number) / "map.json").write_bytes(b"{}")
     with pytest.raises(MapError, match="none of its 2 maps can be used"):
-        open_atlas(tmp_path / "maps", lambda name, why: None)
+        open_map_set(tmp_path / "maps", lambda name, why: None)
 
 
 def test_maps_of_places_far_apart(tmp_path: Path) -> None:
@@ -354,7 +354,7 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     build(tmp_path / "maps" / "home", 1, 1500)
     build(tmp_path / "maps" / "there", 2, 1500, lat_deg=51.0, lon_deg=179.999)
     build(tmp_path / "maps" / "unknown", 3, 1500, known=False)
-    atlas = open_atlas(tmp_path / "maps")
+    atlas = open_map_set(tmp_path / "maps")
     assert [atlas.locate(place) for place in (0, 1499, 1500, 4499)] == [
         ("home", 0),
         ("home", 1499),
@@ -377,7 +377,7 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     np.testing.assert_allclose(steps_m, SPACING_M, rtol=0.01)
     # On a map without positions only a scan finds the vehicle, and then it is followed there, whatever is told.
     unknown = look_at(tmp_path / "maps" / "unknown")
-    lost = Drive(open_atlas(tmp_path / "maps"), lambda place: unknown(place - 3000))
+    lost = Drive(open_map_set(tmp_path / "maps"), lambda place: unknown(place - 3000))
     answers = lost.go(range(3200, 3400), lambda place: close_to(0))
     believed = [
         (match.place, place)

@@ -16,21 +16,21 @@ import pytest
 import tomli_w
 
 from edge.__main__ import main
-from edge.camera.feed import read_feed
 from edge.camera.newest import CameraHealth
+from edge.commands.doctor import examine
+from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig
 from edge.descriptor.network import Head, Network
-from edge.doctor import examine
-from edge.live_status import LiveStatus, map_view
+from edge.feed import read_feed
+from edge.feed.traverse import traverse
+from edge.health.stage_times import StageTimes
+from edge.journal.journal import read_journal
+from edge.page.snapshot import LiveStatus, map_view
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.atlas import open_atlas
+from edge.reference_map.map_set import open_map_set
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
-from edge.replay import config_for_map, replay
-from edge.stage_times import StageTimes
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.journal import read_journal
-from edge.traverse import traverse
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 60
 
@@ -115,7 +115,7 @@ def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     network, feed = Network.load(), read_feed(street / "last")
 
     def told(path: Path) -> list[str]:
-        recognizer = PlaceRecognizer(network, Head.load(network), open_atlas(path), config)
+        recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(path), config)
         lines = replay(recognizer, feed, SamplingConfig(by="frames"))
         return [str(line.map) for line in lines if line.accepted]
 
@@ -194,7 +194,7 @@ def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsy
 
 
 def test_the_page_shows_where_the_maps_are(street: Path) -> None:
-    atlas = open_atlas(street / "tiles")
+    atlas = open_map_set(street / "tiles")
     view = map_view(atlas)
     assert atlas.open_count == 0
     assert view.places == FRAMES
@@ -202,7 +202,7 @@ def test_the_page_shows_where_the_maps_are(street: Path) -> None:
     assert south == pytest.approx(-27 + BORDER * 2 / 110_800)
     assert north == pytest.approx(-27 + 79 * 2 / 110_800)
     assert (west, east) == (153.0, 153.0)
-    whole = open_atlas(street / "map")
+    whole = open_map_set(street / "map")
     assert [view.thumbnail(place) for place in (0, 63, 64, 79)] == [whole.thumbnail(place) for place in (0, 63, 64, 79)]
 
 
@@ -213,7 +213,7 @@ def test_the_page_says_which_map(street: Path, tmp_path: Path) -> None:
         config, telemetry=telemetry, map=MapConfig(path="city"), sampling=SamplingConfig(by="frames")
     )
     network = Network.load()
-    recognizer = PlaceRecognizer(network, Head.load(network), open_atlas(street / "tiles"), config)
+    recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(street / "tiles"), config)
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         camera = CameraHealth("running", "", 0)
         status = LiveStatus(config, "a model", recognizer, StageTimes(), lambda: camera, autopilot, None, lambda: 0)
@@ -241,7 +241,7 @@ def test_a_tile_of_a_tile_follows_on(street: Path, tmp_path: Path) -> None:
     assert main(["map", "split", str(street / "tiles" / "0"), "-o", str(tmp_path / "x"), "--places", "63"]) == 0
     (tmp_path / "x" / "0").rename(tmp_path / "x" / "0again")
     shutil.copytree(street / "tiles" / "1", tmp_path / "x" / "1")
-    atlas = open_atlas(tmp_path / "x")
+    atlas = open_map_set(tmp_path / "x")
     assert atlas.numbering.segment(0) == (0, FRAMES)
     shutil.copytree(street / "map", tmp_path / "x" / "0between")
-    assert open_atlas(tmp_path / "x").numbering.whole(0) == (0, BORDER)
+    assert open_map_set(tmp_path / "x").numbering.whole(0) == (0, BORDER)

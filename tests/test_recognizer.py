@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.camera.feed import Feed, FeedImages, read_feed
+from edge.commands.map_build import build_map
 from edge.config import (
     AcceptanceConfig,
     CameraConfig,
@@ -22,7 +22,7 @@ from edge.config import (
 )
 from edge.descriptor.network import Head, Network
 from edge.errors import MapError
-from edge.map_command import build_map
+from edge.feed import Feed, FeedImages, read_feed
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.store import ReferenceMap, open_map
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from edge.camera import Camera, Frame
+from edge.camera.frame import Camera, Frame
 from edge.errors import FrameError, LookbackError, LostError, SetupError
 
 FIRST_BACK_OFF_S = 0.5

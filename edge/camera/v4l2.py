@@ -18,7 +18,7 @@ from typing import Final, Protocol
 import cv2
 import numpy as np
 
-from edge.camera import Frame
+from edge.camera.frame import Frame
 from edge.camera.settings import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError

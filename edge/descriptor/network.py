@@ -16,14 +16,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import (
-    FC6_FILE,
-    HEAD_FILE,
-    ModelFile,
-    ModelInfo,
-    read_model_file,
-    resolve_model,
-)
+from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelFile, ModelInfo, read_model_file, resolve_model
 from edge.errors import ModelError
 
 IMAGE = "image"

@@ -19,7 +19,7 @@ import numkong
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.reference_map.projection import project
+from edge.reference_map.pca import project
 from edge.reference_map.store import ReferenceMap
 
 # Its int8 kernels for ARM's SME gave wrong products under an emulator; all others, up to SVE2 and AVX-512, agree.

@@ -11,7 +11,7 @@ import pymap3d
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from edge.reference_map.atlas import Atlas
+    from edge.reference_map.map_set import MapSet
 
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
@@ -48,7 +48,7 @@ class Drive:
 class Route:
     """The drives of an atlas as lines on the ground."""
 
-    def __init__(self, atlas: Atlas) -> None:
+    def __init__(self, atlas: MapSet) -> None:
         self._atlas = atlas
         self._drives: dict[tuple[int, int], Drive] = {}  # those asked for, the one of longest ago first
 

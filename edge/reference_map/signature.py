@@ -14,7 +14,7 @@ from types import ModuleType
 import msgspec
 
 from edge.errors import ConfigError, MapError
-from edge.reference_map.atlas import Atlas
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
@@ -52,7 +52,7 @@ def sign_map(path: Path, key_file: Path) -> None:
         raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
 
 
-def check_signatures(atlas: Atlas, key_file: Path) -> None:
+def check_signatures(atlas: MapSet, key_file: Path) -> None:
     """Leave out the maps that the owner of the public key has not signed. MapError, ConfigError for the key."""
     for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
         try:

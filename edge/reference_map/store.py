@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.reference_map.checksums import Checksums, FileKey
 from edge.reference_map.extent import Bounds, TileOf, check_extent
-from edge.reference_map.verification import FileKey, Verification
 
 FORMAT = "lookback-map"
 VERSION = 3
@@ -171,15 +171,15 @@ def read_thumbnail(path: Path, row: int) -> bytes:
         raise MapError(f"{path / PLACES}: too short; build or copy the map again") from None
 
 
-def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceMap, Verification]:
-    """Open a map of which header, sizes and small files hold; the large files are left to the Verification.
+def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceMap, Checksums]:
+    """Open a map of which header, sizes and small files hold; the large files are left to `Checksums`.
 
     Until that is done, nothing that the map says may be told to anyone. Raises MapError.
     """
     header = read_header(path)
     _check_sizes(path, header)
     wanted = [name for name in sorted(header.files) if every_file or name in MATCHING_FILES]
-    Verification(path, header.files, [name for name in wanted if name not in LARGE_FILES]).finish()
+    Checksums(path, header.files, [name for name in wanted if name not in LARGE_FILES]).finish()
     regions, kept = header.regions.count, header.dimensions
     projection = None
     try:
@@ -189,7 +189,7 @@ def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceM
             projection = np.fromfile(path / PROJECTION, dtype="<f4").reshape(kept, header.model.dimensions)
     except OSError as error:  # too many open files, or no memory to map it
         raise MapError(f"{path}: cannot open it: {error.strerror}") from None
-    later = Verification(path, header.files, [name for name in wanted if name in LARGE_FILES])
+    later = Checksums(path, header.files, [name for name in wanted if name in LARGE_FILES])
     return ReferenceMap(path, header, descriptors, places, projection), later
 
 

@@ -10,16 +10,16 @@ from typing import Literal
 
 Direction = Literal["forward", "reverse"]
 Order = Literal["same", "swapped"]
-Plane = tuple[Direction, Order]
+Alignment = tuple[Direction, Order]
 """How a line runs through the cost matrix, and which of the two costs of a place it adds up."""
 
 ORDERS: tuple[Order, ...] = ("same", "swapped")
 """Rows of a cost row, in this order."""
 
-VIEWS_ALIKE: tuple[Plane, ...] = (("forward", "same"), ("reverse", "swapped"))
+VIEWS_ALIKE: tuple[Alignment, ...] = (("forward", "same"), ("reverse", "swapped"))
 """What can occur if both cameras look ahead, or both back."""
 
-VIEWS_OPPOSED: tuple[Plane, ...] = (("forward", "swapped"), ("reverse", "same"))
+VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "same"))
 """What can occur if one camera looks ahead and one back: on the way back along the map the two look the same way."""
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import ORDERS, Direction, Plane
+from edge.sequence import ORDERS, Alignment, Direction
 
 NO_LINE = np.iinfo(np.int32).max
 """Cost of a place at which no whole line ends."""
@@ -93,7 +93,7 @@ class SequenceSearch:
     def __init__(
         self,
         segments: Sequence[tuple[int, int]],
-        planes: Sequence[Plane],
+        planes: Sequence[Alignment],
         length: int,
         slopes: Sequence[float],
         possible: NDArray[np.bool_] | None = None,
@@ -182,7 +182,7 @@ class SequenceSearch:
         reaches = [_rounded(slope, self._frame) - _rounded(slope, first) for slope in self._slopes]
         return np.array(reaches, dtype=np.int32)
 
-    def recent(self, plane: Plane) -> NDArray[np.int32]:
+    def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
         slots = [frame % self.length for frame in range(self._frame - self._rows + 1, self._frame + 1)]
         return np.ascontiguousarray(self._mirror(plane, self._ring[slots, self.planes.index(plane)]))
@@ -199,7 +199,7 @@ class SequenceSearch:
         return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])
 
     @staticmethod
-    def _mirror(plane: Plane, row: NDArray[Any]) -> NDArray[Any]:
+    def _mirror(plane: Alignment, row: NDArray[Any]) -> NDArray[Any]:
         return row[..., ::-1] if plane[0] == "reverse" else row
 
 

@@ -12,17 +12,18 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig, LinkConfig, TelemetryConfig
-from edge.telemetry import PlaceFix, fixes
+from edge.localization import PlaceFix
+from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
-from edge.telemetry.manners import FIRST_SYSTEM_ID, Manners
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
 from edge.telemetry.port import Port
-from edge.telemetry.positions import PositionSender
-from edge.telemetry.reports import LinkChanged, ReportLink
+from edge.telemetry.position_messages import Moment
+from edge.telemetry.position_sender import PositionSender
+from edge.telemetry.report_link import LinkChanged, ReportLink
 from edge.telemetry.signing import Signer, load_key
-from edge.telemetry.texts import StatusTexts
+from edge.telemetry.status_texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
-from edge.telemetry.ways import Moment
 
 LAST_WORDS_S = 0.1
 log = logging.getLogger(__name__)
@@ -48,7 +49,7 @@ class AutopilotConnection:
         self.vehicle = Vehicle()
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
-        self._manners = Manners(config, self.vehicle)
+        self._manners = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
         self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
         self._others = [
@@ -103,7 +104,7 @@ class AutopilotConnection:
         now_ns = self._clock_ns()
         if self.state == "up":
             self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
-            self._send(fixes.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
+            self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
         for link in self._others:
             link.tell_place(fix)
 
@@ -132,7 +133,7 @@ class AutopilotConnection:
         """Heartbeat and a line on every link, at once and whether anybody was heard or not: last words."""
         for port in (self._port, *(link.port for link in self._others)):
             if port.open_if_due(self._clock_ns()):
-                for message in (fixes.heartbeat(self._system_status), *fixes.status_text(text, severity, 1)):
+                for message in (encoders.heartbeat(self._system_status), *encoders.status_text(text, severity, 1)):
                     port.send(message)
         time.sleep(LAST_WORDS_S)  # what a serial port has not sent yet is lost when it is closed
 
@@ -159,7 +160,8 @@ class AutopilotConnection:
         now_ns = self._clock_ns()
         self._send(self._manners.answer(message, now_ns))
         ours = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and (
-            message.command == fixes.EXTERNAL_POSITION_ESTIMATE and message.target_component in (0, self._component_id)
+            message.command == encoders.EXTERNAL_POSITION_ESTIMATE
+            and message.target_component in (0, self._component_id)
         )
         if ours:
             self._positions.read_answer(message.result, now_ns)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.host_lookup import LookUp, Lookup, is_address, look_up
 from edge.telemetry.link import Connection, Link
-from edge.telemetry.lookup import LookUp, Lookup, is_address, look_up
 
 RETRY_FIRST_NS = 500_000_000
 RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}

@@ -19,7 +19,7 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import ConfigError
-from edge.telemetry.freshness import TICKS_PER_S, Freshness, Stream
+from edge.telemetry.replay_guard import TICKS_PER_S, ReplayGuard, Stream
 
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
 KEPT_AHEAD = 10 * TICKS_PER_S
@@ -79,7 +79,7 @@ class Signer:
         self._unix_time_s = unix_time_s
         self._kept = _read(timestamp_file)
         self._heard_kept = dict(self._kept.heard)
-        self._freshness = Freshness(self._heard_kept, clock_ns)
+        self._freshness = ReplayGuard(self._heard_kept, clock_ns)
         self._told: set[object] = set()
 
     def attach(self, codec: mavlink.MAVLink) -> None:

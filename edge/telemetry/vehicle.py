@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.localization import VehiclePosition
+from edge.localization.dead_reckoning import DeadReckoning, Reckoned
+from edge.localization.odometry import Odometer
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import Message
-from edge.telemetry.displacement import Displacement, Reckoned
-from edge.telemetry.odometer import Odometer
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -26,20 +27,6 @@ REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 HEADING_UNKNOWN = 65535
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class VehiclePosition:
-    """The autopilot's own estimate: degrees (WGS 84), metres above mean sea level, heading clockwise from north."""
-
-    stamp_ns: int
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-    heading_deg: float | None
-    speed_mps: float
-    north_mps: float = 0.0
-    east_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +60,7 @@ class Vehicle:
         self._newest_boot_ms = -1
         self._timesync_sent_ns = 0
         self._odometer = Odometer()
-        self._displacement = Displacement()
+        self._displacement = DeadReckoning()
         self._position: VehiclePosition | None = None
         self._gps_healthy_ns: int | None = None
         self._accuracy: tuple[int, float] | None = None

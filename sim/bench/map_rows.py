@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor.normalize import NormalizedRows
-from edge.place_search import Near, PlaceSearch
-from edge.reference_map.atlas import Atlas, open_atlas
+from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_unverified
 from edge.sequence import SequenceMatch
+from edge.sequence.place_search import Near, PlaceSearch
 from sim.bench.rows import Row, Section, Target
 from sim.bench.simulated_map import map_bytes, position_of, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race, wall_ns
@@ -28,7 +28,7 @@ SHARE_OF_MEMORY = 0.8
 class Drive:
     """A vehicle that drives along the maps of an atlas, a place a frame, and sees it as they have it."""
 
-    def __init__(self, atlas: Atlas, start: int, *, known: bool) -> None:
+    def __init__(self, atlas: MapSet, start: int, *, known: bool) -> None:
         self.atlas = atlas
         config = Config()
         self.search = PlaceSearch(atlas, config)
@@ -83,7 +83,7 @@ def _tiles(path: Path, small: Path, places: int, rounds: int, model: ModelKey) -
     """The same in a folder of maps."""
     write_simulated_tiles(path, places, TILES, model)
     what = f"{places:,} places in {TILES} tiles"
-    opening = race({"open": lambda: PlaceSearch(open_atlas(path), Config())}, max(2, rounds // 3), wall_ns)["open"]
+    opening = race({"open": lambda: PlaceSearch(open_map_set(path), Config())}, max(2, rounds // 3), wall_ns)["open"]
     rows = [Row(f"{what}: opening, with its search", opening, note="wall-clock time, files in the page cache")]
     rows += _frames(path, small, what, places, rounds, [])
     shutil.rmtree(path)
@@ -92,7 +92,7 @@ def _tiles(path: Path, small: Path, places: int, rounds: int, model: ModelKey) -
 
 def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
     def open_it() -> PlaceSearch:
-        return PlaceSearch(open_atlas(path), Config())
+        return PlaceSearch(open_map_set(path), Config())
 
     opening = race({"open": open_it}, max(2, rounds // 3), wall_ns)["open"]
     start = wall_ns()
@@ -112,13 +112,13 @@ def _frames(path: Path, small: Path, told: str, places: int, rounds: int, target
 
     told: what is searched, for people.
     """
-    reference = Drive(open_atlas(small), 100, known=False)
+    reference = Drive(open_map_set(small), 100, known=False)
     racers: dict[str, Callable[[], object]] = {"whole": reference.step}
     what = "searched whole"
     if places > Config().map.places_per_frame:
         what = f"position known to {RADIUS_M:.0f} m"
-        racers["lost"] = Drive(open_atlas(path), places // 2, known=False).step
-    around = Drive(open_atlas(path), places // 2, known=True)
+        racers["lost"] = Drive(open_map_set(path), places // 2, known=False).step
+    around = Drive(open_map_set(path), places // 2, known=True)
     racers["known"] = around.step
     times = race(racers, rounds)
     ratio = times["known"].ratio(times["whole"])

@@ -13,10 +13,10 @@ import numpy as np
 import psutil
 import tomli_w
 
-from edge.camera.feed import FeedHeader, FeedWriter
 from edge.errors import FeedError
+from edge.feed import FeedHeader, FeedWriter
+from edge.journal.journal import read_journal
 from edge.reference_map.store import ModelKey
-from edge.telemetry.journal import read_journal
 from sim.bench.network_rows import smooth_picture
 from sim.bench.rows import Row, Section, Target
 from sim.bench.simulated_map import write_simulated_map

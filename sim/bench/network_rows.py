@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from edge.descriptor.model_file import ModelInfo
-from edge.descriptor.model_import import MEAN_RGB, STD_RGB, build_float
 from edge.descriptor.network import IMAGE, Network, open_session
 from edge.descriptor.regions import cut_regions
-from edge.descriptor.weights import CONVS, FC6, FC6_SHAPE
 from sim.bench.machine import product_of_matrices, read_all
 from sim.bench.rows import Row, Section, Target, against
 from sim.bench.timing import race
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, build_float
+from sim.model_tools.weights import CONVS, FC6, FC6_SHAPE
 
 FC6_BYTES = FC6_SHAPE[0] * FC6_SHAPE[1]
 OUTPUT_SIDES = (55, 27, 13, 13, 13)  # of the convolutions, at 224 x 224

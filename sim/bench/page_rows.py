@@ -23,8 +23,8 @@ from typing import Any
 import psutil
 
 from edge.errors import FeedError
+from edge.page.server import HTML
 from edge.reference_map.store import ModelKey
-from edge.telemetry.page import HTML
 from sim.bench.memory_rows import JOURNAL, start_daemon, write_pictures
 from sim.bench.rows import Row, Section, Target
 from sim.bench.simulated_map import write_simulated_map

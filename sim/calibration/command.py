@@ -11,12 +11,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from edge.camera.feed import Feed, read_feed
+from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
+from edge.feed import Feed, read_feed
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.replay import config_for_map
 from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key, sigma_key
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import TOLERANCE_M, Curve, curve_of_drive, curve_of_map

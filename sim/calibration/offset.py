@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import RigConfig
-from edge.sequence import ORDERS, Direction, Order, Plane
+from edge.sequence import ORDERS, Alignment, Direction, Order
 from sim.calibration.sightings import Sighting
 
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
@@ -52,7 +52,7 @@ def measure_offsets(seen: Sequence[Sighting]) -> list[Offset]:
     return [offset for offset in found if offset is not None]
 
 
-def _measure(seen: Sequence[Sighting], plane: Plane) -> Offset | None:
+def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     believed = [one for one in seen if one.accepted and (one.direction, one.order) == plane]
     placed = [one for one in believed if not np.isnan(one.ahead_m)]
     if len(placed) < FEWEST:

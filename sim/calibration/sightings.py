@@ -9,16 +9,16 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Head, Network
 from edge.errors import FeedError, MapError
-from edge.line_ends import LineEnds
+from edge.feed import Feed
+from edge.feed.traverse import traverse
+from edge.localization.line_refinement import LineRefinement
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order
-from edge.traverse import traverse
 
 OFF_ROUTE_M = 30.0
 """A vehicle further than this from the map's drive was not on it: two roads are hardly nearer, and GPS is better."""
@@ -58,7 +58,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
     drives = MapDrives(reference_map, feed)
-    ends = LineEnds(recognizer.route, config.sequence.length)
+    ends = LineRefinement(recognizer.route, config.sequence.length)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
         ends.move(match, item.distance_m, item.missed)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.errors import LookbackError
-from edge.map_part import MapPart
-from edge.reference_map.atlas import Atlas
 from edge.reference_map.costs import CostMatcher
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ReferenceMap
 from edge.sequence.search import NO_LINE
+from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
 
@@ -82,13 +82,13 @@ def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
 def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
     """Uniqueness of the best match of each place where its own surroundings are missing."""
     header = reference_map.header
-    matcher, atlas = CostMatcher.of(reference_map), Atlas.of(reference_map)
+    matcher, atlas = CostMatcher.of(reference_map), MapSet.of(reference_map)
     missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum runs over
     for segment in header.segments:
         # The camera that made the drive: with another's region orders its own reflection would be searched for.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
-        part = MapPart([(0, header.places)], atlas, config)
+        part = Submap([(0, header.places)], atlas, config)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only among the ends of lines: one on the way back would cross the truth in its middle.

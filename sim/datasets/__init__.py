@@ -18,8 +18,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from edge.camera.feed import FeedRow, Pictures, View
 from edge.errors import FeedError
+from edge.feed import FeedRow, Pictures, View
 
 TruthKind = Literal["positions", "rows", "route_m"]
 

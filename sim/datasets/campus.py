@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedRow
 from edge.errors import FeedError
+from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import VIDEO_SUFFIXES, frames_of
 from sim.datasets.tables import read_records

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from edge.commands.map_build import add_spacing_options, sampling_from
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
-from edge.map_command import add_spacing_options, sampling_from
 from sim.datasets import KINDS, ReadOptions, open_dataset
 from sim.datasets.importing import choose_rows, write_feed
 

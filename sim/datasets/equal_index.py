@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.camera.feed import FeedRow
 from edge.errors import FeedError
+from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, frames_of, number_in
 from sim.datasets.tables import read_text

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
-from edge.camera.feed_rows import MEASURES
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
-from edge.sampling import Sampler
-from edge.traverse import driven_m
+from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
+from edge.feed.format import MEASURES
+from edge.feed.sampling import Sampler
+from edge.feed.traverse import driven_m
 from sim.datasets import Traverse
 
 log = logging.getLogger(__name__)

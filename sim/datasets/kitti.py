@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.camera.feed import FeedRow
 from edge.errors import FeedError
+from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedImages, Pictures, read_feed, read_picture
 from edge.errors import FeedError
+from edge.feed import Feed, FeedImages, Pictures, read_feed, read_picture
 
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"})
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})

@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import View
 from edge.errors import FeedError
+from edge.feed import View
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles
 from sim.datasets.tables import Record, read_numbers, read_records

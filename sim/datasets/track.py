@@ -9,8 +9,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedRow
 from edge.errors import FeedError
+from edge.feed import FeedRow
 from edge.reference_map.route import east_north
 
 Floats = NDArray[np.float64]

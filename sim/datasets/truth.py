@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from edge.camera.feed import Feed, FeedRow
 from edge.errors import FeedError
+from edge.feed import Feed, FeedRow
 from edge.reference_map.route import east_north
 from sim.datasets import TruthKind
 

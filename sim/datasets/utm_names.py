@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from edge.camera.feed import FeedRow
 from edge.errors import FeedError
+from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures, natural_key
 

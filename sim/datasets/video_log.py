@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.camera.feed import Feed, FeedOptions
 from edge.errors import FeedError
+from edge.feed import Feed, FeedOptions
 from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.flight_logs import read_log
 from sim.datasets.importing import as_feed

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, PageConfig, RigConfig, SamplingConfig
 from edge.errors import ConfigError, LookbackError
-from edge.map_command import build_map
+from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config

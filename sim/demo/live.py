@@ -17,8 +17,8 @@ import tomli_w
 
 from edge.config import RigConfig
 from edge.errors import LookbackError
-from edge.observation import Observation
-from edge.telemetry.journal import read_journal
+from edge.journal.frame_record import Observation
+from edge.journal.journal import read_journal
 from sim import ORIGIN_ALT_M
 from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.drive import Drive

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages, read_feed
+from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import ReferenceMap
 from sim.demo.live import LiveDrive
 from sim.demo.report import cost_matrix, curves, route

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import edge
-from edge.camera.feed import FeedImages, read_feed
 from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
+from edge.feed import FeedImages, read_feed
 from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.live import LiveDrive

@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.commands.replay import config_for_map
 from edge.descriptor.network import Head, Network
-from edge.observation import Observation
+from edge.journal.frame_record import Observation
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.store import ReferenceMap
-from edge.replay import config_for_map
 from sim.camera import open_renderer
 from sim.demo.live import LiveDrive, error_m
 from sim.evaluation.metrics import Answers

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor import model_import
 from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.network import IMAGE, open_session
 from edge.descriptor.regions import cut_regions
-from edge.descriptor.weights import FC6, FC7, FC8, Weights
+from sim.model_tools import onnx_graph
+from sim.model_tools.weights import FC6, FC7, FC8, Weights
 
 Floats = NDArray[np.float32]
 
@@ -27,7 +27,7 @@ def pooled_features(weights: Weights, info: ModelInfo, image: NDArray[np.uint8])
     """Last pooled convolution (256, 6, 6) float32 of a picture (H, W, 3) uint8 BGR, by the float network."""
     import onnx
 
-    model = model_import.build_float(weights, info)
+    model = onnx_graph.build_float(weights, info)
     model.graph.output.append(onnx.helper.make_tensor_value_info(POOLED, onnx.TensorProto.FLOAT, None))
     session = open_session(model.SerializeToString())
     pooled: Floats = session.run([POOLED], {IMAGE: cut_regions(image, "whole", 1.0)})[0][0]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages
+from edge.feed import FeedImages
 from sim.evaluation import figures
 from sim.evaluation.bench import Bench, Outcome
 from sim.evaluation.bootstrap import difference, interval

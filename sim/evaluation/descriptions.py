@@ -12,13 +12,13 @@ from tqdm import tqdm
 
 from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import Regions
-from edge.descriptor.weights import Weights
 from edge.errors import ConfigError
 from sim.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
 from sim.evaluation.plan import Plan
 from sim.evaluation.segments import likeliest_states, runs
 from sim.evaluation.traverses import Traverse
 from sim.evaluation.workers import DescribeTask, describe
+from sim.model_tools.weights import Weights
 
 Raw = NDArray[np.float32]
 

@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages
+from edge.commands.map_build import build_map
+from edge.commands.replay import replay
 from edge.config import Config, SamplingConfig
 from edge.descriptor.network import Head
-from edge.map_command import build_map
+from edge.feed import FeedImages
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
-from edge.replay import replay
 from sim.evaluation import figures
 from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
 from sim.evaluation.bench import Bench, Outcome

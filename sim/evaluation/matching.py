@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, SequenceConfig
 from edge.descriptor.normalize import NormalizedRows
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Direction, Plane
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction
 from edge.sequence.acceptance import Neighbourhood, best_match
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 from sim.evaluation import seqslam
@@ -72,7 +72,7 @@ def match(
     rows: Iterable[NormalizedRows],
     matcher: Matcher,
     neighbourhood: Neighbourhood,
-    planes: Sequence[Plane],
+    planes: Sequence[Alignment],
     sequence: SequenceConfig,
 ) -> Matches:
     """Search every frame of a query as `PlaceRecognizer` does."""
@@ -92,7 +92,7 @@ def match(
     return _gather(found)
 
 
-def planes_of(order: str, *, regions: int, views_alike: bool) -> tuple[Plane, ...]:
+def planes_of(order: str, *, regions: int, views_alike: bool) -> tuple[Alignment, ...]:
     """Directions and region orders that a method searches in; whole images and `frame` have no order to tell."""
     if regions == 1 or order == "frame":
         return tuple((direction, "same") for direction in DIRECTIONS)

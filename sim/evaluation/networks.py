@@ -9,12 +9,12 @@ from typing import Literal
 
 import msgspec
 
-from edge.descriptor import model_import, quantize
 from edge.descriptor.model_file import HEAD_FILE, ModelFile, ModelInfo, resolve_model
 from edge.descriptor.network import Head, Network
-from edge.descriptor.weights import Weights, has_head, read_labels, read_weights
 from edge.errors import ConfigError
 from sim.evaluation.plan import NetworkPlan
+from sim.model_tools import onnx_graph, quantize
+from sim.model_tools.weights import Weights, has_head, read_labels, read_weights
 
 Tap = Literal["fc6", "conv3"]
 Precision = Literal["int8", "float32"]
@@ -51,7 +51,7 @@ def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> H
         _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
     )
     info = msgspec.structs.replace(info, tap="categories")
-    data = model_import.build_head(weights, info).SerializeToString(deterministic=True)
+    data = onnx_graph.build_head(weights, info).SerializeToString(deterministic=True)
     return Head(ModelFile(folder / plan.weights, data, info), network.info)
 
 
@@ -65,7 +65,7 @@ def read_plan_weights(name: str, plan: NetworkPlan, folder: Path) -> Weights:
 def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
     weights, sha256 = _weights(folder / plan.weights)
     info = _info(plan, tap, precision, sha256)
-    model = model_import.build_float(weights, info)
+    model = onnx_graph.build_float(weights, info)
     if precision == "int8":
         model = quantize.quantize(model, quantize.read_ranges(folder / plan.ranges), info)
     data = model.SerializeToString(deterministic=True)
@@ -82,12 +82,12 @@ def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> Mod
     return ModelInfo(
         name=Path(plan.weights).name.partition(".")[0],
         tap=tap,
-        dimensions=model_import.DIMENSIONS[tap],
+        dimensions=onnx_graph.DIMENSIONS[tap],
         precision=precision,
-        input_size=model_import.INPUT_SIZE,
+        input_size=onnx_graph.INPUT_SIZE,
         channel_order="BGR",
-        mean_rgb=model_import.MEAN_RGB,
-        std_rgb=model_import.STD_RGB,
+        mean_rgb=onnx_graph.MEAN_RGB,
+        std_rgb=onnx_graph.STD_RGB,
         labels=(),
         licence="as that of the weights",
         source=plan.weights,

@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 import msgspec
 import numpy as np
 
-from edge.camera.feed import FeedRow
+from edge.feed import FeedRow
 from edge.reference_map.route import east_north
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedRow, read_feed
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
-from edge.traverse import driven_m, traverse
+from edge.feed import Feed, FeedRow, read_feed
+from edge.feed.traverse import driven_m, traverse
 from sim.datasets import TruthKind
 from sim.datasets.truth import Truth, truth_between
 from sim.evaluation.plan import Pair, TraversePlan

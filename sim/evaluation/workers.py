@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from edge.camera.feed import FeedImages, read_feed
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
+from edge.feed import FeedImages, read_feed
 from sim.evaluation.networks import Precision, Tap, open_network
 from sim.evaluation.plan import NetworkPlan
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from edge.descriptor.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, read_weights
 from edge.errors import ModelError
+from sim.model_tools.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, read_weights
 
 FC7_WIDTH = 1024
 LAYERS = (*(conv.layer for conv in CONVS), FC6, FC7, FC8)

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera.feed import read_picture
 from edge.errors import ConfigError, FrameError
+from edge.feed import read_picture
 from sim.datasets.pictures import PICTURE_SUFFIXES, list_pictures
 
 Progress = Callable[[Iterable[NDArray[np.uint8]]], Iterable[NDArray[np.uint8]]]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
-from edge.descriptor.weights import FC6
+from sim.model_tools.weights import FC6
 from sim.training.alexnet import LAYERS
 from sim.training.images import LabelledImages
 from sim.training.views import normalized, random_light, whole_view

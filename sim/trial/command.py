@@ -17,7 +17,7 @@ from sim.trial.live import drive_home_live
 from sim.trial.run import Rules, drive_home
 from sim.trial.score import RunScore, TrialScore
 
-WAYS = ("auto", "external_position", "global_position_sensor", "vision_position")
+POSITION_MESSAGES = ("auto", "external_position", "global_position_sensor", "vision_position")
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -27,7 +27,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--first-seed", type=int, default=1, metavar="SEED", help="of the first run, default 1")
     parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads that they share, default 5")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
-    parser.add_argument("--emit", choices=WAYS, default="auto", help="as [telemetry] emit, default auto")
+    parser.add_argument("--emit", choices=POSITION_MESSAGES, default="auto", help="as [telemetry] emit, default auto")
     parser.add_argument("--no-gps", action="store_true", help="not even at the start; an origin is set near it")
     parser.add_argument("--live", action="store_true", help="in real time, the daemon as its own process")
     parser.add_argument("--at-once", type=int, default=1, metavar="N", help="of the live drives, default 1")

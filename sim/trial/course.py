@@ -18,12 +18,12 @@ import pymap3d
 from numpy.typing import NDArray
 
 import edge
-from edge.camera.feed import Feed, read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
-from edge.map_command import build_map
-from edge.reference_map.build import MapBuilder, Place
+from edge.feed import Feed, read_feed
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.recording import times_by_distance, times_by_rate, write_feed
 from sim.scenario import LightName, Scenario

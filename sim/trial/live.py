@@ -15,7 +15,7 @@ import tomli_w
 
 from edge.config import Config
 from edge.errors import LookbackError
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 from sim.pty_link import open_pty
 from sim.scenario import Scenario
 from sim.trial.course import CAMERA_FPS, JOURNAL, Course, World

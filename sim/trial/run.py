@@ -11,11 +11,11 @@ import numpy as np
 import pymap3d
 
 from edge.camera import Frame
-from edge.camera.feed import Feed, FeedImages
 from edge.camera.newest import CameraHealth
 from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, TelemetryConfig
 from edge.daemon import Daemon
-from edge.telemetry.journal import read_journal
+from edge.feed import Feed, FeedImages
+from edge.journal.journal import read_journal
 from sim import ORIGIN_ALT_M
 from sim.autopilot import SimulatedAutopilot
 from sim.drive import Drive

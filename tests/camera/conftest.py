@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedHeader, FeedWriter
 from edge.camera.oak import OakSource, import_depthai
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge.feed import FeedHeader, FeedWriter
 
 COUNT = 12
 WIDTH, HEIGHT = 64, 48

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from edge.camera import Camera, Frame
-from edge.camera.feed import read_feed
 from edge.camera.oak import OakCamera, OakSource
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
+from edge.feed import read_feed
 from sim.camera import SimCamera
 from sim.scenario import Scenario
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.camera.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
 from edge.errors import FeedError, FrameError
+from edge.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
 
 HEADER = FeedHeader("Gardens Point", "rear", 64, 48, source="test", notes="nachts, 夜")
 

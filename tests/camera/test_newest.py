@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from edge.camera import Camera, Frame
-from edge.camera.feed import read_feed
 from edge.camera.newest import NewestFrame
 from edge.camera.recorded import RecordedCamera
 from edge.errors import CameraLost, ConfigError, FrameError
+from edge.feed import read_feed
 
 PATIENCE_S = 10.0
 NEXT_STAMP_NS = count(1_000)

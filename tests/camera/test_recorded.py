@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from edge.camera import open_camera
-from edge.camera.feed import read_feed
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import FeedError, FrameError
+from edge.feed import read_feed
 
 
 class Clock:

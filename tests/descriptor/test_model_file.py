@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from edge.descriptor.model_file import FC6_FILE, MAX_FILE_BYTES, SHIPPED_MODEL, ModelInfo, read_model_file
-from edge.descriptor.model_import import GraphBuilder
 from edge.descriptor.network import Network
 from edge.errors import ModelError
+from sim.model_tools.onnx_graph import GraphBuilder
 
 onnx = pytest.importorskip("onnx", reason="needs the extra `model`")
 

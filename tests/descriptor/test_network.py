@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages, read_feed
-from edge.descriptor.fidelity import NSD_COSINE_MIN, compare, matching_accuracy
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
-from edge.descriptor.model_import import MEAN_RGB, build_float
 from edge.descriptor.network import Head, Network, onnxruntime
 from edge.descriptor.regions import Regions, cut_regions
-from edge.descriptor.weights import read_weights
 from edge.errors import ModelError
+from edge.feed import FeedImages, read_feed
+from sim.model_tools.fidelity import NSD_COSINE_MIN, compare, matching_accuracy
+from sim.model_tools.onnx_graph import MEAN_RGB, build_float
+from sim.model_tools.weights import read_weights
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
 

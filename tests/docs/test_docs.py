@@ -91,7 +91,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 
 def test_every_state_is_explained() -> None:
-    from edge.health import HealthState
+    from edge.health.health import HealthState
 
     page = (ROOT / "docs/states.md").read_text(encoding="utf-8")
     for state in get_args(HealthState):

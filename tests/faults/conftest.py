@@ -27,13 +27,13 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.camera import Frame
-from edge.camera.feed import FeedImages, FeedWriter, read_feed
 from edge.camera.newest import CameraHealth
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig, load_config
 from edge.daemon import Daemon
 from edge.descriptor.normalize import normalize
-from edge.map_command import build_map
-from edge.reference_map.build import MapBuilder, Place
+from edge.feed import FeedImages, FeedWriter, read_feed
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim import Pose
 from sim.autopilot import SimulatedAutopilot

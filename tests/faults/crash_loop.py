@@ -24,13 +24,13 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import LookbackError
-from edge.kept_state import KeptState, Moment, StateFile, StateKey
-from edge.reference_map.build import MapBuilder, Place
+from edge.journal.journal import Journal, read_journal
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.freshness import TICKS_PER_S
-from edge.telemetry.journal import Journal, read_journal
+from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import EPOCH_S, Signer, SigningClock
+from edge.warm_start import KeptState, Moment, StateFile, StateKey
 
 NOW = Moment(1000.0, "boot", 10.0)
 SHAPE = (2, 4096)

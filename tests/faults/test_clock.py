@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 
 SHIM = Path(__file__).with_name("clock_shim.c")
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400

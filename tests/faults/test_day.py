@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages, read_feed
 from edge.descriptor.network import Network
-from edge.telemetry.journal import read_journal
+from edge.feed import FeedImages, read_feed
+from edge.journal.journal import read_journal
 
 DAY = 24 * 3600 * 5
 SLOPE_BYTES = 1_000_000 / 100_000

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 
 WORDS = "journal: File too large"
 

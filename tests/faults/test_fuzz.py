@@ -17,13 +17,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
-from edge.camera.feed import FeedImages, read_feed
 from edge.camera.newest import NewestFrame
 from edge.camera.recorded import RecordedCamera
 from edge.config import Config, parse_config
 from edge.descriptor.model_file import FC6_FILE, read_model_file, resolve_model
 from edge.descriptor.network import Head, Network
 from edge.errors import FrameError, LookbackError
+from edge.feed import FeedImages, read_feed
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
 

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.freshness import TICKS_PER_S
+from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import EPOCH_S, Signer
 from sim.pty_link import open_pty
 

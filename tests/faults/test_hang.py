@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from edge.camera.feed import read_feed
 from edge.camera.newest import GRACE_S
 from edge.camera.recorded import RecordedCamera
+from edge.feed import read_feed
 
 UNIT = Path(__file__).parents[2] / "systemd/lookback.service"
 (WATCHDOG_S,) = (float(word) for word in re.findall(r"^WatchdogSec=(\d+)$", UNIT.read_text(), re.MULTILINE))

@@ -13,9 +13,9 @@ import onnx
 import pytest
 
 from edge.__main__ import main
-from edge.camera.feed import read_feed
 from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
+from edge.feed import read_feed
 from edge.reference_map.signature import make_key, sign_map
 from edge.reference_map.store import HEADER, encode_header, open_map, read_header
 

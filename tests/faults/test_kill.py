@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.kept_state import KeptState, Moment, StateFile, StateKey
-from edge.telemetry.journal import Journal, read_journal
+from edge.journal.journal import Journal, read_journal
+from edge.warm_start import KeptState, Moment, StateFile, StateKey
 
 CRASH_LOOP = Path(__file__).with_name("crash_loop.py")
 

@@ -18,12 +18,12 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.camera import Frame
-from edge.camera.feed import FeedImages, read_feed
 from edge.camera.newest import NewestFrame
 from edge.descriptor.network import Network
 from edge.errors import CameraLost
-from edge.health import MAV_STATES, Health
-from edge.telemetry.journal import read_journal
+from edge.feed import FeedImages, read_feed
+from edge.health.health import MAV_STATES, Health
+from edge.journal.journal import read_journal
 from sim.autopilot import EXTERNAL_POSITION_ESTIMATE
 
 LENGTH = 10

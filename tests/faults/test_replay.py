@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
+from edge.journal.journal import read_journal
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.freshness import TICKS_PER_S
-from edge.telemetry.journal import read_journal
+from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import KEPT_AHEAD, Signer
 from sim import Pose
 from sim.autopilot import SimulatedAutopilot

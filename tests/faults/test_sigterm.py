@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 
 GONE_WITHIN_S = 3.0
 LATEST_S = 2.0

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from edge.telemetry.journal import read_journal
+from edge.journal.journal import read_journal
 
 CALLS = (
     "connect,sendto,sendmsg,bind,openat,open,creat,mkdir,mkdirat,rename,renameat,renameat2,"

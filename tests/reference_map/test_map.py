@@ -15,9 +15,9 @@ import pytest
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map.atlas import Atlas
-from edge.reference_map.build import MapBuilder, Place
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.costs import encode
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import DESCRIPTORS, ModelKey, RegionsKey, open_map, open_unverified
 
@@ -202,12 +202,12 @@ def test_a_build_that_fails_leaves_the_old_map_and_nothing_else(small_map: Path)
 
 
 def test_positions_between_and_beyond_places(small_map: Path) -> None:
-    route = Route(Atlas.of(open_map(small_map)))
+    route = Route(MapSet.of(open_map(small_map)))
     at_rest, ahead, beyond = route.position(2, 0.0), route.position(2, 3.0), route.position(2, 500.0)
     assert at_rest and ahead and beyond
     assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
     assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
-    metres = Atlas.of(open_map(small_map)).east_north_m([(0, 12)])
+    metres = MapSet.of(open_map(small_map)).east_north_m([(0, 12)])
     assert np.hypot(*(metres[5] - metres[0])) == pytest.approx(10.0, abs=0.05)
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.map_command import build_map
+from edge.feed import read_feed
 from edge.reference_map.signature import SIGNATURE
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.sequence import Plane
+from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 
 ALL_PLANES = [(direction, order) for direction in ("forward", "reverse") for order in ("same", "swapped")]
@@ -22,7 +22,7 @@ def direct_lines(
     first_frame: int,
     segments: list[tuple[int, int]],
     slopes: tuple[float, ...],
-    planes: list[Plane],
+    planes: list[Alignment],
 ) -> NDArray[np.int64]:
     """Equation 2 for each plane and place, cell by cell: (planes, N)."""
     places = rows[0].shape[1]
@@ -62,7 +62,7 @@ def searched_lines(search: SequenceSearch) -> tuple[NDArray[np.int32], NDArray[n
     refill_at=st.integers(0, 30),
 )
 def test_running_sums_are_the_direct_sums(
-    seed: int, lengths: list[int], length: int, slopes: int, planes: list[Plane], frames: int, refill_at: int
+    seed: int, lengths: list[int], length: int, slopes: int, planes: list[Alignment], frames: int, refill_at: int
 ) -> None:
     rng = np.random.default_rng(seed)
     ends = np.cumsum(lengths).tolist()

@@ -12,9 +12,9 @@ import pytest
 pytest.importorskip("panda3d")
 
 from edge.camera import open_camera
-from edge.camera.feed import read_feed
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge.feed import read_feed
 from sim.camera import SimCamera, open_renderer
 from sim.scenario import Scenario
 

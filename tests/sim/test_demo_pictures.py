@@ -11,8 +11,8 @@ pytest.importorskip("starlette")
 pytest.importorskip("matplotlib")
 
 from edge.config import PageConfig
-from edge.telemetry.page import StatusPage
-from edge.telemetry.status import MapView
+from edge.page.server import StatusPage
+from edge.page.status import MapView
 from sim.demo.pictures import photograph_page
 
 

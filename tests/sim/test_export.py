@@ -15,8 +15,8 @@ pytest.importorskip("simplekml")
 import gpxpy
 
 from edge.__main__ import main
-from edge.observation import Observation
-from edge.telemetry.journal import Journal
+from edge.journal.frame_record import Observation
+from edge.journal.journal import Journal
 
 FRAME = Observation(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)
 EVENT = {"event": "place", "stamp_ns": 10_000_000_000, "place": 4, "lat_deg": -27.001, "lon_deg": 153.0}

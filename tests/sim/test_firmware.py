@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry import PlaceFix, fixes
+from edge.localization import PlaceFix
+from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.fixes import Sending
+from edge.telemetry.encoders import Sending
 from edge.telemetry.vehicle import Origin
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.autopilot import SimulatedAutopilot
@@ -89,7 +90,7 @@ class Bench:
         return Sending(1, self.autopilot.boot_s, age_s, origin=origin, **changes)
 
     def tell_fix(self, north_m: float = 0.0, age_s: float = 0.0) -> int | None:
-        return self.tell(fixes.external_position(self.fix(north_m), self.sending(age_s)))
+        return self.tell(encoders.external_position(self.fix(north_m), self.sending(age_s)))
 
 
 def recorded(shared: Path, name: str) -> Iterator[tuple[float, Any]]:
@@ -134,7 +135,7 @@ def facts(said: list[tuple[float, Any]]) -> dict[str, Any]:
 
 def asked_for_everything(bench: Bench) -> None:
     for message_id in (33, 32, 24, 2, 230, 9000, 74):
-        bench.tell(fixes.stream_request(1, message_id, 10.0))
+        bench.tell(encoders.stream_request(1, message_id, 10.0))
 
 
 def test_it_says_what_the_real_rover_was_recorded_to_say(shared: Path) -> None:
@@ -143,7 +144,7 @@ def test_it_says_what_the_real_rover_was_recorded_to_say(shared: Path) -> None:
     asked_for_everything(bench)
     bench.drive(4.0)
     bench.tell_fix()
-    bench.tell(fixes.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
+    bench.tell(encoders.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
     bench.drive(40.0)
     bench.tell_fix()
     assert facts(bench.heard) == facts(list(recorded(shared, RECORDED["ardupilot"])))
@@ -249,7 +250,7 @@ def test_a_sensor_30_m_wrong_is_ignored_while_gps_is_on(gps: bool, off_m: float)
     bench.autopilot.gps = gps
     for _ in range(50):
         bench.drive(0.2)
-        bench.tell(fixes.global_position_sensor(bench.fix(north_m=30.0), bench.sending()))
+        bench.tell(encoders.global_position_sensor(bench.fix(north_m=30.0), bench.sending()))
     assert bench.autopilot.estimate.error_m == pytest.approx(off_m, abs=1.5)
 
 
@@ -259,7 +260,7 @@ def test_a_sensor_is_nothing_to_other_firmware() -> None:
         bench.drive(3.0)
         bench.autopilot.gps = False
         bench.drive(3.0)
-        bench.tell(fixes.global_position_sensor(bench.fix(north_m=5.0), bench.sending()))
+        bench.tell(encoders.global_position_sensor(bench.fix(north_m=5.0), bench.sending()))
         assert not bench.autopilot.inputs.fused, firmware
 
 
@@ -268,14 +269,14 @@ def test_vision_counts_on_the_second_set_of_sources_and_jumps_with_its_counter()
     bench.drive(3.0)
     bench.autopilot.gps = False
     bench.drive(3.0)
-    bench.tell(fixes.vision_position(bench.fix(north_m=2.0), bench.sending()))
+    bench.tell(encoders.vision_position(bench.fix(north_m=2.0), bench.sending()))
     assert not bench.autopilot.inputs.fused, "the first set has GPS"
-    assert bench.tell(fixes.source_set(1, 2)) == mavlink.MAV_RESULT_ACCEPTED
-    bench.tell(fixes.vision_position(bench.fix(north_m=2.0), bench.sending()))
+    assert bench.tell(encoders.source_set(1, 2)) == mavlink.MAV_RESULT_ACCEPTED
+    bench.tell(encoders.vision_position(bench.fix(north_m=2.0), bench.sending()))
     assert len(bench.autopilot.inputs.fused) == 1
-    bench.tell(fixes.vision_position(bench.fix(north_m=200.0), bench.sending()))
+    bench.tell(encoders.vision_position(bench.fix(north_m=200.0), bench.sending()))
     assert bench.autopilot.estimate.error_m < 3, "gated"
-    bench.tell(fixes.vision_position(bench.fix(north_m=200.0), bench.sending(reset_counter=1)))
+    bench.tell(encoders.vision_position(bench.fix(north_m=200.0), bench.sending(reset_counter=1)))
     assert bench.autopilot.estimate.error_m == pytest.approx(200.0, abs=1.0)
 
 
@@ -295,7 +296,7 @@ def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> No
 
 def test_a_reboot_forgets_an_origin_that_was_set() -> None:
     bench = Bench("ardupilot", gps=False, has_origin=False)
-    bench.tell(fixes.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
+    bench.tell(encoders.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
     bench.drive(2.0)
     assert bench.tell_fix() == mavlink.MAV_RESULT_ACCEPTED
     bench.autopilot.reboot()

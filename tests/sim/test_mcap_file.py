@@ -15,9 +15,9 @@ from mcap.writer import Writer
 
 from edge.__main__ import main
 from edge.camera import open_camera
-from edge.camera.feed import FeedImages, read_feed
 from edge.config import CameraConfig
 from edge.errors import FeedError
+from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import open_map
 
 

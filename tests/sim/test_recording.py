@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("panda3d")
 
-from edge.camera.feed import FeedImages, read_feed
 from edge.errors import ConfigError, FeedError
+from edge.feed import FeedImages, read_feed
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.commands import add_command
 from sim.recording import times_by_distance, times_by_rate, write_feed

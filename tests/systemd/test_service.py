@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.camera.feed import FeedHeader, FeedWriter, read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
-from edge.map_command import build_map
-from edge.telemetry.journal import read_journal
+from edge.feed import FeedHeader, FeedWriter, read_feed
+from edge.journal.journal import read_journal
 
 UNIT = (Path(__file__).parents[2] / "systemd" / "lookback.service").read_text()
 WATCHDOG_S, STOP_S = (

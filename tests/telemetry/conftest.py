@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from edge.config import GatesConfig, TelemetryConfig
-from edge.telemetry import PlaceFix
+from edge.journal.journal import Journal, read_journal
+from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.journal import Journal, read_journal
 from sim.autopilot import SimulatedAutopilot
 from sim.autopilot_command import straight_line
 from sim.pty_link import PtyLink, open_pty

@@ -21,10 +21,10 @@ import pytest
 import tomli_w
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, GatesConfig, SamplingConfig, TelemetryConfig
-from edge.map_command import build_map
-from edge.telemetry import PlaceFix
+from edge.feed import read_feed
+from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import Link
 from sim.pty_link import open_pty

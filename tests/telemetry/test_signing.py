@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 
 from edge.errors import ConfigError
-from edge.telemetry import fixes
+from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.freshness import TICKS_PER_S
+from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import EPOCH_S, KEPT_AHEAD, Signer, load_key
 
 KEY = hashlib.sha256(b"a passphrase").digest()
 OTHER = hashlib.sha256(b"another one").digest()
 NOW_S = 1_800_000_000.0
-BEAT = fixes.heartbeat(4)
+BEAT = encoders.heartbeat(4)
 
 
 def codec(folder: Path, name: str, key: bytes = KEY, now_s: float = NOW_S) -> MavlinkCodec:

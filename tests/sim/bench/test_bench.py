@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from edge.errors import FeedError
-from edge.reference_map.atlas import Atlas, open_atlas
+from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench import frame_rows, map_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
@@ -40,7 +40,7 @@ def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
     write_simulated_map(tmp_path / "m", BLOCK + 1000, KEY)
     reference_map = open_map(tmp_path / "m", every_file=True)
     assert [segment.end for segment in reference_map.header.segments] == [5000, BLOCK + 1000]
-    drive = map_rows.Drive(Atlas.of(reference_map), 3000, known=False)
+    drive = map_rows.Drive(MapSet.of(reference_map), 3000, known=False)
     match = drive.step()
     assert match is not None
     assert match.accepted
@@ -51,7 +51,7 @@ def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
 
 def test_simulated_tiles_are_a_folder_of_maps(tmp_path: Path) -> None:
     write_simulated_tiles(tmp_path / "tiles", 12_000, 4, KEY)
-    atlas = open_atlas(tmp_path / "tiles")
+    atlas = open_map_set(tmp_path / "tiles")
     atlas.check_every_file()
     assert not atlas.left_out
     assert [len(header.segments) for header in atlas.headers] == [1, 2, 1, 2]

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.camera.feed import Feed, FeedHeader, FeedRow
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
-from edge.reference_map.build import MapBuilder, Place
+from edge.feed import Feed, FeedHeader, FeedRow
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import Feed, FeedHeader
-from edge.camera.feed_rows import FeedRow
 from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.normalize import NormalizedRows, normalize
 from edge.errors import ConfigError, LookbackError
-from edge.place_search import PlaceSearch
-from edge.reference_map.atlas import Atlas
-from edge.reference_map.build import MapBuilder, Place
+from edge.feed import Feed, FeedHeader, FeedRow
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
+from edge.sequence.place_search import PlaceSearch
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
@@ -146,7 +145,7 @@ def test_the_map_against_itself_tells_what_another_street_would(tmp_path: Path) 
             builder.add(raw, Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row))
         builder.finish(normalize, "0")
     reference_map, config = open_map(tmp_path / "map"), Config(sequence=SequenceConfig(length=20))
-    search = PlaceSearch(Atlas.of(reference_map), config)
+    search = PlaceSearch(MapSet.of(reference_map), config)
     another = smooth_street(2)[:, np.newaxis]
     rows = (search.push(NormalizedRows(raw, replaces_ring=False), lambda: another[0], None) for raw in another)
     elsewhere = [match.uniqueness for match in rows if match]

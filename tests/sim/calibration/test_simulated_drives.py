@@ -13,17 +13,17 @@ from msgspec.structs import replace
 
 pytest.importorskip("panda3d")
 
-from edge.camera.feed import Feed, read_feed
+from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Head, Network
 from edge.errors import FeedError
-from edge.map_command import build_map
+from edge.feed import Feed, read_feed
+from edge.feed.traverse import traverse
+from edge.localization.route_tracker import RouteTracker
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map.atlas import Atlas
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.tracking import RouteTracker
-from edge.traverse import traverse
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
 from sim.recording import times_by_distance, write_feed
@@ -91,7 +91,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(maps: dict[str, Refer
     home = replace(STREET, direction="reverse", drive_seed=5)
     offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG)
     dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
-    tracker = RouteTracker(Route(Atlas.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
+    tracker = RouteTracker(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
     network = Network.load()
     recognizer = PlaceRecognizer(network, Head.load(network), maps["rear"], CONFIG)
     in_sigmas = []
@@ -136,7 +136,7 @@ def test_the_command_prints_the_lines_and_writes_them(
 
 
 def test_a_feed_without_positions_is_refused_in_one_line(maps: dict[str, ReferenceMap], tmp_path: Path) -> None:
-    from edge.camera.feed import FeedHeader, FeedImages, FeedWriter
+    from edge.feed import FeedHeader, FeedImages, FeedWriter
 
     with FeedWriter(tmp_path / "blind", FeedHeader("blind", "front", 160, 120)) as writer:
         writer.write(FeedImages(read_feed(maps["front"].path.with_suffix(""))).read(0), 0)

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages, FeedRow, read_feed
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
+from edge.feed import FeedImages, FeedRow, read_feed
 from sim.commands import add_command
 from sim.datasets import KINDS, ReadOptions, Traverse, open_dataset
 from sim.datasets.importing import choose_rows, write_feed

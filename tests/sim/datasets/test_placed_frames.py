@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedImages, read_feed
+from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.truth import truth_between
 

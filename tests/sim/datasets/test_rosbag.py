@@ -16,8 +16,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from edge.camera.feed import read_feed
 from edge.errors import FrameError
+from edge.feed import read_feed
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.rosbag import to_bgr
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.camera.feed import Feed, FeedHeader
 from edge.errors import FeedError
-from edge.traverse import driven_m
+from edge.feed import Feed, FeedHeader
+from edge.feed.traverse import driven_m
 from sim.datasets.track import Fix, Track
 
 SECOND = 1_000_000_000

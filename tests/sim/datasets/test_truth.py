@@ -7,8 +7,8 @@ import numpy as np
 import pymap3d
 import pytest
 
-from edge.camera.feed import Feed, FeedHeader, FeedRow, read_feed
 from edge.errors import FeedError
+from edge.feed import Feed, FeedHeader, FeedRow, read_feed
 from sim.datasets import TruthKind
 from sim.datasets.truth import Truth, truth_between
 

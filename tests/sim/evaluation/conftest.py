@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedWriter
 
 WIDTH, HEIGHT = 64, 48
 METRE_DEG = 1 / 110_574  # of latitude at the equator

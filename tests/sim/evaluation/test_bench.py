@@ -9,13 +9,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from edge.camera.feed import read_feed
+from edge.commands.map_build import build_map
+from edge.commands.replay import replay
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Head, Network
-from edge.map_command import build_map
+from edge.feed import read_feed
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
-from edge.replay import replay
 from sim.evaluation.comparison import median_ahead
 from sim.evaluation.matching import judge
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan

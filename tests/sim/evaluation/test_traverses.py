@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge.camera.feed import FeedHeader, FeedWriter
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
+from edge.feed import FeedHeader, FeedWriter
 from sim.evaluation.plan import Pair, TraversePlan
 from sim.evaluation.traverses import Traverse, anchored_errors, load_traverse, place_coordinates, true_errors
 

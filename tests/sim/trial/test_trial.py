@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from edge.errors import ConfigError
+from edge.journal.journal import read_journal
 from edge.reference_map.store import open_map
-from edge.telemetry.journal import read_journal
 from sim.trial import command
 from sim.trial.course import FALSE_BY_M, KNOWN_M, PLANTED_M, RememberingNetwork, World, lay_course, prepare_world
 from sim.trial.run import Rules, drive_home

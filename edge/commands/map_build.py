@@ -1,0 +1,202 @@
+"""`lookback map build | extend`: from recorded feeds to a reference map."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+import edge
+from edge.commands import map_files, map_sign
+from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.descriptor.network import Network
+from edge.descriptor.normalize import normalize
+from edge.descriptor.regions import cut_regions
+from edge.errors import ConfigError
+from edge.feed import Feed, FeedOptions, read_feed
+from edge.feed.traverse import TraverseFrame, driven_m, traverse
+from edge.recognizer import model_key
+from edge.reference_map.builder import NAN, MapBuilder, Place
+from edge.reference_map.store import MapHeader, RegionsKey, open_map
+
+THUMBNAIL_WIDTH_PX = 120
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback map` to the command line."""
+    actions = commands.add_parser("map", help="build and look at reference maps").add_subparsers(required=True)
+
+    build = actions.add_parser("build", help="make a map of recorded feeds, each a segment of it")
+    build.add_argument("feeds", nargs="+", type=Path, metavar="FEED")
+    build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP")
+    build.add_argument("--config", type=Path, help="take [descriptor] and [sampling] from this file")
+    build.add_argument("--regions", choices=("left-right", "whole"), help="what is described (default left-right)")
+    add_spacing_options(build)
+    add_feed_options(build)
+    build.add_argument(
+        "--dimensions",
+        type=int,
+        metavar="D",
+        help="shrink the descriptor of each region to D values",
+    )
+    build.add_argument("--replace", action="store_true", help="replace the map at MAP, in one step")
+    build.set_defaults(run=_build)
+
+    extend = actions.add_parser("extend", help="add feeds to a map; the whole set is normalised again, without images")
+    extend.add_argument("map", type=Path, metavar="MAP")
+    extend.add_argument("feeds", nargs="+", type=Path, metavar="FEED")
+    extend.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
+    extend.set_defaults(run=_extend)
+
+    map_files.add_actions(actions)
+    map_sign.add_actions(actions)
+
+
+def add_spacing_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose frames; at most one of them."""
+    spacing = parser.add_mutually_exclusive_group()
+    spacing.add_argument("--spacing-m", type=float, metavar="M", help="take a frame every M metres")
+    spacing.add_argument("--spacing-frames", type=int, metavar="N", help="take every N-th frame")
+    spacing.add_argument("--interval-s", type=float, metavar="S", help="take a frame every S seconds")
+
+
+def add_feed_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for recordings that do not say all that a feed says."""
+    parser.add_argument(
+        "--video", type=Path, metavar="FILE", help="of a log (.tlog, .bin, .ulg); default: the one of the same name"
+    )
+    parser.add_argument(
+        "--video-start-s", type=float, metavar="S", help="from the log's first position to the video's first frame"
+    )
+    parser.add_argument("--view", choices=("front", "rear"), help="where the camera of a video looked (default front)")
+
+
+def feed_options(args: argparse.Namespace) -> FeedOptions:
+    """What the options say. ConfigError if a value is out of range."""
+    if args.video_start_s is not None and not np.isfinite(args.video_start_s):
+        raise ConfigError(f"--video-start-s: {args.video_start_s} is not a number of seconds")
+    return FeedOptions(args.view, args.video, args.video_start_s)
+
+
+def sampling_from(args: argparse.Namespace, otherwise: SamplingConfig) -> SamplingConfig:
+    """The sampling that the options ask for, or `otherwise`. ConfigError if a value is out of range."""
+    if args.spacing_m is not None:
+        return checked_option(otherwise, "--spacing-m", by="distance", spacing_m=args.spacing_m)
+    if args.spacing_frames is not None:
+        return checked_option(otherwise, "--spacing-frames", by="frames", spacing_frames=args.spacing_frames)
+    if args.interval_s is not None:
+        return checked_option(otherwise, "--interval-s", by="time", interval_s=args.interval_s)
+    return otherwise
+
+
+def build_map(
+    feeds: list[Feed],
+    output: Path,
+    descriptor: DescriptorConfig,
+    sampling: SamplingConfig,
+    *,
+    must_have_distance: bool = False,
+    dimensions: int | None = None,
+    replace: bool = False,
+) -> MapHeader:
+    """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`."""
+    network = Network.load(Path(descriptor.model) if descriptor.model else None)
+    is_set = descriptor.normalization == "online"
+    regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
+    if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:
+        raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
+    key = model_key(network)
+    with MapBuilder(output, key, regions, sampling, dimensions=dimensions, replace=replace) as builder:
+        for feed in feeds:
+            _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
+        return builder.finish(normalize, edge.__version__)
+
+
+def _add_feed(
+    builder: MapBuilder,
+    feed: Feed,
+    network: Network,
+    regions: RegionsKey,
+    sampling: SamplingConfig,
+    *,
+    must_have_distance: bool,
+) -> None:
+    builder.begin_segment(feed.header.name, feed.header.view)
+    chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
+    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
+        for item in chosen:
+            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width))
+            builder.add(raw, _place(item))
+            progress.update(item.frame.index + 1 - progress.n)
+        progress.update(len(feed.rows) - progress.n)
+
+
+def _place(item: TraverseFrame) -> Place:
+    row = item.row
+
+    def known(value: float | None) -> float:
+        return NAN if value is None else value
+
+    return Place(
+        row=item.frame.index,
+        lat_deg=known(row.lat_deg),
+        lon_deg=known(row.lon_deg),
+        alt_m=known(row.alt_m),
+        heading_deg=known(row.heading_deg),
+        route_m=known(item.distance_m),
+        thumbnail=_thumbnail(item.frame.image),
+    )
+
+
+def _thumbnail(image: NDArray[np.uint8]) -> bytes:
+    """A small JPEG of the frame, for people."""
+    height = max(1, round(image.shape[0] * THUMBNAIL_WIDTH_PX / image.shape[1]))
+    small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
+
+
+def _build(args: argparse.Namespace) -> int:
+    config = load_config(args.config) if args.config else Config()
+    descriptor = config.descriptor
+    if args.regions:
+        descriptor = checked_option(descriptor, "--regions", regions=args.regions)
+    sampling = sampling_from(args, config.sampling)
+    if args.video is not None and len(args.feeds) > 1:
+        raise ConfigError(
+            "--video: of several logs each has its own: call them alike (a.tlog, a.mp4), and leave it out"
+        )
+    feeds = [read_feed(path, feed_options(args)) for path in args.feeds]
+    if sampling.by == "distance" and args.spacing_m is None:
+        for feed in feeds:
+            if driven_m(feed) is None:
+                print(f"{feed.path}: no distance in it, so there will be a place every {sampling.interval_s:g} s")
+    header = build_map(
+        feeds,
+        args.output,
+        descriptor,
+        sampling,
+        must_have_distance=args.spacing_m is not None,
+        dimensions=args.dimensions,
+        replace=args.replace,
+    )
+    print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
+    return 0
+
+
+def _extend(args: argparse.Namespace) -> int:
+    old = open_map(args.map, every_file=True)
+    network = Network.load(args.model)
+    feeds = [read_feed(path) for path in args.feeds]
+    header = old.header
+    key, kept = model_key(network), header.dimensions
+    with MapBuilder(args.map, key, header.regions, header.sampling, dimensions=kept, replace=True) as builder:
+        builder.add_map(old)
+        for feed in feeds:
+            _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
+        header = builder.finish(normalize, edge.__version__)
+    print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")
+    return 0

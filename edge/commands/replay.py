@@ -1,0 +1,110 @@
+"""`lookback replay`: a recorded feed through the same recogniser as `run`, as fast as it goes, always the same."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+import msgspec
+
+from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
+from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.descriptor.network import Head, Network
+from edge.feed import Feed, read_feed
+from edge.feed.traverse import traverse
+from edge.journal.frame_record import Observation, observation
+from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.reference_map.map_set import open_map_set
+from edge.reference_map.store import MapHeader
+
+CHECK_BYTES = 64 << 20
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback replay` to the command line."""
+    parser = commands.add_parser("replay", help="recognise a recording; events as JSON lines")
+    parser.add_argument(
+        "feed", type=Path, metavar="FEED", help="a feed, an MCAP file, a video, or a log (.tlog) with its video"
+    )
+    parser.add_argument("--map", type=Path, required=True)
+    parser.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
+    parser.add_argument("--config", type=Path, help="take all settings of the recogniser from this file")
+    parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
+    parser.add_argument("--uniqueness-min", type=float, metavar="U", help="accept matches from this uniqueness on")
+    parser.add_argument("--all", action="store_true", help="write every used frame, not only events")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write there instead of to standard output")
+    add_spacing_options(parser)
+    add_feed_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
+    """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
+    _is_whole(recognizer)
+    for item in traverse(feed, sampling):
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
+        if match is not None and match.accepted and not _is_whole(recognizer, match):
+            match = None
+        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas, item.missed)
+
+
+def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> bool:
+    """Check what a match rests on, or all that is searched now; False if a map had to be left out."""
+    before = len(recognizer.atlas.left_out)
+    while not recognizer.verify(CHECK_BYTES, match):
+        pass
+    return len(recognizer.atlas.left_out) == before
+
+
+def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
+    """The default settings with regions, normalisation and sampling as the map has them."""
+    regions = header.regions
+    config = Config(
+        descriptor=DescriptorConfig(
+            regions=regions.kind,
+            region_width=regions.width,
+            normalization="online" if regions.normalization == "set" else "none",
+        ),
+        sampling=header.sampling,
+    )
+    return with_options(config, length, uniqueness_min)
+
+
+def with_options(config: Config, length: int | None, uniqueness_min: float | None) -> Config:
+    """The config with the command's options in place of its own keys. ConfigError names a bad option."""
+    sequence, acceptance = config.sequence, config.acceptance
+    if length is not None:
+        sequence = checked_option(sequence, "--sequence-length", length=length)
+    if uniqueness_min is not None:
+        acceptance = checked_option(acceptance, "--uniqueness-min", uniqueness_min=uniqueness_min)
+    return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
+
+
+def _run(args: argparse.Namespace) -> int:
+    feed = read_feed(args.feed, feed_options(args))
+    atlas = open_map_set(args.map)
+    if args.config:
+        config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)
+    else:
+        config = config_for_map(atlas.headers[0], args.sequence_length, args.uniqueness_min)
+    sampling = sampling_from(args, config.sampling)
+    # The feed knows where its camera looked.
+    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
+    network = Network.load(args.model or (Path(config.descriptor.model) if config.descriptor.model else None))
+    recognizer = PlaceRecognizer(network, Head.load(network), atlas, config)
+    lines = replay(recognizer, feed, sampling)
+    if args.output:
+        with args.output.open("w", encoding="utf-8") as stream:
+            _write(lines, stream, every=args.all)
+    else:
+        _write(lines, sys.stdout, every=args.all)
+    return 0
+
+
+def _write(lines: Iterator[Observation], stream: TextIO, *, every: bool) -> None:
+    for line in lines:
+        if every or line.emitted:
+            stream.write(msgspec.json.encode(line).decode() + "\n")

@@ -1,0 +1,22 @@
+"""The feed: a recorded traverse that every tool reads and writes.
+
+`format` is the two text files, `reader` and `writer` the folder with its pictures, `sampling` chooses the frames that
+are places, `traverse` goes through a feed by it, and `recorder` writes a feed while frames come from a camera.
+"""
+
+from edge.feed.format import FeedHeader, FeedRow, View
+from edge.feed.reader import Feed, FeedImages, FeedOptions, Pictures, read_feed, read_picture
+from edge.feed.writer import FeedWriter
+
+__all__ = [
+    "Feed",
+    "FeedHeader",
+    "FeedImages",
+    "FeedOptions",
+    "FeedRow",
+    "FeedWriter",
+    "Pictures",
+    "View",
+    "read_feed",
+    "read_picture",
+]

@@ -1,0 +1,135 @@
+"""The two text files of a feed, parsed and checked: the header `feed.toml` and the rows `frames.csv`."""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+import msgspec
+
+from edge.errors import FeedError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+View = Literal["front", "rear"]
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
+
+
+class FeedHeader(msgspec.Struct, frozen=True):
+    """`feed.toml`; keys that are not listed here are ignored."""
+
+    name: str
+    view: View
+    width: Pixels
+    height: Pixels
+    source: str = ""
+    notes: str = ""
+    video: str = ""
+
+
+def read_header(file: Path) -> FeedHeader:
+    """Read and check `feed.toml`; FeedError names it, and the key."""
+    try:
+        header = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
+    except OSError as error:
+        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
+        raise FeedError(f"{file}: {error}") from None
+    if header.video and not stays_inside(header.video):
+        raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
+    return header
+
+
+MEASURES = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "speed_mps", "distance_m")
+
+
+@dataclass(frozen=True)
+class FeedRow:
+    """One row of `frames.csv`; what is not known is None. `extra` has the further columns as text."""
+
+    file: str
+    stamp_ns: int
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    alt_m: float | None = None
+    heading_deg: float | None = None
+    speed_mps: float | None = None
+    distance_m: float | None = None
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_rows(file: Path) -> tuple[FeedRow, ...]:
+    """Read and check `frames.csv`; FeedError names the line and the column. Stamps strictly increase."""
+    rows: list[FeedRow] = []
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            missing = {"file", "stamp_ns"} - set(reader.fieldnames or ())
+            if missing:
+                raise FeedError(f"{file}: no column {' and no column '.join(sorted(missing))} in its first line")
+            for values in reader:
+                row = _parse_row(f"{file}: line {reader.line_num}", values)
+                if rows and row.stamp_ns <= rows[-1].stamp_ns:
+                    raise FeedError(
+                        f"{file}: line {reader.line_num}: stamp_ns {row.stamp_ns} is not after {rows[-1].stamp_ns}, "
+                        "that of the row before"
+                    )
+                rows.append(row)
+    except OSError as error:
+        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise FeedError(f"{file}: {error}") from None
+    if not rows:
+        raise FeedError(f"{file}: no frames in it")
+    return tuple(rows)
+
+
+def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:
+    """One CSV row as a FeedRow; an empty measure is None."""
+    if None in values:
+        raise FeedError(f"{where}: more values than the first line has columns")
+    texts = {key: text for key, text in values.items() if key is not None and text is not None}
+    if len(texts) < len(values):
+        raise FeedError(
+            f"{where}: only {len(texts)} of {len(values)} values; if the file is cut short, delete the line"
+        )
+    if not texts["file"]:
+        raise FeedError(f"{where}: file is empty")
+    if not stays_inside(texts["file"]):
+        raise FeedError(f"{where}: file: {texts['file']!r} leads out of the feed's folder")
+    extra = {key: text for key, text in texts.items() if key not in {"file", "stamp_ns", *MEASURES}}
+    measures = {column: _parse_measure(where, column, texts.get(column)) for column in MEASURES}
+    return FeedRow(texts["file"], _parse_stamp(where, texts["stamp_ns"]), **measures, extra=extra)
+
+
+def _parse_stamp(where: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise FeedError(f"{where}: stamp_ns: {text!r} is not a whole number") from None
+
+
+def _parse_measure(where: str, column: str, text: str | None) -> float | None:
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FeedError(f"{where}: {column}: {text!r} is not a number")
+    return value
+
+
+def stays_inside(name: str) -> bool:
+    """Whether a path that a feed gives is relative and does not climb; feeds are handed around between people."""
+    parts = PurePosixPath(name)
+    return not parts.is_absolute() and ".." not in parts.parts and "\0" not in name

@@ -1,0 +1,176 @@
+"""The feed: a recorded traverse that every tool reads and writes.
+
+A folder with `feed.toml` (name, view, width, height, source, notes), `frames.csv` (a row a frame, at least `file`
+and `stamp_ns`) and the pictures: files under `frames/`, or one video whose name `feed.toml` gives as `video`
+(rows are then its frames in order). Where they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg,
+speed_mps, distance_m`; further columns are kept as text. A bare video file is read as a feed as well: its rows are its
+frames, with stamps from its frame rate and nothing else known.
+
+Recordings of other kinds are read by whoever knows them: an entry point `lookback.feeds`, named by the file's suffix,
+is a function of the path and a `FeedOptions` that returns a `Feed`, which brings its pictures itself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import FeedError, FrameError
+from edge.feed.format import FeedHeader, FeedRow, View, read_header, read_rows
+
+# FFmpeg prints lines of its own about a video that it cannot read; here that is one error. Read at its first use.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
+class Pictures(Protocol):
+    """The pictures of a recording, read when they are asked for; quickest in row order."""
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names the picture."""
+
+    def close(self) -> None:
+        """Release files; more than once is harmless."""
+
+
+@dataclass(frozen=True)
+class Feed:
+    """A feed's header and rows; the pictures stay on the disk until `FeedImages` reads them.
+
+    pictures: opens those of a recording of another kind; None where they are the files, or the video, of a feed.
+    """
+
+    path: Path
+    header: FeedHeader
+    rows: tuple[FeedRow, ...]
+    pictures: Callable[[], Pictures] | None = None
+
+
+@dataclass(frozen=True)
+class FeedOptions:
+    """What a recording that is no feed does not say of itself.
+
+    view: where its camera looked, front unless it says so itself. video: that belongs to a log; None is the one beside
+    it of the same name. video_start_s: from the log's first position to the video's first frame.
+    """
+
+    view: View | None = None
+    video: Path | None = None
+    video_start_s: float | None = None
+
+
+def read_feed(path: Path, options: FeedOptions | None = None) -> Feed:
+    """Read and check the header and all rows of a feed folder, or of a file: a bare video, or what a plug-in reads.
+
+    Raises FeedError, which names the file and the line or the key. The stamps of a feed strictly increase.
+    """
+    options = options or FeedOptions()
+    if path.is_file():
+        return _read_file(path, options)
+    if not path.is_dir():
+        raise FeedError(f"{path}: no such feed; it is a folder with feed.toml, frames.csv and frames/, or a video file")
+    if options != FeedOptions():
+        raise FeedError(f"{path}: --view and --video are for recordings; this is a feed, and its feed.toml says it all")
+    header = read_header(path / "feed.toml")
+    rows = read_rows(path / "frames.csv")
+    if header.video and not (path / header.video).is_file():
+        raise FeedError(f"{path / header.video}: the video that feed.toml names is missing")
+    return Feed(path, header, rows)
+
+
+def _read_file(path: Path, options: FeedOptions) -> Feed:
+    """A recording, by the installed reader of its suffix, or else a video."""
+    for point in entry_points(group="lookback.feeds", name=path.suffix.lower().removeprefix(".")):
+        try:
+            feed: Feed = point.load()(path, options)
+        except ModuleNotFoundError as error:
+            raise FeedError(f"{path}: to read it, {point.value} needs the package {error.name}") from None
+        return feed
+    if (options.video, options.video_start_s) != (None, None):
+        raise FeedError(f"{path}: --video belongs to a log, and this is a video or nothing that is known here")
+    return _read_bare_video(path, options.view or "front")
+
+
+def _read_bare_video(path: Path, view: View) -> Feed:
+    video = _open_video(path)
+    count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    video.release()
+    if count < 1 or not fps > 0:
+        raise FeedError(f"{path}: this video does not say how many frames it has, and how many a second")
+    header = FeedHeader(path.stem, view, width, height, source=path.name, video=path.name)
+    return Feed(path.parent, header, tuple(FeedRow("", round(index * 1e9 / fps)) for index in range(count)))
+
+
+def _open_video(path: Path) -> cv2.VideoCapture:
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        others = "".join(sorted(f", or *.{point.name}" for point in entry_points(group="lookback.feeds")))
+        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}")
+    return video
+
+
+def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
+    """A picture file as OpenCV reads it, (H, W, 3) uint8 BGR unless the flags say otherwise. FrameError names it."""
+    # imdecode of bytes, since imread prints its own warnings to stderr for a missing file.
+    try:
+        data = np.fromfile(file, dtype=np.uint8)
+    except OSError as error:
+        raise FrameError(f"{file}: cannot read it: {error.strerror}") from None
+    image = cv2.imdecode(data, flags) if data.size else None
+    if image is None:
+        raise FrameError(f"{file}: not a whole JPEG or PNG picture")
+    return np.asarray(image, dtype=np.uint8)
+
+
+class FeedImages:
+    """The pictures of a feed, of the size that its header gives; quickest in row order."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._others = feed.pictures() if feed.pictures else None
+        self._video: cv2.VideoCapture | None = None
+        self._next_video_frame = 0
+        if feed.header.video:
+            self._video = _open_video(feed.path / feed.header.video)
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture of row `index`, (height, width, 3) uint8 BGR, of the size that the header gives.
+
+        Raises FrameError that names the file, or the video's frame.
+        """
+        header = self._feed.header
+        if self._others is not None:
+            name, image = f"{self._feed.path}: picture {index}", self._others.read(index)
+        elif self._video is not None:
+            name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
+        else:
+            file = self._feed.path / self._feed.rows[index].file
+            name, image = str(file), read_picture(file)
+        height, width = image.shape[:2]
+        if (width, height) != (header.width, header.height):
+            raise FrameError(f"{name}: {width} x {height} pixels, and feed.toml says {header.width} x {header.height}")
+        return image
+
+    def _read_video(self, video: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
+        if index != self._next_video_frame:
+            video.set(cv2.CAP_PROP_POS_FRAMES, index)
+        self._next_video_frame = index + 1
+        ok, image = video.read()
+        if not ok:
+            raise FrameError(f"{self._feed.path / self._feed.header.video}: no frame {index} in this video")
+        return np.asarray(image, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Release what is open; more than once is harmless."""
+        if self._others is not None:
+            self._others.close()
+        if self._video is not None:
+            self._video.release()

@@ -1,0 +1,75 @@
+"""A feed as the places of a traverse: the frames that the sampling chooses, with the distance driven so far."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.camera import Frame
+from edge.camera.recorded import RecordedCamera
+from edge.config import SamplingConfig
+from edge.errors import FeedError, FrameError
+from edge.feed.format import FeedRow
+from edge.feed.reader import Feed
+from edge.feed.sampling import Sampler
+from edge.reference_map.route import east_north
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class TraverseFrame:
+    """One chosen frame, its row of the feed, metres driven since the first row (None where unknown).
+
+    missed: places passed before it without a frame of the feed.
+    """
+
+    frame: Frame
+    row: FeedRow
+    distance_m: float | None
+    missed: int = 0
+
+
+def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:
+    """The chosen frames in order; unreadable pictures are left out, each with a line in the log.
+
+    FeedError if `must_have_distance` and neither distance_m nor positions are in every row.
+    """
+    distances_m = driven_m(feed)
+    if distances_m is None and must_have_distance:
+        raise FeedError(
+            f"{feed.path / 'frames.csv'}: no distance_m and no positions in every row, so frames cannot be chosen by"
+            " distance; use --spacing-frames or --interval-s"
+        )
+    sampler = Sampler(sampling)
+    camera = RecordedCamera(feed)
+    try:
+        while True:
+            try:
+                frame = camera.read()
+            except FrameError as error:
+                log.warning("%s; left out", error)
+                continue
+            if frame is None:
+                return
+            distance_m = distances_m[frame.index] if distances_m else None
+            if sampler.take(frame.stamp_ns, distance_m):
+                yield TraverseFrame(frame, feed.rows[frame.index], distance_m, sampler.missed)
+    finally:
+        camera.close()
+
+
+def driven_m(feed: Feed) -> list[float] | None:
+    """Metres driven at each row: as recorded, else summed up between positions, else None."""
+    recorded = [row.distance_m for row in feed.rows if row.distance_m is not None]
+    if len(recorded) == len(feed.rows):
+        return recorded
+    positions = [(row.lat_deg, row.lon_deg) for row in feed.rows if row.lat_deg is not None and row.lon_deg is not None]
+    if len(positions) < len(feed.rows):
+        return None
+    lat_deg, lon_deg = np.array(positions).T
+    steps = np.diff(east_north(lat_deg, lon_deg), axis=0)
+    return [0.0, *np.hypot(*steps.T).cumsum().tolist()]

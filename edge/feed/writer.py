@@ -1,0 +1,102 @@
+"""Writes a feed frame by frame."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import msgspec
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from edge.errors import FeedError
+from edge.feed.format import MEASURES, FeedHeader
+
+JPEG_QUALITY = 92
+PNG_BEGINS = b"\x89PNG"
+
+
+class FeedWriter:
+    """Writes a feed frame by frame: picture first, then its row, so that a crash or a full disk leaves whole rows."""
+
+    def __init__(self, path: Path, header: FeedHeader, extra_columns: tuple[str, ...] = ()) -> None:
+        """Create the folder; FeedError if it already has a feed in it, or cannot be written."""
+        self._path = path
+        self._count = 0
+        self._whole_bytes = 0
+        self._extra_columns = extra_columns
+        if (path / "frames.csv").exists():
+            raise FeedError(f"{path}: there is a feed here already; name another folder")
+        try:
+            (path / "frames").mkdir(parents=True, exist_ok=True)
+            (path / "feed.toml").write_text(tomli_w.dumps(msgspec.structs.asdict(header)), encoding="utf-8")
+            self._file = (path / "frames.csv").open("wb", buffering=0)
+            self._append(["file", "stamp_ns", *MEASURES, *extra_columns])
+        except OSError as error:
+            raise FeedError(f"{path}: cannot write a feed here: {error.strerror}") from None
+
+    def write(
+        self,
+        image: NDArray[np.uint8] | bytes,
+        stamp_ns: int,
+        *,
+        lat_deg: float | None = None,
+        lon_deg: float | None = None,
+        alt_m: float | None = None,
+        heading_deg: float | None = None,
+        speed_mps: float | None = None,
+        distance_m: float | None = None,
+        extra: Mapping[str, str] | None = None,
+    ) -> None:
+        """Append one frame; image (H, W, 3) uint8 BGR, or the bytes of a JPEG or PNG file, which are kept as they are.
+
+        OSError when the disk is full: what was written stays whole.
+        """
+        data = image if isinstance(image, bytes) else _as_jpeg(image)
+        name = f"frames/{self._count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
+        try:
+            (self._path / name).write_bytes(data)
+            measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m)
+            known = ["" if value is None else repr(float(value)) for value in measures]
+            self._append([name, str(stamp_ns), *known, *((extra or {}).get(key, "") for key in self._extra_columns)])
+        except OSError:
+            (self._path / name).unlink(missing_ok=True)
+            raise
+        self._count += 1
+
+    def _append(self, values: list[str]) -> None:
+        """Append one row whole, or not at all."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(values)
+        line = text.getvalue().encode()
+        try:
+            if self._file.write(line) != len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            self._file.truncate(self._whole_bytes)
+            self._file.seek(self._whole_bytes)
+            raise
+        self._whole_bytes += len(line)
+
+    def __enter__(self) -> FeedWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the row file; more than once is harmless."""
+        self._file.close()
+
+
+def _as_jpeg(image: NDArray[np.uint8]) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

@@ -1,0 +1,1 @@
+"""The live page: `server` is the thread, `snapshot` what it shows."""

@@ -1,0 +1,72 @@
+"""The status as Prometheus metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from edge.page.status import Status
+
+STATES = ("starting", "warming up", "on the map", "off the map", "degraded", "failed")
+
+
+def as_metrics(status: Status) -> bytes:
+    """The text format that Prometheus scrapes."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_OneStatus(status))
+    return generate_latest(registry)
+
+
+class _OneStatus(Collector):
+    def __init__(self, status: Status) -> None:
+        self._status = status
+
+    def collect(self) -> Iterable[Metric]:
+        status = self._status
+        yield _gauge("info", "1; what runs", {"version": status.version, "map": status.map_name}, 1)
+        yield _gauge("start_time_seconds", "Unix time at which the daemon started", {}, status.started_unix_s)
+        yield _counter("frames_used", "Frames that went through the recogniser", {"": status.frames_used})
+        yield _counter("events", "Places that were told to the robot", {"": status.events})
+        yield _gauge("used_frames_per_second", "Rate of used frames, recently", {}, status.fps)
+        yield from self._recogniser(status)
+        camera = status.camera
+        yield _gauge("camera_up", "Whether the camera delivers", {}, float(camera.state == "running"))
+        outcomes = {"delivered": camera.delivered, "overwritten": camera.overwritten, "bad": camera.bad}
+        yield _counter("camera_frames", "Frames by what became of them", outcomes, "outcome")
+        yield _counter("camera_reopened", "How often a lost camera came back", {"": camera.reopened})
+        yield _gauge("link_up", "Whether an autopilot is heard", {}, float(status.link.state == "up"))
+        yield _gauge("gps_healthy", "Whether the autopilot has a 3-D fix", {}, float(status.link.gps_healthy))
+        yield _gauge("journal_lines_lost", "Lines that did not fit on the disk, of late", {}, status.journal_lost)
+
+    @staticmethod
+    def _recogniser(status: Status) -> Iterable[Metric]:
+        states = GaugeMetricFamily("lookback_state", "1 for the state it is in", labels=["state"])
+        for state in dict.fromkeys((*STATES, status.state)):
+            states.add_metric([state], float(state == status.state))
+        yield states
+        yield _gauge("uniqueness_min", "Uniqueness from which a match is believed", {}, status.uniqueness_min)
+        if status.match is not None:
+            yield _gauge("uniqueness", "Of the newest match", {}, status.match.uniqueness)
+            match = status.match
+            of_map, row = ({}, match.place) if match.map is None else ({"map": match.map}, match.row or 0)
+            yield _gauge("place", "Row of the map that was matched last", of_map, row)
+        stages = GaugeMetricFamily("lookback_stage_seconds", "Median time of a stage of a frame", labels=["stage"])
+        for stage, took_ms in status.stages_ms.items():
+            stages.add_metric([stage], took_ms / 1e3)
+        yield stages
+
+
+def _gauge(name: str, words: str, labels: dict[str, str], value: float) -> Metric:
+    metric = GaugeMetricFamily(f"lookback_{name}", words, labels=list(labels))
+    metric.add_metric(list(labels.values()), value)
+    return metric
+
+
+def _counter(name: str, words: str, values: dict[str, int], label: str = "") -> Metric:
+    metric = CounterMetricFamily(f"lookback_{name}", words, labels=[label] if label else [])
+    for key, value in values.items():
+        metric.add_metric([key] if label else [], value)
+    return metric

@@ -1,0 +1,198 @@
+"""Building a map: place after place to the disk, then eq. 1 over the whole set, then one rename.
+
+Memory does not grow with the map: raw descriptors go to their file as they come, and the whole set is normalised
+from there in blocks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import SamplingConfig
+from edge.errors import MapError
+from edge.reference_map import store
+from edge.reference_map.atomic_folder import AtomicFolder
+from edge.reference_map.checksums import FileKey, sha256_of
+from edge.reference_map.costs import encode, squared_norms
+from edge.reference_map.extent import Bounds, bounds_of
+from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
+
+BLOCK = 256
+NAN = float("nan")
+
+Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
+"""Equation 1, as the descriptor stage has it: raw (n, R, D), mean (R, D), deviation (R, D) -> (n, R, D)."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a place is, as far as it is known (NaN where not), and what people see of it."""
+
+    row: int
+    lat_deg: float = NAN
+    lon_deg: float = NAN
+    alt_m: float = NAN
+    heading_deg: float = NAN
+    route_m: float = NAN
+    thumbnail: bytes = b""
+
+
+class MapBuilder:
+    """Writes a map; use it as a context manager: what is not finished leaves nothing behind."""
+
+    def __init__(
+        self,
+        path: Path,
+        model: ModelKey,
+        regions: RegionsKey,
+        sampling: SamplingConfig,
+        *,
+        dimensions: int | None = None,
+        replace: bool = False,
+    ) -> None:
+        """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False.
+
+        dimensions: shrink the descriptors of each region to so many, at most the model's (None: as they are).
+        """
+        if path.exists() and not replace:
+            raise MapError(f"{path}: there is something here already; name another folder, or use --replace")
+        if path.exists() and not (path / store.HEADER).is_file():
+            raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
+        self._path = path
+        self._model, self._regions, self._sampling = model, regions, sampling
+        self._kept = model.dimensions if dimensions is None else dimensions
+        self._records: list[tuple[float | int, ...]] = []
+        self._segments: list[Segment] = []
+        self._thumbnail_at = 0
+        self._new = AtomicFolder(path)
+        self._folder = self._new.path
+        self._raw = (self._folder / store.RAW).open("wb")
+        self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
+
+    def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
+        """Start a further drive; sequences are never searched across its beginning."""
+        count = len(self._records)
+        self._segments.append(Segment(count, count, view, source))
+
+    def add(self, raw: NDArray[np.float32], place: Place) -> None:
+        """Add one place with its raw descriptor (R, D) to the current segment."""
+        self._raw.write(raw.astype("<f2").tobytes())
+        self._thumbnails.write(place.thumbnail)
+        position = (place.lat_deg, place.lon_deg, place.alt_m, place.heading_deg, place.route_m)
+        self._records.append((*position, place.row, 0, self._thumbnail_at, len(place.thumbnail)))
+        self._thumbnail_at += len(place.thumbnail)
+        self._segments[-1] = msgspec.structs.replace(self._segments[-1], end=len(self._records))
+
+    def add_map(self, other: ReferenceMap) -> None:
+        """Add all places of another map, with its segments and raw descriptors, as if driven again."""
+        if (other.header.model, other.header.regions) != (self._model, self._regions):
+            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be joined")
+        raw = other.raw()
+        for segment in other.header.segments:
+            self.begin_segment(segment.source, segment.view)
+            for index in range(segment.start, segment.end):
+                record = other.places[index]
+                place = Place(
+                    row=int(record["row"]),
+                    lat_deg=float(record["lat_deg"]),
+                    lon_deg=float(record["lon_deg"]),
+                    alt_m=float(record["alt_m"]),
+                    heading_deg=float(record["heading_deg"]),
+                    route_m=float(record["route_m"]),
+                    thumbnail=other.thumbnail(index),
+                )
+                self.add(raw[index].astype(np.float32), place)
+
+    def finish(self, normalize: Normalize, lookback_version: str) -> MapHeader:
+        """Normalise the whole set, write, sync, and rename into place. MapError if no place was added."""
+        self._segments = [segment for segment in self._segments if segment.end > segment.start]
+        if len(self._records) < 2:
+            raise MapError(f"{self._path}: a map needs at least 2 places, and {len(self._records)} were added")
+        self._raw.close()
+        self._thumbnails.close()
+        mean, deviation = self._statistics()
+        np.stack([mean, deviation]).astype("<f8").tofile(self._folder / store.STATISTICS)
+        places = np.array(self._records, dtype=store.PLACE)
+        places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
+        places.tofile(self._folder / store.PLACES)
+        header = self._header(lookback_version, bounds_of(places))
+        (self._folder / store.HEADER).write_bytes(store.encode_header(header))
+        self._new.put_in_place()
+        return header
+
+    def _write_descriptors(self, blocks: Callable[[], Iterator[NDArray[np.float32]]]) -> NDArray[np.int32]:
+        """Shrink and encode the set, and write it plane by plane; the squared norm (N,) of every place."""
+        dimensions, planes = self._model.dimensions, self._regions.count
+        projection = None
+        if self._kept < dimensions:
+            projection = principal_directions(blocks, dimensions, self._kept)
+            projection.astype("<f4").tofile(self._folder / store.PROJECTION)
+        norms_sq: list[NDArray[np.int32]] = []
+        at = 0
+        with (self._folder / store.DESCRIPTORS).open("wb") as file:
+            for block in blocks():
+                encoded = encode(block if projection is None else project(block, projection))
+                for plane in range(planes):
+                    file.seek((plane * len(self._records) + at) * self._kept)
+                    file.write(encoded[plane].tobytes())
+                norms_sq.append(squared_norms(encoded))
+                at += len(block)
+        return np.concatenate(norms_sq)
+
+    def _normalized_blocks(
+        self, normalize: Normalize, mean: NDArray[np.float64], deviation: NDArray[np.float64]
+    ) -> Iterator[NDArray[np.float32]]:
+        is_set = self._regions.normalization == "set"
+        return (normalize(block, mean, deviation) if is_set else block for block in self._raw_blocks())
+
+    def _statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and standard deviation (R, D) over the whole set, from the raw values as they were stored."""
+        count = len(self._records)
+        mean = sum(block.sum(axis=0, dtype=np.float64) for block in self._raw_blocks()) / count
+        squares = sum(np.square(block - mean).sum(axis=0) for block in self._raw_blocks())
+        return np.asarray(mean), np.sqrt(np.asarray(squares) / count)
+
+    def _raw_blocks(self) -> Iterator[NDArray[np.float32]]:
+        shape = (len(self._records), self._regions.count, self._model.dimensions)
+        raw = np.memmap(self._folder / store.RAW, dtype="<f2", mode="r", shape=shape)
+        for at in range(0, len(raw), BLOCK):
+            yield raw[at : at + BLOCK].astype(np.float32)
+
+    def _header(self, lookback_version: str, bounds: Bounds | None) -> MapHeader:
+        names = [*store.expected_sizes(0, 0, self._model.dimensions, self._kept), store.THUMBNAILS]
+        files = {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
+        return MapHeader(
+            format=store.FORMAT,
+            version=store.VERSION,
+            lookback=lookback_version,
+            model=self._model,
+            regions=self._regions,
+            dimensions=self._kept,
+            sampling=self._sampling,
+            places=len(self._records),
+            segments=tuple(self._segments),
+            bounds=bounds,
+            files=files,
+        )
+
+    def __enter__(self) -> MapBuilder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with contextlib.suppress(OSError):  # a full disk, once more
+            self._raw.close()
+        with contextlib.suppress(OSError):
+            self._thumbnails.close()
+        self._new.__exit__(kind, error, trace)

@@ -1,0 +1,102 @@
+"""The places of several maps counted through, as if they were one map. Known from their headers alone.
+
+Tiles that were cut from one map and follow each other are as whole as that map was: a drive that runs on from one into
+the next is one segment.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Collection, Iterator, Sequence
+from itertools import accumulate, pairwise
+
+from edge.reference_map.spatial_index import Ranges, widened
+from edge.reference_map.store import MapHeader
+
+
+class PlaceIndex:
+    """Which map, which row of it and which segment a place belongs to; `places` is how many there are together."""
+
+    def __init__(self, headers: Sequence[MapHeader]) -> None:
+        """headers: of the maps, in their order."""
+        self.starts: list[int] = list(accumulate((header.places for header in headers), initial=0))
+        """The first place of each map, and one more at the end."""
+        self.places = self.starts[-1]
+        follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
+        self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
+        begins, self._views = [], []
+        for header, start, is_next in zip(headers, self.starts, follows, strict=False):
+            for number, segment in enumerate(header.segments):
+                if number or not (is_next and header.tile and header.tile.continues):
+                    begins.append(start + segment.start)
+                    self._views.append(segment.view)
+        self._segments = [*begins, self.places]
+
+    def map_of(self, place: int) -> int:
+        """The number of the map that a place lies in."""
+        return bisect_right(self.starts, place) - 1
+
+    def segment_of(self, place: int) -> int:
+        """The number of its segment."""
+        return bisect_right(self._segments, place) - 1
+
+    def segment(self, number: int) -> tuple[int, int]:
+        """The places [start, end) of a segment."""
+        return self._segments[number], self._segments[number + 1]
+
+    def view(self, segment: int) -> str:
+        """Where the camera looked that drove a segment."""
+        return self._views[segment]
+
+    def by_map(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
+        """The ranges in pieces that lie in one map each: its number, and rows [start, end) of it."""
+        for start, end in ranges:
+            for index in range(self.map_of(start), self.map_of(end - 1) + 1):
+                first, last = self.starts[index : index + 2]
+                yield index, max(start, first) - first, min(end, last) - first
+
+    def by_segment(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
+        """The ranges in pieces that lie in one segment each: its number, and places [start, end)."""
+        for start, end in ranges:
+            for number in range(self.segment_of(start), self.segment_of(end - 1) + 1):
+                first, last = self.segment(number)
+                yield number, max(start, first), min(end, last)
+
+    def maps_of(self, ranges: Ranges) -> list[int]:
+        """The maps that the ranges touch, in order."""
+        return sorted({index for index, _, _ in self.by_map(ranges)})
+
+    def without(self, ranges: Ranges, maps: Collection[int]) -> Ranges:
+        """The ranges less some maps."""
+        if not maps:
+            return ranges
+        out: Ranges = []
+        for start, end in ranges:
+            at = start
+            for index in range(self.map_of(start), self.map_of(end - 1) + 1):
+                if index in maps:
+                    first, last = self.starts[index : index + 2]
+                    out.append((at, first))
+                    at = last
+            out.append((at, end))
+        return [(start, end) for start, end in out if start < end]
+
+    def widened(self, ranges: Ranges, sequence_length: int) -> Ranges:
+        """The ranges with the places that a sequence ending in them may have passed before, see `areas.widened`."""
+        return widened(ranges, sequence_length, self._breaks)
+
+    def whole(self, place: int) -> tuple[int, int]:
+        """The map that a place lies in, with the tiles before and after it: places [start, end)."""
+        number = bisect_right(self._breaks, place)
+        return self._breaks[number - 1], self._breaks[number]
+
+
+def _follows(before: MapHeader, after: MapHeader) -> bool:
+    """Whether two maps are tiles of one, and the second begins where the first ends."""
+    first, second = before.tile, after.tile
+    return (
+        first is not None
+        and second is not None
+        and first.map_sha256 == second.map_sha256
+        and first.start + before.places == second.start
+    )

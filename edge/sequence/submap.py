@@ -1,0 +1,91 @@
+"""Some ranges of a map, or all of it, searched by sequences and judged: equations 2 and 3, and the uniqueness test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.reference_map.costs import COST_ONE
+from edge.reference_map.map_set import MapSet
+from edge.reference_map.spatial_index import Ranges
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, SequenceMatch
+from edge.sequence.acceptance import Neighbourhood, best_match
+from edge.sequence.search import SequenceSearch, slopes_around_diagonal
+
+
+class Submap:
+    """Some ranges of the map, searched as if they were the whole; places are numbered anew within it."""
+
+    def __init__(self, ranges: Ranges, atlas: MapSet, config: Config, frame: int = 0) -> None:
+        """ranges: of places that are open. frame: how many frames came before the first that this part will see."""
+        self.ranges = ranges
+        self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
+        self._per_frame_order = config.sequence.region_order == "frame"
+        self._acceptance = config.acceptance
+        pieces = list(atlas.numbering.by_segment(ranges))
+        lengths = [end - start for _, start, end in pieces]
+        views = [atlas.numbering.view(number) for number, _, _ in pieces]
+        bounds = list(pairwise(np.cumsum([0, *lengths]).tolist()))
+        planes, possible = _planes(bounds, views, atlas.headers[0].regions.count, config)
+        slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
+        self.search = SequenceSearch(bounds, planes, config.sequence.length, slopes, possible, frame)
+        self.neighbourhood = Neighbourhood(
+            atlas.east_north_m(ranges),
+            atlas.route_m(ranges),
+            np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
+            config.acceptance,
+        )
+
+    def advance(self, costs: NDArray[np.int32], *, replaces_ring: bool) -> SequenceMatch | None:
+        """Take in cost rows (n, orders, places of the part); the best match now, its place numbered as in the map."""
+        searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
+        if replaces_ring:
+            self.search.refill(searched)
+        else:
+            self.search.push(searched[-1])
+        lines = self.search.lines()
+        match = best_match(self.search, lines, self.neighbourhood, self._acceptance) if lines else None
+        if match is None:
+            return None
+        # Where every frame took its better order, the line is said to have that of the newest.
+        order = ORDERS[int(costs[-1][:, match.place].argmin())] if self._per_frame_order else match.order
+        return replace(match, place=int(self.places[match.place]), order=order)
+
+    def skip(self) -> None:
+        """Take in a row of which nothing is known: every place is as far as one with nothing in common."""
+        self.search.push(np.full((len(ORDERS), len(self.places)), COST_ONE, dtype=np.int32))
+
+    def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
+        """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
+        return self.search.recent((direction, "same" if self._per_frame_order else order))
+
+    def clear(self) -> None:
+        """Forget all rows."""
+        self.search.clear()
+
+
+def _planes(
+    bounds: list[tuple[int, int]], views: list[str], regions: int, config: Config
+) -> tuple[list[Alignment], NDArray[np.bool_]]:
+    """The directions and region orders to search in, and where (planes, N) each of them is possible.
+
+    bounds, views: of the pieces of segments, numbered within the part.
+    """
+    sequence = config.sequence
+    # One region has no order; and where the better order of each frame counts, the search sees but one.
+    orders = ORDERS if regions == 2 and sequence.region_order != "frame" else ORDERS[:1]
+    directions: tuple[Direction, ...] = ("forward", "reverse")
+    planes = [
+        (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
+    ]
+    possible = np.ones((len(planes), bounds[-1][1]), dtype=bool)
+    if sequence.region_order == "rig" and len(orders) == 2:
+        for (start, end), view in zip(bounds, views, strict=True):
+            allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
+            possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
+    used = np.flatnonzero(possible.any(axis=1))
+    return [planes[index] for index in used], possible[used]

@@ -1,0 +1,95 @@
+"""What an acknowledgement of a position means for the next one; and whether ACCEPTED was true.
+
+ACCEPTED  believed once the autopilot's own position has moved, since a filter that is not in use accepts as well
+FAILED, TEMPORARILY_REJECTED, CANCELLED  not now (GPS is there, no origin, not dead reckoning): wait, longer each time
+DENIED, UNSUPPORTED  never: no more until the autopilot reboots
+no answer  once more with a fresh age; PX4 1.15 never answers
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.localization import VehiclePosition
+
+Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
+
+BACK_OFF_FIRST_NS = 1_000_000_000
+BACK_OFF_LAST_NS = 30_000_000_000
+ANSWER_NS = 1_000_000_000
+CANCELLED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
+MOVED_NS = 1_500_000_000
+"""How long after ACCEPTED the position may take to move."""
+
+VERDICTS: dict[int, Verdict] = {
+    mavlink.MAV_RESULT_ACCEPTED: "accepted",
+    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
+    mavlink.MAV_RESULT_DENIED: "never",
+    mavlink.MAV_RESULT_UNSUPPORTED: "never",
+    mavlink.MAV_RESULT_FAILED: "not now",
+    mavlink.MAV_RESULT_IN_PROGRESS: "wait",
+    CANCELLED: "not now",
+    mavlink.MAV_RESULT_COMMAND_LONG_ONLY: "never",
+    mavlink.MAV_RESULT_COMMAND_INT_ONLY: "never",
+}
+
+
+def result_name(result: int) -> str:
+    """MAV_RESULT without its prefix; the number of one that the dialect does not know."""
+    entry = mavlink.enums["MAV_RESULT"].get(result)
+    return entry.name.removeprefix("MAV_RESULT_") if entry else str(result)
+
+
+class BackOff:
+    """Longer and longer pauses while the answer is "not now"; none after a success."""
+
+    def __init__(self) -> None:
+        self._pause_ns = BACK_OFF_FIRST_NS
+        self._until_ns = 0
+
+    def refused(self, now_ns: int) -> None:
+        """One more "not now"."""
+        self._until_ns = now_ns + self._pause_ns
+        self._pause_ns = min(2 * self._pause_ns, BACK_OFF_LAST_NS)
+
+    def succeeded(self) -> None:
+        """The next refusal begins with a short pause again."""
+        self._pause_ns, self._until_ns = BACK_OFF_FIRST_NS, 0
+
+    def holds(self, now_ns: int) -> bool:
+        """Whether to wait still."""
+        return now_ns < self._until_ns
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A jump that an accepted fix should have caused: metres east and north, from the position before it."""
+
+    before: VehiclePosition
+    east_m: float
+    north_m: float
+    sigma_m: float
+
+    def remaining_m(self, after: VehiclePosition) -> float:
+        """How far the position still is from where the fix says, the driving since then taken out.
+
+        The mean of both velocities is taken, since a vehicle turns and brakes meanwhile.
+        """
+        between_s = (after.stamp_ns - self.before.stamp_ns) / 1e9
+        # Metres per degree are the same for both, so a difference of positions may be taken on a sphere.
+        north_m = math.radians(after.lat_deg - self.before.lat_deg) * EARTH_M
+        east_m = math.radians(after.lon_deg - self.before.lon_deg) * EARTH_M * math.cos(math.radians(after.lat_deg))
+        driven_east_m = (self.before.east_mps + after.east_mps) / 2 * between_s
+        driven_north_m = (self.before.north_mps + after.north_mps) / 2 * between_s
+        return math.hypot(east_m - driven_east_m - self.east_m, north_m - driven_north_m - self.north_m)
+
+    def happened(self, after: VehiclePosition) -> bool:
+        """Whether the position went at least half of the way, or the way was within the fix's own deviation."""
+        return self.remaining_m(after) <= max(self.sigma_m, math.hypot(self.east_m, self.north_m) / 2)
+
+
+EARTH_M = 6_371_000.0

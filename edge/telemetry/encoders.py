@@ -1,0 +1,194 @@
+"""What goes out: pure encoders, one for each message."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pymap3d
+from msgspec import UNSET
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.localization import PlaceFix
+from edge.telemetry.codec import Message
+from edge.telemetry.vehicle import Origin
+
+EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
+SET_EKF_SOURCE_SET = 42007  # MAV_CMD_SET_EKF_SOURCE_SET, of ArduPilot's dialect
+TEXT_BYTES = 50
+UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
+
+
+@dataclass(frozen=True)
+class Sending:
+    """What a message says besides the fix itself.
+
+    boot_s: the moment of sending on the autopilot's boot clock. age_s: since the moment that the fix is of.
+    down_m: height below the filter's origin, as the autopilot believes. reset_counter: changed at each deliberate jump.
+    """
+
+    system_id: int
+    boot_s: float
+    age_s: float
+    sensor_id: int = 1
+    origin: Origin | None = None
+    down_m: float = 0.0
+    reset_counter: int = 0
+
+
+def heartbeat(system_status: int) -> Message:
+    """An onboard controller's heartbeat; autopilot 8 (invalid) keeps others from taking us for the vehicle."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3
+    )
+
+
+def external_position(fix: PlaceFix, sending: Sending) -> Message:
+    """COMMAND_INT 43003: where the vehicle was `age_s` seconds before `boot_s` on the autopilot's boot clock.
+
+    param1 does not wrap, although MAVLink allows it: ArduPilot then stamps every later fix 500 ms late. z is NaN,
+    since 0 is denied by ArduPilot and resets PX4's altitude. ValueError without a position or a finite sigma.
+    """
+    lat_deg, lon_deg = _position(fix)
+    return mavlink.MAVLink_command_int_message(
+        target_system=sending.system_id,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        frame=mavlink.MAV_FRAME_GLOBAL,
+        command=EXTERNAL_POSITION_ESTIMATE,
+        current=0,
+        autocontinue=0,
+        param1=sending.boot_s,
+        param2=sending.age_s,
+        param3=fix.sigma_m,
+        param4=0.0,
+        x=round(lat_deg * 1e7),
+        y=round(lon_deg * 1e7),
+        z=math.nan,
+    )
+
+
+def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
+    """GLOBAL_POSITION_SENSOR 296: where the vehicle is now, seen by a camera; heights NaN, since a place has none.
+
+    PX4 1.18 ignores both times, so the fix must have been moved on to the moment of sending. ValueError as above.
+    """
+    lat_deg, lon_deg = _position(fix)
+    return mavlink.MAVLink_global_position_sensor_message(
+        target_system=sending.system_id,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        id=sending.sensor_id,
+        time_usec=round(sending.boot_s * 1e6),
+        processing_time=0,
+        source=mavlink.GLOBAL_POSITION_SRC_VISION,
+        flags=0,
+        lat=round(lat_deg * 1e7),
+        lon=round(lon_deg * 1e7),
+        alt_ellipsoid=math.nan,
+        alt=math.nan,
+        eph=fix.sigma_m,
+        epv=math.nan,
+    )
+
+
+def vision_position(fix: PlaceFix, sending: Sending) -> Message:
+    """VISION_POSITION_ESTIMATE 102: metres north, east and down of the filter's origin, now, for ArduPilot.
+
+    The time is on its boot clock, as it must be in 43003, whose lag corrector it shares. Down is the autopilot's own:
+    NaN would spread to north and east. The heading is that of the route, with a variance that says not to use it.
+    ValueError as above, and without an origin.
+    """
+    lat_deg, lon_deg = _position(fix)
+    if sending.origin is None:
+        raise ValueError("a local position needs the origin of the autopilot's filter")
+    origin = sending.origin
+    east_m, north_m, _ = pymap3d.geodetic2enu(
+        lat_deg, lon_deg, origin.alt_m, origin.lat_deg, origin.lon_deg, origin.alt_m
+    )
+    covariance = [0.0] * 21  # the upper triangle, row by row
+    # ArduPilot takes the cube root of the sum of these variances' squares for its deviation: never less than ours.
+    covariance[0] = covariance[6] = covariance[11] = fix.sigma_m**2
+    covariance[15] = covariance[18] = covariance[20] = math.pi**2
+    return mavlink.MAVLink_vision_position_estimate_message(
+        usec=round(sending.boot_s * 1e6),
+        x=float(north_m),
+        y=float(east_m),
+        z=sending.down_m,
+        roll=0.0,
+        pitch=0.0,
+        yaw=math.remainder(math.radians(fix.heading_deg or 0.0), math.tau),
+        covariance=covariance,
+        reset_counter=sending.reset_counter,
+    )
+
+
+def _position(fix: PlaceFix) -> tuple[float, float]:
+    if fix.lat_deg is None or fix.lon_deg is None or not math.isfinite(fix.sigma_m):
+        raise ValueError("a position estimate needs a latitude, a longitude and a finite sigma")
+    return fix.lat_deg, fix.lon_deg
+
+
+def describe(fix: PlaceFix) -> str:
+    """The line that a pilot reads, at most 50 bytes for names of categories up to 18 letters, and of a single map."""
+    way = "" if fix.direction == "forward" else " backwards"
+    of = "" if fix.map is UNSET else f" of {fix.map}"
+    return f"Place {fix.place}{of}{way}, {fix.category}, {fix.uniqueness:.2f}"
+
+
+def status_text(text: str, severity: int, text_id: int) -> list[Message]:
+    """STATUSTEXT, in chunks that share `text_id` (1 to 65535) when the text is longer than 50 bytes of UTF-8."""
+    data = text.encode()
+    if len(data) <= TEXT_BYTES:
+        return [mavlink.MAVLink_statustext_message(severity, data, 0, 0)]
+    # The reader knows the last chunk by a null byte: a text of exactly n x 50 bytes needs an empty one more.
+    return [
+        mavlink.MAVLink_statustext_message(severity, data[start : start + TEXT_BYTES], text_id, chunk)
+        for chunk, start in enumerate(range(0, len(data) + 1, TEXT_BYTES))
+    ]
+
+
+def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
+    """NAMED_VALUE_FLOAT and NAMED_VALUE_INT of a fix, for ground stations that plot."""
+    stamp_ms = boot_ms % 2**32
+    return [
+        mavlink.MAVLink_named_value_float_message(stamp_ms, UNIQUENESS_NAME, fix.uniqueness),
+        mavlink.MAVLink_named_value_float_message(stamp_ms, SIGMA_NAME, fix.sigma_m),
+        mavlink.MAVLink_named_value_int_message(stamp_ms, PLACE_NAME, fix.place),
+    ]
+
+
+def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:
+    """COMMAND_LONG 511: send us that message at that rate, on this link."""
+    return _command(system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+
+
+def message_request(system_id: int, message_id: int) -> Message:
+    """COMMAND_LONG 512: send us that message once."""
+    return _command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
+
+
+def source_set(system_id: int, number: int) -> Message:
+    """COMMAND_LONG 42007: which of ArduPilot's sets of sources (1 to 3) its filter uses."""
+    return _command(system_id, SET_EKF_SOURCE_SET, number)
+
+
+def _command(system_id: int, command: int, param1: float, param2: float = 0.0) -> Message:
+    return mavlink.MAVLink_command_long_message(
+        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, param1, param2, 0, 0, 0, 0, 0
+    )
+
+
+def set_origin(system_id: int, origin: Origin) -> Message:
+    """SET_GPS_GLOBAL_ORIGIN: the filter's local zero, for an autopilot that has never had GPS."""
+    return mavlink.MAVLink_set_gps_global_origin_message(
+        system_id, round(origin.lat_deg * 1e7), round(origin.lon_deg * 1e7), round(origin.alt_m * 1000)
+    )
+
+
+def timesync_request(now_ns: int) -> Message:
+    """TIMESYNC: what time is it there? `now_ns` comes back as ts1."""
+    return mavlink.MAVLink_timesync_message(0, now_ns)
+
+
+def timesync_answer(request: Message, now_ns: int) -> Message:
+    """TIMESYNC: our time in answer to the autopilot's request."""
+    return mavlink.MAVLink_timesync_message(now_ns, request.ts1)

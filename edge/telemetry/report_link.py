@@ -1,0 +1,86 @@
+"""Events for people: lines and values on a link, and links that carry nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.localization import PlaceFix
+from edge.telemetry import encoders
+from edge.telemetry.codec import Message
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, HEARTBEAT_NS
+from edge.telemetry.port import Port
+from edge.telemetry.status_texts import StatusTexts
+from edge.telemetry.vehicle import Vehicle
+
+
+class LinkChanged(msgspec.Struct, frozen=True, tag_field="event", tag="link"):
+    """A link's state changed: "closed" (tried again with growing pauses), "waiting" (nobody heard) or "up"."""
+
+    state: str
+    why: str = ""
+    link: str = "autopilot"
+
+
+class ReportLink:
+    """A further link, to a ground station or a router: heartbeats, lines and values, and never a position."""
+
+    def __init__(
+        self,
+        port: Port,
+        vehicle: Vehicle,
+        clock_ns: Callable[[], int],
+        record: Callable[[msgspec.Struct], object],
+    ) -> None:
+        """`vehicle` is the one that the autopilot's link has found: we speak as its system, on its boot clock."""
+        self._port = port
+        self._vehicle = vehicle
+        self._clock_ns = clock_ns
+        self._record = record
+        self._texts = StatusTexts()
+        self._heartbeat_ns = 0
+        self._was_open: bool | None = None
+        self.system_status: int = mavlink.MAV_STATE_ACTIVE
+        """MAV_STATE for our heartbeat."""
+
+    def poll(self) -> None:
+        """One turn; what others say here is read, so that the buffers stay empty, and not heeded."""
+        now_ns = self._clock_ns()
+        self._port.open_if_due(now_ns)
+        if self._port.receive():
+            self._port.proved()
+        self._port.codec.system_id = self._vehicle.system_id or FIRST_SYSTEM_ID
+        if now_ns >= self._heartbeat_ns:
+            self._heartbeat_ns = now_ns + HEARTBEAT_NS
+            self._port.send(encoders.heartbeat(self.system_status))
+        self._send(self._texts.due(now_ns))
+        if self._port.is_open != self._was_open:
+            self._was_open = self._port.is_open
+            self._record(
+                LinkChanged("up" if self._was_open else "closed", self._port.why_closed, str(self._port.connection))
+            )
+
+    def tell_place(self, fix: PlaceFix) -> None:
+        """A line, if it is time for one, and the values."""
+        now_ns = self._clock_ns()
+        self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
+        self._send(encoders.plotted_values(fix, round((self._vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
+
+    def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
+        """Queue a line for the pilot."""
+        self._texts.put(text, severity)
+
+    @property
+    def port(self) -> Port:
+        """Where its messages go."""
+        return self._port
+
+    def close(self) -> None:
+        """Close the link."""
+        self._port.close()
+
+    def _send(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._port.send(message)

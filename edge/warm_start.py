@@ -1,0 +1,195 @@
+"""What the daemon keeps from one run to the next: the normalisation's statistics, and how it was last seen.
+
+One file beside the journal: a line of JSON, then mean and deviation (2, R, D) float64, little-endian. It is replaced
+by one rename, so that after a crash there is the old one or the new one. What is damaged, too old, or made with
+another model, cut or map is refused in one line, and the run then starts from nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.descriptor.normalize import RunningStatistics
+from edge.recognizer import PlaceMatch, PlaceRecognizer
+
+FORMAT, VERSION = "lookback-state", 1
+MAX_HEADER_BYTES = 4096
+WRITTEN_EACH_S = 60.0
+log = logging.getLogger(__name__)
+
+
+class StateKey(msgspec.Struct, frozen=True):
+    """What statistics depend on, and the map, or the folder of maps, in which `place` is counted."""
+
+    model_sha256: str
+    tap: str
+    regions: str
+    region_width: float
+    map_sha256: str
+
+
+class Moment(msgspec.Struct, frozen=True):
+    """A time that can be compared across restarts: by the boot's own clock, and across boots by the wall clock."""
+
+    unix_s: float
+    boot_id: str
+    boot_s: float
+
+    @classmethod
+    def now(cls) -> Moment:
+        """This moment."""
+        boot_id = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return cls(time.time(), boot_id, time.clock_gettime(time.CLOCK_BOOTTIME))
+
+    def since(self, earlier: Moment) -> float:
+        """Seconds; negative when the wall clock was set back between two boots."""
+        return self.boot_s - earlier.boot_s if self.boot_id == earlier.boot_id else self.unix_s - earlier.unix_s
+
+
+class _Header(msgspec.Struct, frozen=True):
+    format: str
+    version: int
+    key: StateKey
+    moment: Moment
+    shape: tuple[int, int]
+    count: int
+    state: str
+    place: int | None
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class KeptState:
+    """Mean and deviation (R, D) float64 of `count` raw descriptors; the state, and the last place believed."""
+
+    count: int
+    mean: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    state: str
+    place: int | None
+    age_s: float = 0.0
+
+
+class StateFile:
+    """The file of one daemon."""
+
+    def __init__(self, path: Path, key: StateKey, shape: tuple[int, int]) -> None:
+        """shape: regions and dimensions of a descriptor."""
+        self._path, self._key, self._shape = path, key, shape
+        self._told = False
+
+    def read(self, now: Moment, max_age_s: float) -> KeptState | None:
+        """What was kept; None, and one line in the log that says why, when it is not there to be used."""
+        if not self._path.exists():
+            return None
+        try:
+            return self._read(now, max_age_s)
+        except (OSError, ValueError) as error:  # msgspec's errors are ValueErrors
+            why = error.strerror if isinstance(error, OSError) else str(error)
+            log.warning("%s: not used: %s", self._path, why)
+            return None
+
+    def _read(self, now: Moment, max_age_s: float) -> KeptState:
+        size = 2 * self._shape[0] * self._shape[1] * 8
+        if self._path.stat().st_size > MAX_HEADER_BYTES + size:
+            raise ValueError("too large")
+        line, _, body = self._path.read_bytes().partition(b"\n")
+        header = msgspec.json.decode(line, type=_Header)
+        if (header.format, header.version) != (FORMAT, VERSION):
+            raise ValueError(f"format {header.format!r} version {header.version}; this program reads {VERSION}")
+        if _encode(msgspec.structs.replace(header, sha256=""), body) != line:
+            raise ValueError("damaged (its checksum does not hold)")
+        if header.key != self._key or header.shape != self._shape or len(body) != size:
+            raise ValueError("made with another model, other regions or another map")
+        values = np.frombuffer(body, "<f8").reshape(2, *self._shape)
+        if header.count < 1 or not np.isfinite(values).all() or (values[1] < 0).any():
+            raise ValueError("not statistics")
+        age_s = now.since(header.moment)
+        if not 0 <= age_s <= max_age_s:
+            raise ValueError(f"{age_s / 60:.0f} minutes old, and the light changes")
+        return KeptState(header.count, values[0], values[1], header.state, header.place, age_s)
+
+    def write(self, kept: KeptState, now: Moment) -> None:
+        """Replace the file; a disk that does not take it costs the next run's good start, and is reported once."""
+        body = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
+        header = _Header(FORMAT, VERSION, self._key, now, self._shape, kept.count, kept.state, kept.place)
+        new = self._path.with_name(f"{self._path.name}.new")
+        try:
+            with new.open("wb") as file:
+                file.write(_encode(header, body) + b"\n" + body)
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(self._path)
+            self._told = False
+        except OSError as error:
+            if not self._told:
+                log.warning("%s: cannot keep the state: %s", self._path, error.strerror)
+            self._told = True
+            with contextlib.suppress(OSError):
+                new.unlink(missing_ok=True)
+
+
+def _encode(header: _Header, body: bytes) -> bytes:
+    """The file's line: the header, with a checksum over itself without one and over the body."""
+    digest = hashlib.sha256(msgspec.json.encode(header) + body).hexdigest()
+    return msgspec.json.encode(msgspec.structs.replace(header, sha256=digest))
+
+
+COUNTS_AS_MOST = 300
+"""Frames that another run's statistics weigh as. On the recorded laps, the first 60 frames after a restart agreed with
+a run that had gone on in 0.22 to 0.89 of cases without them, in 0.84 to 0.98 with 100, and in 0.94 to 0.96 with 300."""
+FEWEST = 20
+
+
+class WarmStart:
+    """The state file of a daemon, beside its journal; without a journal, or where it is not asked for, none."""
+
+    def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
+        """Read what the last run has kept, and start the recogniser with it."""
+        self._recognizer = recognizer
+        self._file: StateFile | None = None
+        self._written_ns = 0
+        descriptor, header, maps_sha256 = config.descriptor, recognizer.atlas.headers[0], recognizer.atlas.sha256
+        model = header.model
+        minutes = descriptor.keep_statistics_min
+        if not (minutes and config.telemetry.journal and descriptor.normalization == "online"):
+            return
+        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, maps_sha256)
+        path = Path(config.telemetry.journal).with_suffix(".state")
+        self._file = StateFile(path, key, (header.regions.count, model.dimensions))
+        kept = self._file.read(Moment.now(), 60 * minutes)
+        if kept is not None:
+            recognizer.begin_with(
+                RunningStatistics.of_another_run(kept.count, kept.mean, kept.deviation, at_most=COUNTS_AS_MOST)
+            )
+            log.info("starting with the statistics of a run that was here %.0f s ago, %s", kept.age_s, _spell(kept))
+
+    def keep_if_due(self, now_ns: int, state: str, newest: PlaceMatch | None) -> None:
+        """Write the file, once a minute."""
+        if now_ns - self._written_ns >= WRITTEN_EACH_S * 1e9:
+            if self._written_ns:
+                self.keep(state, newest)
+            self._written_ns = now_ns
+
+    def keep(self, state: str, newest: PlaceMatch | None) -> None:
+        """Write the file, unless there are too few frames to be worth it."""
+        statistics = self._recognizer.statistics
+        if self._file is None or statistics is None or statistics.count < FEWEST:
+            return
+        place = None if newest is None else newest.place
+        self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, state, place), Moment.now())
+
+
+def _spell(kept: KeptState) -> str:
+    return kept.state if kept.place is None else f"{kept.state}, last at place {kept.place}"

@@ -1,0 +1,213 @@
+"""`lookback doctor` against a simulated autopilot on a pty, and with each thing missing in turn."""
+
+from __future__ import annotations
+
+import json
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.__main__ import main
+from edge.commands.diagnostic import Diagnostic
+from edge.commands.doctor import examine
+from edge.commands.map_build import build_map
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.feed import read_feed
+from edge.telemetry.codec import MavlinkCodec
+from sim.autopilot import SimulatedAutopilot
+from sim.autopilot_command import straight_line
+from sim.pty_link import PtyLink, open_pty
+
+
+class Parameters:
+    """The part of an autopilot that the simulated one has not: it answers PARAM_REQUEST_READ, of what it has."""
+
+    def __init__(self, autopilot: SimulatedAutopilot, link: PtyLink, values: dict[str, tuple[float, int]]) -> None:
+        self._autopilot, self._link, self._values = autopilot, link, values
+        self._codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+    def run(self, stop: threading.Event) -> None:
+        answered = 0
+        while not stop.wait(0.02):
+            received = self._autopilot.received[answered:]
+            answered += len(received)
+            for item in received:
+                if item.message.get_type() == "PARAM_REQUEST_READ" and item.message.param_id in self._values:
+                    value, kind = self._values[item.message.param_id]
+                    name = item.message.param_id.encode()
+                    self._link.send(self._codec.encode(mavlink.MAVLink_param_value_message(name, value, kind, 1, 0)))
+
+
+@pytest.fixture
+def fly() -> Iterator[Callable[..., str]]:
+    """Starts a simulated autopilot with some parameters; gives the connection to it."""
+    stop = threading.Event()
+    threads: list[threading.Thread] = []
+    links: list[PtyLink] = []
+
+    def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot") -> str:
+        links.append(open_pty())
+        autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
+        for part in (autopilot, Parameters(autopilot, links[-1], parameters)):
+            threads.append(threading.Thread(target=part.run, args=(stop,)))
+            threads[-1].start()
+        return f"serial:{links[-1].device}:921600"
+
+    yield start
+    stop.set()
+    for thread in threads:
+        thread.join()
+    for link in links:
+        link.close()
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "feed")
+    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
+    return folder
+
+
+@pytest.fixture
+def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
+    def write(**sections: dict[str, Any]) -> Path:
+        config: dict[str, dict[str, Any]] = {
+            "camera": {"kind": "feed", "device": str(street / "feed")},
+            "map": {"path": str(street / "map")},
+            "telemetry": {"connection": f"serial:{tmp_path}/none:57600", "journal": str(tmp_path / "events.jsonl")},
+        }
+        for name, keys in sections.items():
+            config.setdefault(name, {}).update(keys)
+        (tmp_path / "lookback.toml").write_text(tomli_w.dumps(config))
+        return tmp_path / "lookback.toml"
+
+    return write
+
+
+def told(findings: list[Diagnostic], what: str, level: str) -> str:
+    """The words of all findings of that kind, with what to do."""
+    return " | ".join(f"{one.words} -> {one.remedy}" for one in findings if (one.what, one.level) == (what, level))
+
+
+def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path) -> None:
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (7.0, real)})
+    config = write_config(telemetry={"connection": connection, "emit": "external_position"})
+    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    assert [one for one in findings if one.level == "bad"] == []
+    assert "ArduPilot 4." in told(findings, "autopilot", "good")
+    assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
+    assert "80 places, all checksums hold" in told(findings, "map", "good")
+    assert "160 x 120 pixels" in told(findings, "camera", "good")
+    assert "two regions take" in told(findings, "model", "good")
+
+
+def test_a_wrong_parameter_says_why_and_what_to_set(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (0.0, real)})
+    config = write_config(telemetry={"connection": connection, "emit": "auto"})
+    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    words = told(findings, "parameter", "bad")
+    assert "AHRS_OPTIONS = 0: else a rover" in words
+    assert "set its bits 3" in words
+
+
+def test_integers_of_px4_come_as_bytes(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    kind = mavlink.MAV_PARAM_TYPE_INT32
+
+    def as_float(number: int) -> float:
+        return float(struct.unpack("<f", struct.pack("<i", number))[0])
+
+    connection = fly({"EKF2_AGP0_CTRL": (as_float(1), kind), "EKF2_AGP0_ID": (as_float(2), kind)}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "global_position_sensor"})
+    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    assert "EKF2_AGP0_CTRL = 1" in told(findings, "parameter", "good")
+    assert "EKF2_AGP0_ID = 2: it must be the id that [telemetry] sensor_id gives -> set it to 1" in told(
+        findings, "parameter", "bad"
+    )
+
+
+def test_no_port_no_camera_no_map(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"}, map={"path": str(tmp_path / "none")})
+    findings = list(examine(config, 0.3, tmp_path / "dev"))
+    assert "no such port; is the autopilot plugged in?" in told(findings, "autopilot", "bad")
+    assert "/dev/no-camera: No such file" in told(findings, "camera", "bad")
+    assert "no such map" in told(findings, "map", "bad")
+    assert "lookback map build FEED -o" in told(findings, "map", "bad")
+
+
+def test_a_silent_port(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    link = open_pty()
+    try:
+        config = write_config(telemetry={"connection": f"serial:{link.device}:57600"})
+        findings = list(examine(config, 0.3, tmp_path / "dev"))
+        assert "no heartbeat in 0.3 s -> check the wires" in told(findings, "autopilot", "bad")
+    finally:
+        link.close()
+
+
+def test_a_silent_network(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(telemetry={"connection": "udp:127.0.0.1:9"})
+    found = told(list(examine(config, 0.1, dev=tmp_path / "dev")), "autopilot", "bad")
+    assert "no heartbeat in 0.1 s -> check that something sends MAVLink 2 there" in found
+
+
+def test_devices_and_rights(tmp_path: Path) -> None:
+    dev = tmp_path / "dev"
+    (dev / "v4l/by-id").mkdir(parents=True)
+    (dev / "v4l/by-id/usb-cam-video-index0").touch()
+    (dev / "v4l/by-id/usb-gone-video-index0").symlink_to(tmp_path / "unplugged")
+    findings = list(examine(None, 0.0, dev))
+    assert "usb-cam-video-index0: there, and may be used" in told(findings, "camera", "good")
+    assert "usb-gone-video-index0: leads nowhere -> unplug" in told(findings, "camera", "note")
+
+
+def test_a_wrong_config_is_a_finding_and_the_rest_is_still_looked_at(tmp_path: Path) -> None:
+    (tmp_path / "lookback.toml").write_text("[camera]\nfsp = 3\n")
+    findings = list(examine(tmp_path / "lookback.toml", 0.0, tmp_path / "dev"))
+    assert "unknown key `fsp`" in told(findings, "config", "bad")
+    assert told(findings, "clock", "good")
+
+
+def test_a_recorded_feed_needs_no_camera(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(), 0.1, dev=tmp_path / "dev"))
+    if not any("OAK device" in one.words for one in findings):
+        assert '[camera] kind = "feed" needs none' in told(findings, "camera", "good")
+
+
+def test_a_config_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "nowhere.toml"]) == 1
+    printed = capsys.readouterr().out
+    assert "name the file that the daemon is run with" in printed
+    assert printed.endswith(" to put right before `lookback run` can do all of its work\n")
+
+
+def test_what_is_tried_again_is_not_logged_as_well(
+    write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    main(["doctor", str(write_config()), "--seconds", "0.1"])
+    assert "none: no such port" in capsys.readouterr().out
+    assert caplog.records == []
+
+
+def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", str(write_config()), "--json", "--seconds", "0.1"]) == 1
+    findings = json.loads(capsys.readouterr().out)
+    assert {"level", "what", "words", "remedy"} == set(findings[0])
+    assert any(one["what"] == "autopilot" and one["level"] == "bad" for one in findings)
+
+
+def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["doctor"])
+    assert "lookback doctor CONFIG; `lookback check --default > lookback.toml` makes one" in capsys.readouterr().out

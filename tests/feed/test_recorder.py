@@ -1,0 +1,118 @@
+"""[recording]: a feed of the run, which never costs the run anything."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.camera import Frame
+from edge.commands.map_build import build_map
+from edge.config import CameraConfig, DescriptorConfig, RecordingConfig, SamplingConfig
+from edge.feed import read_feed
+from edge.feed.recorder import KEPT, RunRecording
+from edge.journal.journal import read_journal
+from edge.localization import VehiclePosition
+
+NOON_S = 1_700_000_000.0
+NAME = "20231114T221320Z"
+CAMERA = CameraConfig(kind="v4l2", view="rear")
+
+
+def frame(index: int) -> Frame:
+    return Frame(np.full((24, 32, 3), index, np.uint8), index * 1000, index)
+
+
+def position(index: int) -> VehiclePosition:
+    return VehiclePosition(index * 1000, 1.0, 2.0, 3.0, 90.0, 4.0)
+
+
+def record(folder: Path, count: int = 5, **options: object) -> RunRecording:
+    """A whole run of some frames."""
+    recording = RunRecording(RecordingConfig(str(folder)), CAMERA, lambda: NOON_S, **options)  # type: ignore[arg-type]
+    for index in range(count):
+        recording.keep(frame(index), position(index) if index else None, 2.0 * index)
+    recording.close()
+    return recording
+
+
+def test_a_run_becomes_a_feed(tmp_path: Path) -> None:
+    assert record(tmp_path / "runs").written == 5
+    feed = read_feed(tmp_path / "runs" / NAME)
+    assert (feed.header.name, feed.header.view, feed.header.width) == (NAME, "rear", 32)
+    assert [row.distance_m for row in feed.rows] == [0.0, 2.0, 4.0, 6.0, 8.0]
+    assert (feed.rows[0].lat_deg, feed.rows[1].lat_deg, feed.rows[1].speed_mps) == (None, 1.0, 4.0)
+
+
+def test_every_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    record(tmp_path)
+    record(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, f"{NAME}-2"]
+
+
+def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recording = record(tmp_path, free_bytes=lambda folder: 10**9 - 2 * 10**8 * len(list(tmp_path.glob("*/frames/*"))))
+    assert recording.written == 3  # 1000, 800, 600 and then 400 MB
+    assert len(read_feed(tmp_path / NAME).rows) == 3
+    assert "stopped after 3 frames: the disk is nearly full" in caplog.text
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "file").touch()
+    recording = record(tmp_path / "file", count=3 * KEPT)
+    assert recording.written == 0
+    assert len([line for line in caplog.messages if "recording" in line]) == 1
+
+
+def test_a_disk_that_hangs_costs_frames_of_the_recording_only(tmp_path: Path) -> None:
+    hangs = threading.Event()
+
+    def free_bytes(folder: Path) -> int:
+        hangs.wait(20)
+        return 10**10
+
+    recording = RunRecording(RecordingConfig(str(tmp_path)), CAMERA, lambda: NOON_S, free_bytes)
+    started_s = time.monotonic()
+    for index in range(100):
+        recording.keep(frame(index), None, None)
+    recording.close(patience_s=0.1)
+    assert time.monotonic() - started_s < 2
+    assert recording.left_out >= 100 - KEPT - 2
+    hangs.set()
+
+
+def test_the_config_is_relative_to_its_file(tmp_path: Path) -> None:
+    from edge.config import parse_config
+
+    config = parse_config('[recording]\nfolder = "runs"\n', tmp_path / "lookback.toml")
+    assert config.recording.folder == os.fspath(tmp_path / "runs")
+
+
+def test_the_log_names_the_feed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        record(tmp_path)
+    assert f"recording: {tmp_path / NAME}" in caplog.text
+
+
+def test_the_daemon_records_what_it_uses(write_traverse: Callable[..., Path], tmp_path: Path) -> None:
+    feed = write_traverse(tmp_path / "feed", range(40), period_ms=30)
+    build_map([read_feed(feed)], tmp_path / "map", DescriptorConfig(), SamplingConfig())
+    (tmp_path / "lookback.toml").write_text(
+        '[camera]\nkind = "feed"\ndevice = "feed"\n[sampling]\nby = "frames"\n[map]\npath = "map"\n'
+        '[sequence]\nlength = 10\n[telemetry]\nconnection = "serial:none:57600"\njournal = "events.jsonl"\n'
+        '[page]\nport = 0\n[recording]\nfolder = "runs"\nmin_free_mb = 0\n'
+    )
+    command = [sys.executable, "-m", "edge", "run", str(tmp_path / "lookback.toml")]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    (run,) = (tmp_path / "runs").iterdir()
+    stopped = [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "stopped"]
+    assert len(read_feed(run).rows) == stopped[0]["frames_used"] >= 30

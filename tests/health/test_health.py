@@ -1,0 +1,55 @@
+"""Which state follows from what the parts say, and that every state has a heartbeat of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from edge.health.health import MAV_STATES, STARTING, Health, HealthInputs, derive
+
+WELL = HealthInputs(recognizer="on the map", frames_used=50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "state", "why"),
+    [
+        ({}, "on the map", ""),
+        ({"recognizer": "off the map"}, "off the map", ""),
+        ({"recognizer": "warming up"}, "warming up", ""),
+        ({"recognizer": "searching"}, "warming up", ""),
+        ({"frames_used": 0}, "starting", ""),
+        ({"camera": "ended"}, "on the map", ""),
+        ({"camera": "lost", "camera_why": "no frame"}, "degraded", "blind, camera: no frame"),
+        ({"picture": "the picture is frozen"}, "degraded", "blind, camera: the picture is frozen"),
+        ({"link": "closed", "link_why": "ttyX: gone"}, "degraded", "link: ttyX: gone; on the map"),
+        ({"link": "waiting", "link_down_s": 4.0}, "on the map", ""),
+        ({"link": "waiting", "link_down_s": 6.0}, "degraded", "link: no autopilot heard; on the map"),
+        ({"journal": "no space left"}, "degraded", "journal: no space left; on the map"),
+        ({"frame_s": 1.5}, "degraded", "slow: a frame took over 1 s; on the map"),
+        (
+            {"camera": "lost", "camera_why": "x", "journal": "y"},
+            "degraded",
+            "blind, camera: x; journal: y",
+        ),
+    ],
+)
+def test_states(changes: dict[str, object], state: str, why: str) -> None:
+    health = derive(replace(WELL, **changes))  # type: ignore[arg-type]
+    assert (health.state, health.why) == (state, why)
+
+
+def test_a_standing_vehicle_keeps_its_state() -> None:
+    standing = replace(WELL, recognizer="standing")
+    assert derive(standing, derive(WELL)).state == "on the map"
+    assert derive(standing, derive(replace(WELL, recognizer="off the map"))).state == "off the map"
+    assert derive(standing, STARTING).state == "warming up"
+    blind = derive(replace(WELL, camera="lost"))
+    assert derive(replace(standing, frames_used=1), blind).state == "warming up"
+    troubled = derive(replace(WELL, journal="full"))
+    assert derive(standing, troubled).state == "on the map"
+
+
+def test_each_state_has_its_own_heartbeat() -> None:
+    assert len(set(MAV_STATES.values())) == len(MAV_STATES)
+    assert {Health(state).mav_state for state in MAV_STATES} == set(MAV_STATES.values())

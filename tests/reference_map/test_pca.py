@@ -1,0 +1,111 @@
+"""Shrunk descriptors: directions against NumPy's own, maps that keep them, and what they cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.config import SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.errors import MapError
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.costs import COST_ONE, CostMatcher
+from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
+from sim.evaluation.shrinking import price_of_shrinking
+
+DIMENSIONS = 64
+MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
+
+
+def street(places: int, *, carriers: int, noise: float = 0.05, seed: int = 0) -> np.ndarray:
+    """Raw descriptors (n, 2, D) that vary along a few directions, each place a little like its neighbours."""
+    rng = np.random.default_rng(seed)
+    along = rng.normal(size=(places + 2, 2, carriers))
+    along = along[:-2] + along[1:-1] + along[2:]
+    directions = np.linalg.qr(rng.normal(size=(DIMENSIONS, carriers)))[0]
+    return (along @ directions.T + rng.normal(size=(places, 2, DIMENSIONS)) * noise).astype(np.float32)
+
+
+def build(path: Path, raw: np.ndarray, dimensions: int | None, *, segments: int = 1) -> ReferenceMap:
+    regions = RegionsKey("left-right", 0.4, "set")
+    with MapBuilder(path, MODEL, regions, SamplingConfig(), dimensions=dimensions) as builder:
+        for part in np.array_split(raw, segments):
+            builder.begin_segment("drive", "rear")
+            for index, descriptor in enumerate(part):
+                builder.add(descriptor, Place(row=index))
+        builder.finish(normalize, "test")
+    return open_map(path)
+
+
+def test_directions_are_those_in_which_the_set_varies_most() -> None:
+    rows = street(500, carriers=6, seed=3)
+    found = principal_directions(lambda: np.array_split(rows, 7), DIMENSIONS, 6)
+    np.testing.assert_allclose(found @ found.T, np.eye(6), atol=1e-5)
+    flat = rows.reshape(-1, DIMENSIONS).astype(np.float64)
+    _, _, exact = np.linalg.svd(flat, full_matrices=False)
+    # The same subspace: every exact direction is whole within what was found.
+    np.testing.assert_allclose(np.linalg.norm(exact[:6] @ found.T, axis=1), 1.0, atol=1e-3)
+    carried = np.square(flat @ found.T).sum(axis=0)
+    assert (np.diff(carried) <= 0).all()
+
+
+def test_a_bad_number_does_not_reach_other_dimensions() -> None:
+    directions = principal_directions(lambda: [street(100, carriers=6)], DIMENSIONS, 8)
+    row = street(1, carriers=6)
+    spoiled, without = row.copy(), row.copy()
+    spoiled[0, 1, 5], without[0, 1, 5] = np.nan, 0
+    np.testing.assert_array_equal(project(spoiled, directions), project(without, directions))
+
+
+def test_a_shrunk_map_gives_nearly_the_costs_of_the_whole_one_in_both_orders(tmp_path: Path) -> None:
+    raw = street(300, carriers=10)
+    whole, shrunk = build(tmp_path / "whole", raw, None), build(tmp_path / "shrunk", raw, 12)
+    assert whole.projection is None
+    assert shrunk.descriptors.shape == (2, 300, 12)
+    assert shrunk.projection is not None
+    assert shrunk.projection.shape == (12, DIMENSIONS)
+    rows = normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
+    costs = [CostMatcher.of(one).costs(rows[40:45]) for one in (whole, shrunk)]
+    assert np.abs(costs[0] - costs[1]).mean() < 0.05 * COST_ONE
+    np.testing.assert_array_equal(costs[1][:, 0].argmin(axis=1), np.arange(40, 45))
+    swapped = CostMatcher.of(shrunk).costs(rows[40:45, ::-1])
+    np.testing.assert_array_equal(swapped, costs[1][:, ::-1])
+
+
+def test_as_many_dimensions_as_there_are_is_no_projection(tmp_path: Path) -> None:
+    assert build(tmp_path / "m", street(20, carriers=4), DIMENSIONS).projection is None
+
+
+def test_more_dimensions_than_places(tmp_path: Path) -> None:
+    assert build(tmp_path / "m", street(5, carriers=4), 40).descriptors.shape == (2, 5, 40)
+
+
+def test_a_damaged_projection_is_noticed(tmp_path: Path) -> None:
+    build(tmp_path / "m", street(20, carriers=4), 8)
+    data = bytearray((tmp_path / "m" / PROJECTION).read_bytes())
+    data[7] ^= 16
+    (tmp_path / "m" / PROJECTION).write_bytes(data)
+    with pytest.raises(MapError, match=rf"{PROJECTION}: damaged"):
+        open_map(tmp_path / "m")
+
+
+def test_the_price_rises_as_dimensions_go(tmp_path: Path) -> None:
+    raw = street(240, carriers=30, noise=0.3)
+    prices = [price_of_shrinking(build(tmp_path / str(kept), raw, kept, segments=3)) for kept in (40, 2)]
+    dear, cheap = prices[1], prices[0]
+    assert cheap is not None
+    assert dear is not None
+    assert cheap.sequences == dear.sequences == 3 * (40 - 4)
+    assert cheap.right == dear.right > 0.9
+    assert cheap.same > 0.9
+    assert dear.right_shrunk < 0.8
+    assert dear.margin_shrunk < cheap.margin_shrunk
+    assert "sequences of 5" in str(cheap)
+
+
+def test_nothing_is_paid_for_nothing(tmp_path: Path) -> None:
+    assert price_of_shrinking(build(tmp_path / "whole", street(20, carriers=4), None)) is None
+    assert price_of_shrinking(build(tmp_path / "short", street(4, carriers=4), 8)) is None

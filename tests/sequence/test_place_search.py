@@ -1,0 +1,189 @@
+"""A map too large for one frame: around a position, slice by slice, and following what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
+from edge.descriptor.normalize import NormalizedRows, normalize
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.map_set import MapSet
+from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
+from edge.sequence import SequenceMatch
+from edge.sequence.global_search import SLICE_SHARE
+from edge.sequence.place_search import Near, PlaceSearch
+
+PLACES, LENGTH, LIMIT = 6000, 10, 800
+DEGREES_A_METRE = 1 / 110_800
+CONFIG = Config(
+    map=MapConfig(places_per_frame=LIMIT),
+    sequence=SequenceConfig(length=LENGTH),
+    acceptance=AcceptanceConfig(uniqueness_min=1.2, window_m=40.0, window_places=20),
+)
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])
+def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
+    """12 km of places 2 m apart going north in two segments, each neighbour a little alike."""
+    rng = np.random.default_rng(3)
+    raw = rng.normal(size=(PLACES + 2, 2, 48))
+    raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
+    path = tmp_path_factory.mktemp("maps") / "long.map"
+    key = ModelKey("test", "0" * 64, "fc6", 48)
+    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+        for index in range(PLACES):
+            if index % 3000 == 0:
+                builder.begin_segment("drive", "front")
+            known = {"lat_deg": index * 2 * DEGREES_A_METRE, "lon_deg": 0.0} if request.param else {}
+            builder.add(raw[index], Place(row=index, route_m=index * 2.0, **known))
+        builder.finish(normalize, "test")
+    return open_map(path)
+
+
+@pytest.fixture(scope="module")
+def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
+    """What a normalised query shows at a place: the place on another day."""
+    rng = np.random.default_rng(5)
+    half_sum, half_difference = long_map.descriptors.astype(np.float32)
+    rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
+    noise = rng.normal(size=rows.shape).astype(np.float32) * rows.std() * 0.7
+    return lambda place: rows[place] + noise[place]
+
+
+class Drive:
+    """Feeds a search with one place after another, as the recogniser does, and counts what each frame matched."""
+
+    def __init__(self, reference_map: ReferenceMap, look: Callable[[int], np.ndarray], config: Config = CONFIG) -> None:
+        self.search = PlaceSearch(MapSet.of(reference_map), config)
+        self._look = look
+        self._ring: list[np.ndarray] = []
+
+    def see(self, place: int, near: Near | None = None) -> SequenceMatch | None:
+        self._ring = [*self._ring, self._look(place)][-LENGTH:]
+        change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
+        return self.search.push(change, lambda: np.stack(self._ring), near)
+
+    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[SequenceMatch | None]:
+        return [self.see(place, near(place)) for place in places]
+
+
+def close_to(place: int, off_m: float = 0.0, radius_m: float = 60.0) -> Near:
+    return Near((place * 2 + off_m) * DEGREES_A_METRE, 0.0, radius_m)
+
+
+def test_around_a_position_the_answers_are_those_of_the_whole_map(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    if math.isnan(long_map.places["lat_deg"][0]):
+        pytest.skip("needs positions")
+    part = Drive(long_map, look)
+    whole = Drive(long_map, look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
+    drive = range(1400, 2000)  # longer than a part reaches, so that it moves several times
+    parts_used = set()
+    for place in drive:
+        found, expected = part.see(place, close_to(place)), whole.see(place)
+        assert (found is None) == (expected is None)
+        if found and expected:
+            assert (found.place, found.direction, found.order, found.cost, found.slope) == (
+                expected.place,
+                expected.direction,
+                expected.order,
+                expected.cost,
+                expected.slope,
+            )
+            # With fewer places elsewhere, the best of them can only be worse.
+            assert found.uniqueness >= expected.uniqueness
+        assert part.search.part is not None
+        assert len(part.search.part.places) <= LIMIT
+        parts_used.add(id(part.search.part))
+    assert len(parts_used) >= 3
+
+
+def test_without_a_position_the_map_is_gone_through_and_then_followed(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    drive = Drive(long_map, look)
+    start = 4100
+    slices = math.ceil(PLACES / (LIMIT // SLICE_SHARE))
+    first = drive.go(range(start, start + LENGTH - 1 + slices))
+    assert first[:-1] == [None] * (len(first) - 1)
+    found = first[-1]
+    assert found is not None
+    assert found.accepted
+    # Its slice was seen some frames ago.
+    assert start + LENGTH - 1 <= found.place <= start + LENGTH - 1 + slices
+    onward = drive.go(range(start + LENGTH - 1 + slices, start + 900))
+    assert all(match is not None and match.accepted for match in onward)
+    errors = [
+        abs(match.place - place)
+        for match, place in zip(onward, range(start + LENGTH - 1 + slices, start + 900), strict=True)
+        if match
+    ]
+    assert max(errors) <= 1
+    assert drive.search.part is not None
+    assert len(drive.search.part.places) <= LIMIT
+
+
+def test_a_wrong_position_is_found_out(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
+    if math.isnan(long_map.places["lat_deg"][0]):
+        pytest.skip("needs positions")
+    drive = Drive(long_map, look)
+    frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
+    matches = drive.go(range(500, 500 + frames), lambda place: close_to(place, off_m=6000.0))
+    believed = [match for match in matches if match and match.accepted]
+    assert believed
+    assert all(500 <= match.place <= 500 + frames for match in believed)
+
+
+def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
+    drive = Drive(long_map, look)
+    drive.go(range(2500, 2700))
+    # A jump, as if the vehicle were carried: after a while the whole map is gone through again.
+    after = drive.go(range(5000, 5100))
+    last = after[-1]
+    assert last is not None
+    assert last.accepted
+    assert abs(last.place - 5099) <= 1
+
+
+@pytest.mark.parametrize("broken", [0.0, math.nan, math.inf])
+def test_a_frame_that_says_nothing_is_as_good_as_none(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], broken: float
+) -> None:
+    def look_or_fail(place: int) -> np.ndarray:
+        return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else look(place)
+
+    whole = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES))
+    matches = Drive(long_map, look_or_fail, whole).go(range(1000, 1060))
+    assert all(
+        match is not None and match.accepted and abs(match.place - place) <= 1
+        for match, place in zip(matches[LENGTH:], range(1000 + LENGTH, 1060), strict=True)
+    )
+
+
+def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
+    drive = Drive(long_map, look)
+    drive.go(range(2500, 2600))
+    assert drive.search.part is not None
+    drive.search.clear()
+    assert drive.search.part is None
+
+
+def test_after_a_gap_the_position_is_searched_around_again(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    if math.isnan(long_map.places["lat_deg"][0]):
+        pytest.skip("needs positions")
+    drive = Drive(long_map, look)
+    drive.go(range(2500, 2530), close_to)
+    drive.search.clear()
+    drive._ring.clear()
+    matches = drive.go(range(2540, 2540 + LENGTH), close_to)
+    assert drive.search.part is not None
+    assert matches[-1] is not None
+    assert matches[-1].place == 2540 + LENGTH - 1

@@ -1,0 +1,158 @@
+"""Each message that we send, encoded and decoded again."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tracemalloc
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.localization import PlaceFix
+from edge.telemetry import encoders
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.encoders import Sending
+from edge.telemetry.vehicle import Origin
+
+FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.5, 2.0, "reverse", "swapped", 1.234, "residential_street", 5)
+ORIGIN = Origin(-27.478, 153.028, 20.0)
+SENDING = Sending(5, 12345.678, 0.42, 3, ORIGIN, -1.5, 7)
+
+
+def carried(message: Any) -> Any:
+    """The message as it arrives, on a link on which it is the only one."""
+    (received,) = MavlinkCodec(1, 1).decode(MavlinkCodec(5, 191).encode(message))
+    assert (received.get_srcSystem(), received.get_srcComponent()) == (5, 191)
+    return received
+
+
+def test_heartbeat() -> None:
+    message = carried(encoders.heartbeat(mavlink.MAV_STATE_ACTIVE))
+    assert (message.type, message.autopilot, message.system_status) == (18, 8, 4)
+
+
+def test_external_position() -> None:
+    message = carried(encoders.external_position(FIX, SENDING))
+    assert message.get_type() == "COMMAND_INT"
+    assert (message.target_system, message.target_component) == (5, 1)
+    assert (message.command, message.frame) == (43003, 0)
+    assert (message.x, message.y) == (-274772001, 1530283002)
+    assert math.isnan(message.z)
+    assert (message.param1, message.param2, message.param3) == pytest.approx((12345.678, 0.42, 7.5), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change", [{"lat_deg": None}, {"lon_deg": None}, {"sigma_along_m": math.inf}, {"sigma_along_m": math.nan}]
+)
+@pytest.mark.parametrize(
+    "encode", [encoders.external_position, encoders.global_position_sensor, encoders.vision_position]
+)
+def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="finite sigma"):
+        encode(replace(FIX, **change), SENDING)
+
+
+def test_a_fix_fits_into_one_status_text() -> None:
+    of_tile = replace(FIX, map="tile-3", place=7)
+    assert encoders.describe(of_tile) == "Place 7 of tile-3 backwards, residential_street, 1.23"
+    text = encoders.describe(FIX)
+    assert text == "Place 1207 backwards, residential_street, 1.23"
+    assert len(encoders.status_text(text, 6, 1)) == 1
+
+
+@pytest.mark.parametrize("size", [0, 1, 49, 50, 51, 99, 100, 101, 250])
+def test_status_text_of_any_length(size: int) -> None:
+    text = ("abcdefghij" * 25)[:size]
+    chunks = [carried(message) for message in encoders.status_text(text, mavlink.MAV_SEVERITY_NOTICE, 77)]
+    assert "".join(chunk.text for chunk in chunks) == text
+    assert {chunk.severity for chunk in chunks} == {5}
+    if size <= 50:
+        assert [(chunk.id, chunk.chunk_seq) for chunk in chunks] == [(0, 0)]
+    else:
+        assert [(chunk.id, chunk.chunk_seq) for chunk in chunks] == [(77, index) for index in range(len(chunks))]
+        assert len(chunks[-1].text) < 50, "the last chunk ends with a null byte"
+
+
+def test_plotted_values() -> None:
+    messages = [carried(message) for message in encoders.plotted_values(FIX, 2**32 + 5)]
+    assert {message.time_boot_ms for message in messages} == {5}
+    values = {message.name: message.value for message in messages}
+    assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": 7.5, "place": 1207}
+
+
+def test_global_position_sensor() -> None:
+    message = carried(encoders.global_position_sensor(FIX, SENDING))
+    assert message.get_msgId() == 296
+    assert (message.target_system, message.target_component, message.id, message.source) == (5, 1, 3, 2)
+    assert (message.lat, message.lon, message.eph, message.flags) == (-274772001, 1530283002, 7.5, 0)
+    assert message.time_usec == 12_345_678_000
+    assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
+
+
+def test_vision_position_is_in_metres_from_the_origin_and_has_no_height_of_its_own() -> None:
+    message = carried(encoders.vision_position(FIX, SENDING))
+    assert message.get_msgId() == 102
+    assert (message.x, message.y, message.z) == pytest.approx((88.62, 29.67, -1.5), abs=0.05)
+    assert message.yaw == pytest.approx(math.radians(182.5 - 360))
+    assert (message.usec, message.reset_counter) == (12_345_678_000, 7)
+    assert [message.covariance[index] for index in (0, 6, 11)] == [7.5**2] * 3
+    assert not any(map(math.isnan, message.covariance))
+    with pytest.raises(ValueError, match="origin"):
+        encoders.vision_position(FIX, replace_sending(origin=None))
+
+
+def replace_sending(**changes: Any) -> Sending:
+    return dataclasses.replace(SENDING, **changes)
+
+
+def test_origin_source_set_and_requests() -> None:
+    origin = carried(encoders.set_origin(5, ORIGIN))
+    assert (origin.target_system, origin.latitude, origin.longitude) == (5, -274780000, 1530280000)
+    assert origin.altitude == 20_000
+    chosen = carried(encoders.source_set(5, 2))
+    assert (chosen.command, chosen.param1, chosen.target_component) == (42007, 2, 1)
+    asked = carried(encoders.message_request(5, 148))
+    assert (asked.command, asked.param1) == (512, 148)
+
+
+def test_stream_request_and_timesync() -> None:
+    request = carried(encoders.stream_request(5, 33, 10.0))
+    assert (request.command, request.param1, request.param2) == (511, 33, 100_000)
+    assert (request.target_system, request.target_component) == (5, 1)
+    theirs = carried(encoders.timesync_request(123))
+    answer = carried(encoders.timesync_answer(theirs, 456))
+    assert (theirs.tc1, theirs.ts1, answer.tc1, answer.ts1) == (0, 123, 456, 123)
+
+
+def test_sequence_numbers_count_up_and_wrap() -> None:
+    sender, receiver = MavlinkCodec(1, 191), MavlinkCodec(1, 1)
+    frames = b"".join(sender.encode(encoders.heartbeat(4)) for _ in range(300))
+    assert [message.get_seq() for message in receiver.decode(frames)] == [index % 256 for index in range(300)]
+
+
+def test_frames_cut_anywhere_arrive_whole() -> None:
+    sender, receiver = MavlinkCodec(1, 191), MavlinkCodec(1, 1)
+    frames = b"".join(sender.encode(encoders.external_position(FIX, SENDING)) for _ in range(20))
+    cut = [message for start in range(0, len(frames), 7) for message in receiver.decode(frames[start : start + 7])]
+    assert len(cut) == 20
+
+
+def test_reads_that_never_end_with_a_frame_do_not_pile_up() -> None:
+    sender, receiver = MavlinkCodec(1, 1), MavlinkCodec(1, 191)
+    frames = b"".join(sender.encode(encoders.heartbeat(4)) for _ in range(8_000))
+    receiver.decode(frames[:5])
+    tracemalloc.start()
+    for start in range(5, len(frames) - 210, 210):
+        receiver.decode(frames[start : start + 210])
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < len(frames) / 2
+
+
+def test_messages_that_the_dialect_does_not_know_are_left_out() -> None:
+    unknown = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x0F, 42, 0, 0])
+    beat = MavlinkCodec(1, 1).encode(encoders.heartbeat(4))
+    assert [message.get_type() for message in MavlinkCodec(1, 191).decode(unknown + beat)] == ["HEARTBEAT"]

@@ -1,0 +1,77 @@
+"""A peer given by name: nobody waits for the network to say where it is."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.host_lookup import is_address, look_up
+from edge.telemetry.link import parse_connection
+from edge.telemetry.port import Port
+
+PATIENCE_S = 60.0
+
+
+def open_port(name: str, look_up: Callable[[str], str]) -> Port:
+    return Port(parse_connection(f"udp:{name}:14550"), MavlinkCodec(1, 191), lambda: 0, look_up)
+
+
+def poll_until(port: Port, condition: Callable[[], bool]) -> None:
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        port.open_if_due(10**12)
+        assert time.monotonic() < give_up_s
+
+
+def test_a_lookup_that_hangs_holds_nobody_up() -> None:
+    let_go, asked = threading.Event(), []
+
+    def hang(name: str) -> str:
+        asked.append(name)
+        let_go.wait(PATIENCE_S)
+        return "127.0.0.1"
+
+    port = open_port("gcs.local", hang)
+    began_s = time.monotonic()
+    assert [port.open_if_due(turn) for turn in range(1000)] == [False] * 1000
+    assert time.monotonic() - began_s < PATIENCE_S / 2
+    assert asked == ["gcs.local"]
+    let_go.set()
+    poll_until(port, lambda: port.is_open)
+    assert asked == ["gcs.local"]
+    port.close()
+
+
+def test_a_host_that_is_not_known_is_a_closed_port_with_a_reason() -> None:
+    def unknown(name: str) -> str:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    port = open_port("nowhere.local", unknown)
+    poll_until(port, lambda: bool(port.why_closed))
+    assert port.why_closed == "nowhere.local: cannot find this host: Name or service not known"
+    assert not port.is_open
+
+
+def test_an_address_is_not_looked_up() -> None:
+    def never(name: str) -> str:
+        raise AssertionError(name)
+
+    port = open_port("127.0.0.1", never)
+    assert port.open_if_due(0)
+    port.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "address"), [("127.0.0.1", True), ("::1", True), ("localhost", False), ("a b", False)]
+)
+def test_what_is_an_address(host: str, address: bool) -> None:
+    assert is_address(host) is address
+
+
+def test_this_computer_is_found() -> None:
+    assert look_up("localhost") in ("127.0.0.1", "::1")

@@ -1,0 +1,99 @@
+"""A run starts where the last one was: the recogniser's statistics survive a restart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.commands.map_build import build_map
+from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
+from edge.descriptor.network import Head, Network
+from edge.feed import FeedImages, read_feed
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.store import ReferenceMap, open_map
+from edge.warm_start import COUNTS_AS_MOST, WarmStart
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return Network.load()
+
+
+@pytest.fixture(scope="module")
+def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ReferenceMap]:
+    folder = tmp_path_factory.mktemp("street")
+    feed = write_traverse(folder / "feed", range(60))
+    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
+    return feed, open_map(folder / "map")
+
+
+def config(folder: Path, minutes: float = 30.0, journal: str = "events.jsonl") -> Config:
+    return Config(
+        descriptor=DescriptorConfig(keep_statistics_min=minutes),
+        sequence=SequenceConfig(length=8),
+        acceptance=AcceptanceConfig(window_m=10.0),
+        telemetry=TelemetryConfig(journal=str(folder / journal) if journal else ""),
+    )
+
+
+def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
+    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path
+) -> None:
+    feed, places = read_feed(street[0]), street[1]
+    images = FeedImages(feed)
+
+    def start() -> tuple[PlaceRecognizer, WarmStart]:
+        recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
+        return recognizer, WarmStart(config(tmp_path), recognizer)
+
+    first, memory = start()
+    assert first.statistics is None
+    for row in range(40):
+        first.observe(images.read(row), feed.rows[row].stamp_ns)
+    memory.keep("on the map", None)
+    second, _ = start()
+    assert first.statistics is not None
+    assert second.statistics is not None
+    assert second.statistics.count == first.statistics.count == 40 <= COUNTS_AS_MOST
+    np.testing.assert_array_equal(second.statistics.mean, first.statistics.mean)
+    for row in range(40, 60):
+        stamp_ns = feed.rows[row].stamp_ns
+        first.observe(images.read(row), stamp_ns)
+        second.observe(images.read(row), stamp_ns)
+    np.testing.assert_allclose(second.statistics.mean, first.statistics.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.statistics.deviation, first.statistics.deviation, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("changes", [{"minutes": 0.0}, {"journal": ""}], ids=["not asked for", "no journal"])
+def test_nothing_is_kept_where_it_is_not_asked_for(
+    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    feed, places = read_feed(street[0]), street[1]
+    wanted = config(tmp_path, **changes)  # type: ignore[arg-type]
+    recognizer = PlaceRecognizer(network, Head.load(network), places, wanted)
+    memory = WarmStart(wanted, recognizer)
+    images = FeedImages(feed)
+    for row in range(25):
+        recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
+    memory.keep("on the map", None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_first_minute_is_not_worth_a_write(
+    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path
+) -> None:
+    feed, places = read_feed(street[0]), street[1]
+    recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
+    memory = WarmStart(config(tmp_path), recognizer)
+    images = FeedImages(feed)
+    for row in range(25):
+        recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
+    state = tmp_path / "events.state"
+    for at_s, there in ((100, False), (130, False), (161, True)):
+        memory.keep_if_due(at_s * 1_000_000_000, "off the map", None)
+        assert state.exists() is there
+    assert msgspec.json.decode(state.read_bytes().partition(b"\n")[0])["state"] == "off the map"

@@ -1,0 +1,78 @@
+"""What is kept between runs: whole or not at all, and only where it fits."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from edge.warm_start import KeptState, Moment, StateFile, StateKey
+
+KEY = StateKey("m" * 64, "fc6", "left-right", 0.4, "h" * 64)
+SHAPE = (2, 16)
+NOW = Moment(1_000_000.0, "boot-a", 500.0)
+RANDOM = np.random.default_rng(3)
+KEPT = KeptState(120, RANDOM.normal(size=SHAPE), RANDOM.random(SHAPE), "on the map", 17)
+
+
+def later(seconds: float, boot: str = "boot-a", unix_s: float | None = None) -> Moment:
+    return Moment(NOW.unix_s + seconds if unix_s is None else unix_s, boot, NOW.boot_s + seconds)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "events.state"
+    StateFile(path, KEY, SHAPE).write(KEPT, NOW)
+    return path
+
+
+def test_what_was_kept_comes_back(file: Path) -> None:
+    kept = StateFile(file, KEY, SHAPE).read(later(60), 1800)
+    assert kept is not None
+    np.testing.assert_array_equal(kept.mean, KEPT.mean)
+    np.testing.assert_array_equal(kept.deviation, KEPT.deviation)
+    assert (kept.count, kept.state, kept.place, kept.age_s) == (120, "on the map", 17, 60)
+    assert [path.name for path in file.parent.iterdir()] == ["events.state"]
+
+
+@pytest.mark.parametrize("change", ["model_sha256", "tap", "regions", "map_sha256"])
+def test_of_another_model_cut_or_map_it_is_refused_in_one_line(
+    file: Path, change: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert StateFile(file, replace(KEY, **{change: "other"}), SHAPE).read(later(1), 1800) is None
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert record.getMessage() == f"{file}: not used: made with another model, other regions or another map"
+
+
+def test_of_another_shape_it_is_refused(file: Path) -> None:
+    assert StateFile(file, KEY, (1, 32)).read(later(1), 1800) is None
+    assert StateFile(file, KEY, (2, 8)).read(later(1), 1800) is None
+
+
+def test_its_age_is_told_by_the_boots_own_clock_and_across_boots_by_the_wall_clock(file: Path) -> None:
+    state = StateFile(file, KEY, SHAPE)
+    ten_years_s = 3650 * 86400.0
+    assert state.read(later(60, unix_s=NOW.unix_s + ten_years_s), 1800) is not None  # the wall clock was stepped
+    assert state.read(later(1801), 1800) is None
+    assert state.read(later(60, "boot-b"), 1800) is not None
+    assert state.read(later(60, "boot-b", unix_s=NOW.unix_s - 1), 1800) is None  # from the future: no clock to trust
+
+
+def test_a_disk_that_takes_nothing_costs_the_state_and_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = StateFile(tmp_path / "no-such-folder" / "events.state", KEY, SHAPE)
+    state.write(KEPT, NOW)
+    state.write(KEPT, NOW)
+    (record,) = caplog.records
+    assert "cannot keep the state: No such file" in record.getMessage()
+
+
+def test_this_moment_can_be_told() -> None:
+    first, second = Moment.now(), Moment.now()
+    assert 0 <= second.since(first) < 60
+    assert first.boot_id == second.boot_id
