@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import hashlib
 import json
 import os
 import re
@@ -19,7 +20,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import cv2
 import msgspec
@@ -49,7 +50,7 @@ PATIENCE_S = 20.0
 class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """`case.toml`: `maps` names the recordings of each map; with more than one map, they are a folder of maps.
 
-    tiles: places in a tile if the map is to be split, else 0. build, options: of `map build` and of `replay`.
+    tiles: places in a tile if the map is to be split, else 0. build, options: further ones of `map build` and `replay`.
     """
 
     query: str
@@ -68,24 +69,24 @@ def cases(kind: str) -> list[Path]:
     return sorted(path.parent for path in (HERE / kind).glob(f"*/{CASE}"))
 
 
-def build_maps(folder: Path, case: Case, scratch: Path) -> Path:
-    """Make the map or the folder of maps of a case under `scratch`."""
-    path = scratch / "map"
-    for name, recordings in case.maps.items():
-        output = path / name if len(case.maps) > 1 else path
-        output.parent.mkdir(exist_ok=True)
-        feeds = [str(RECORDINGS / recording) for recording in recordings]
-        _lookback("map", "build", *feeds, "-o", str(output), "--config", str(folder / SETTINGS), *case.build)
-    if not case.tiles:
-        return path
-    _lookback("map", "split", str(path), "-o", str(scratch / "tiles"), "--places", str(case.tiles))
-    return scratch / "tiles"
+def build_maps(case: Case, scratch: Path) -> Path:
+    """The map, the folder of maps, or the tiles of a case; cases that share `scratch` share them."""
+    key = hashlib.sha256(msgspec.json.encode((case.maps, case.build, case.tiles))).hexdigest()
+    path, tiles = scratch / key / "map", scratch / key / "tiles"
+    if not path.exists():
+        for name, recordings in case.maps.items():
+            output = path / name if len(case.maps) > 1 else path
+            output.parent.mkdir(parents=True, exist_ok=True)
+            _lookback("map", "build", *(str(RECORDINGS / each) for each in recordings), "-o", str(output), *case.build)
+        if case.tiles:
+            _lookback("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
+    return tiles if case.tiles else path
 
 
 def replay_case(folder: Path, scratch: Path) -> dict[str, str]:
     """What `lookback replay --all` writes: the name of each golden file, and its text."""
-    case, output = load_case(folder), scratch / EXPECTED
-    maps = build_maps(folder, case, scratch)
+    case, output = load_case(folder), scratch / f"{folder.name}.jsonl"
+    maps = build_maps(case, scratch)
     query, settings = str(RECORDINGS / case.query), str(folder / SETTINGS)
     options = ("--map", str(maps), "--config", settings, "--all", "-o", str(output))
     _lookback("replay", query, *options, *case.options)
@@ -216,21 +217,26 @@ class PlayedFrames:
 
 def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames) -> str:
     """Run the daemon of a case to the end of its frames; its journal, without wall clock and durations."""
-    path = build_maps(folder, load_case(folder), scratch)
     text = (folder / SETTINGS).read_text(encoding="utf-8")
-    for name, there in (("serial:autopilot", f"serial:{cable.device}"), ('path = "map"', f'path = "{path}"')):
+    changes = {
+        'connection = "serial:autopilot:': f'connection = "serial:{cable.device}:',
+        'path = "map"': f'path = "{build_maps(load_case(folder), scratch)}"',
+    }
+    for name, there in changes.items():
         if name not in text:
             raise ValueError(f"{folder / SETTINGS}: {name} is missing")
         text = text.replace(name, there)
-    (scratch / SETTINGS).write_text(text, encoding="utf-8")
+    own = scratch / folder.name
+    own.mkdir()
+    (own / SETTINGS).write_text(text, encoding="utf-8")
     with ExitStack() as parts:
-        daemon = Daemon(load_config(scratch / SETTINGS), parts, frames.clock_ns, frames=frames)
+        daemon = Daemon(load_config(own / SETTINGS), parts, frames.clock_ns, frames=frames)
         while daemon.turn():
             pass
         daemon.last_words()
         assert frames.far_end is not None
         frames.far_end.step(frames.now_ns)
-    return stable(scratch / JOURNAL).replace(cable.device, "autopilot")
+    return stable(own / JOURNAL).replace(cable.device, "autopilot")
 
 
 def stable(journal: Path) -> str:
@@ -248,6 +254,6 @@ def run_case(folder: Path, scratch: Path) -> dict[str, str]:
     return {JOURNAL: journal, SENT: "".join(played.sent)}
 
 
-def outputs_of(folder: Path, scratch: Path) -> dict[str, Any]:
-    """The golden files of any case, as they come out now."""
+def outputs_of(folder: Path, scratch: Path) -> dict[str, str]:
+    """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once."""
     return (replay_case if folder.parent.name == "replay" else run_case)(folder, scratch)

@@ -12,13 +12,13 @@ from pathlib import Path
 from tests.golden.harness import cases, outputs_of
 
 
-def rebuild(folder: Path) -> None:
-    with tempfile.TemporaryDirectory() as scratch:
-        for name, text in outputs_of(folder, Path(scratch)).items():
-            file = folder / name
-            changed = not file.exists() or file.read_text(encoding="utf-8") != text
-            file.write_text(text, encoding="utf-8")
-            print(f"{file}: {len(text.splitlines())} lines, {'changed' if changed else 'as it was'}")
+def rebuild(folder: Path, scratch: Path) -> None:
+    """Write the golden files of one case, and print which of them changed."""
+    for name, text in outputs_of(folder, scratch).items():
+        file = folder / name
+        changed = not file.exists() or file.read_text(encoding="utf-8") != text
+        file.write_text(text, encoding="utf-8")
+        print(f"{file}: {len(text.splitlines())} lines, {'changed' if changed else 'as it was'}")
 
 
 if __name__ == "__main__":
@@ -26,5 +26,6 @@ if __name__ == "__main__":
     known = {f"{path.parent.name}/{path.name}": path for path in (*cases("replay"), *cases("run"))}
     if not wanted <= set(known):
         sys.exit(f"no such case: {', '.join(sorted(wanted - set(known)))}; there are {', '.join(known)}")
-    for name in sorted(wanted or known):
-        rebuild(known[name])
+    with tempfile.TemporaryDirectory() as folder_of_maps:
+        for case in sorted(wanted or known):
+            rebuild(known[case], Path(folder_of_maps))

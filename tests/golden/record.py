@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from sim.autopilot import SimulatedAutopilot
 from sim.camera import open_renderer
 from sim.drive import Drive
 from sim.scenario import Scenario
-from tests.golden.harness import HERE, RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, load_case, run_daemon
+from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, cases, load_case, run_daemon
 
 LENGTH_M = 340.0
 SPACING_M = 2.0
@@ -48,9 +49,15 @@ def _scenario(seed: int = 1, **keys: object) -> Scenario:
 OUT = _scenario(view="rear", drive_seed=1)
 HOME = _scenario(light="night", direction="reverse", drive_seed=2, stops=1)
 AGAIN = _scenario(light="dusk", drive_seed=3, stops=1)
-FIRMWARES = {"home_with_resets": "ardupilot", "again_with_sensor": "px4"}
-"""Of the simulated autopilot in each run whose telemetry is recorded."""
-GPS_FAILS_S, DRIFT_PERCENT = 8.0, 3.0
+GPS_FAILS_S = START_NS / 1e9 + 8.0
+AUTOPILOTS: dict[str, dict[str, Any]] = {
+    "home_with_resets": {"firmware": "ardupilot", "gps_fails_s": GPS_FAILS_S},
+    "home_by_vision": {"firmware": "ardupilot", "gps_fails_s": GPS_FAILS_S},
+    "home_without_gps": {"firmware": "ardupilot", "gps": False, "has_origin": False},
+    "again_with_sensor": {"firmware": "px4", "gps_fails_s": GPS_FAILS_S},
+}
+"""The simulated autopilot of each run whose telemetry is recorded."""
+DRIFT_PERCENT = 3.0
 
 # The stretch from 130 to 170 m is on no map; short and long gaps in the queries are frames that never came.
 RECORDED: dict[str, Recording] = {
@@ -121,15 +128,14 @@ class RecordingCable(Cable):
 class LiveAutopilot:
     """The simulated autopilot as the far end of a run, driving as in the recording that the daemon is given."""
 
-    def __init__(self, cable: RecordingCable, drive: Drive, firmware: str) -> None:
+    def __init__(self, cable: RecordingCable, drive: Drive, **options: Any) -> None:
         self._cable = cable
         self._autopilot = SimulatedAutopilot(
             cable,
             lambda now_s: drive.pose(now_s - START_NS / 1e9),
             lambda: cable.now_ns,
-            firmware=firmware,
-            gps_fails_s=START_NS / 1e9 + GPS_FAILS_S,
             drift_percent=DRIFT_PERCENT,
+            **options,
         )
 
     def step(self, now_ns: int) -> None:
@@ -137,12 +143,12 @@ class LiveAutopilot:
         self._autopilot.step()
 
 
-def record_telemetry(folder: Path, firmware: str) -> None:
+def record_telemetry(folder: Path) -> None:
     """Run the daemon of a case beside the simulated autopilot, and keep what that one sends."""
     query = load_case(folder).query
     with closing(RecordingCable()) as cable, tempfile.TemporaryDirectory() as scratch:
         frames = PlayedFrames(RECORDINGS / query)
-        frames.far_end = LiveAutopilot(cable, RECORDED[query].scenario.drive(), firmware)
+        frames.far_end = LiveAutopilot(cable, RECORDED[query].scenario.drive(), **AUTOPILOTS[folder.name])
         run_daemon(folder, Path(scratch), cable, frames)
         (folder / TELEMETRY).write_bytes(cable.tlog)
 
@@ -151,6 +157,6 @@ if __name__ == "__main__":
     for each, recorded in RECORDED.items():
         record(each, recorded)
         print(f"{RECORDINGS / each}: {len(list((RECORDINGS / each / 'frames').iterdir()))} frames")
-    for each, firmware_name in FIRMWARES.items():
-        record_telemetry(HERE / "run" / each, firmware_name)
-        print(f"{HERE / 'run' / each / TELEMETRY}: {(HERE / 'run' / each / TELEMETRY).stat().st_size} bytes")
+    for folder in cases("run"):
+        record_telemetry(folder)
+        print(f"{folder / TELEMETRY}: {(folder / TELEMETRY).stat().st_size} bytes")

@@ -14,9 +14,14 @@ from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
 CASES = [*cases("replay"), *cases("run")]
 
 
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("golden")
+
+
 @pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
-def test_the_outputs_are_what_they_were(folder: Path, tmp_path: Path) -> None:
-    for name, now in outputs_of(folder, tmp_path).items():
+def test_the_outputs_are_what_they_were(folder: Path, scratch: Path) -> None:
+    for name, now in outputs_of(folder, scratch).items():
         expected = (folder / name).read_bytes()
         if expected != now.encode():
             pytest.fail(f"{folder / name}: {first_difference(expected.decode(), now)}")
@@ -46,4 +51,8 @@ def test_the_goldens_have_all_kinds_of_answers_in_them() -> None:
     assert {"on the map", "off the map", "warming up"} <= states
     events = {line["event"] for line in journal}
     assert {"frame", "place", "fix_sent", "fix_withheld", "fix_answered", "link", "stopped"} <= events
-    assert {"COMMAND_INT", "GLOBAL_POSITION_SENSOR"} <= {line["mavpackettype"] for line in lines("run", SENT)}
+    withheld = {line["reason"] for line in journal if line["event"] == "fix_withheld"}
+    assert {"standing", "too few matches in a row", "not confirmed by another place yet"} <= withheld
+    assert {"COMMAND_INT", "GLOBAL_POSITION_SENSOR", "VISION_POSITION_ESTIMATE"} <= {
+        line["mavpackettype"] for line in lines("run", SENT)
+    }
