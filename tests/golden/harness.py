@@ -1,0 +1,259 @@
+"""Runs the goldens: the only file here that knows the insides of the program, next to `record`.
+
+`replay_case` goes through the command line. `run_case` gives the real `Daemon` recorded frames and, over a
+pseudo-terminal, recorded telemetry; all clocks are simulated, so that each run is the same to the byte.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import json
+import os
+import re
+import select
+import struct
+import sys
+import termios
+import tty
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import msgspec
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.__main__ import main
+from edge.camera import Frame
+from edge.camera.newest import CameraHealth
+from edge.config import load_config
+from edge.daemon import Daemon
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+HERE = Path(__file__).parent
+RECORDINGS = HERE / "recordings"
+CASE, SETTINGS, TELEMETRY = "case.toml", "lookback.toml", "telemetry.tlog"
+EXPECTED, JOURNAL, SENT = "expected.jsonl", "journal.jsonl", "sent.jsonl"
+START_NS, STEP_NS, LATENCY_NS = 1_000_000_000_000, 10_000_000, 120_000_000
+MARK = b"\0all of it\0"
+PATIENCE_S = 20.0
+
+
+class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """`case.toml`: `maps` names the recordings of each map; with more than one map, they are a folder of maps.
+
+    tiles: places in a tile if the map is to be split, else 0. build, options: further ones of `map build` and `replay`.
+    """
+
+    query: str
+    maps: dict[str, tuple[str, ...]]
+    tiles: int = 0
+    build: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+
+
+def load_case(folder: Path) -> Case:
+    return msgspec.convert(tomllib.loads((folder / CASE).read_text(encoding="utf-8")), Case)
+
+
+def cases(kind: str) -> list[Path]:
+    """The folders of a kind: "replay" or "run"."""
+    return sorted(path.parent for path in (HERE / kind).glob(f"*/{CASE}"))
+
+
+def build_maps(case: Case, scratch: Path) -> Path:
+    """The map, the folder of maps, or the tiles of a case; cases that share `scratch` share them."""
+    key = hashlib.sha256(msgspec.json.encode((case.maps, case.build, case.tiles))).hexdigest()
+    path, tiles = scratch / key / "map", scratch / key / "tiles"
+    if not path.exists():
+        for name, recordings in case.maps.items():
+            output = path / name if len(case.maps) > 1 else path
+            output.parent.mkdir(parents=True, exist_ok=True)
+            _lookback("map", "build", *(str(RECORDINGS / each) for each in recordings), "-o", str(output), *case.build)
+        if case.tiles:
+            _lookback("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
+    return tiles if case.tiles else path
+
+
+def replay_case(folder: Path, scratch: Path) -> dict[str, str]:
+    """What `lookback replay --all` writes: the name of each golden file, and its text."""
+    case, output = load_case(folder), scratch / f"{folder.name}.jsonl"
+    maps = build_maps(case, scratch)
+    query, settings = str(RECORDINGS / case.query), str(folder / SETTINGS)
+    options = ("--map", str(maps), "--config", settings, "--all", "-o", str(output))
+    _lookback("replay", query, *options, *case.options)
+    return {EXPECTED: output.read_text(encoding="utf-8")}
+
+
+def _lookback(*arguments: str) -> None:
+    if main(arguments) != 0:
+        raise RuntimeError(f"lookback {' '.join(arguments)}: failed")
+
+
+class Cable:
+    """A pseudo-terminal on which both directions arrive at once, as no real one promises.
+
+    The kernel hands bytes on in a thread of its own; each end here waits until all of them are there.
+    """
+
+    def __init__(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.device = os.ttyname(self._slave)
+
+    def send(self, data: bytes) -> bool:
+        """To the daemon."""
+        wanted = self._unread() + len(data)
+        if os.write(self._master, data) != len(data):
+            raise RuntimeError(f"{self.device}: the daemon reads too little")
+        while self._unread() < wanted:
+            self._wait_for(self._slave)
+        return True
+
+    def receive(self) -> bytes:
+        """All that the daemon has written."""
+        os.write(self._slave, MARK)
+        data = b""
+        while not data.endswith(MARK):
+            self._wait_for(self._master)
+            data += os.read(self._master, 65536)
+        return data[: -len(MARK)]
+
+    def fileno(self) -> int:
+        return self._master
+
+    def close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+
+    def _unread(self) -> int:
+        return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
+
+    def _wait_for(self, fd: int) -> None:
+        if not select.select([fd], [], [], PATIENCE_S)[0]:
+            raise RuntimeError(f"{self.device}: bytes were lost on the way")
+
+
+class FarEnd(Protocol):
+    """What is at the other end of the cable."""
+
+    def step(self, now_ns: int) -> None:
+        """One turn, each STEP_NS."""
+
+
+class PlayedTelemetry:
+    """Sends recorded telemetry when it is due, and keeps what the daemon sends as JSON lines."""
+
+    def __init__(self, path: Path, cable: Cable) -> None:
+        self._frames, self._cable = list(read_tlog(path)), cable
+        self._next = 0
+        self._parser = mavlink.MAVLink(None)
+        self.sent: list[str] = []
+
+    def step(self, now_ns: int) -> None:
+        for message in self._parser.parse_buffer(self._cable.receive()) or []:
+            fields = {"at_s": (now_ns - START_NS) / 1e9, "seq": message.get_seq(), **message.to_dict()}
+            self.sent.append(json.dumps(fields) + "\n")
+        while self._next < len(self._frames) and self._frames[self._next][0] <= now_ns - START_NS:
+            self._cable.send(self._frames[self._next][1])
+            self._next += 1
+
+
+def read_tlog(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Arrival in ns since the start of the run, and the bytes of one MAVLink 2 frame."""
+    data, at = path.read_bytes(), 0
+    while at < len(data):
+        (stamp_us,) = struct.unpack_from(">Q", data, at)
+        end = at + 8 + 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+        yield stamp_us * 1000, data[at + 8 : end]
+        at = end
+
+
+class PlayedFrames:
+    """A recording as the daemon's camera: each frame arrives LATENCY_NS after its exposure."""
+
+    def __init__(self, path: Path) -> None:
+        with (path / "frames.csv").open(newline="", encoding="utf-8") as file:
+            self._rows = [(path / row["file"], START_NS + int(row["stamp_ns"])) for row in csv.DictReader(file)]
+        self._next = 0
+        self.now_ns = START_NS
+        self.far_end: FarEnd | None = None
+
+    def clock_ns(self) -> int:
+        return self.now_ns
+
+    @property
+    def health(self) -> CameraHealth:
+        return CameraHealth("running", "", START_NS, delivered=self._next)
+
+    @property
+    def ended(self) -> bool:
+        return self._next >= len(self._rows)
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """Let `timeout_s` pass for everybody; the frame that has arrived meanwhile."""
+        for _ in range(round(timeout_s * 1e9) // STEP_NS):
+            self.now_ns += STEP_NS
+            assert self.far_end is not None
+            self.far_end.step(self.now_ns)
+        if self.ended or self._rows[self._next][1] + LATENCY_NS > self.now_ns:
+            return None
+        file, stamp_ns = self._rows[self._next]
+        self._next += 1
+        return Frame(np.asarray(cv2.imread(str(file)), dtype=np.uint8), stamp_ns, self._next - 1)
+
+    def close(self) -> None:
+        """There is nothing to release."""
+
+
+def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames) -> str:
+    """Run the daemon of a case to the end of its frames; its journal, without wall clock and durations."""
+    text = (folder / SETTINGS).read_text(encoding="utf-8")
+    changes = {
+        'connection = "serial:autopilot:': f'connection = "serial:{cable.device}:',
+        'path = "map"': f'path = "{build_maps(load_case(folder), scratch)}"',
+    }
+    for name, there in changes.items():
+        if name not in text:
+            raise ValueError(f"{folder / SETTINGS}: {name} is missing")
+        text = text.replace(name, there)
+    own = scratch / folder.name
+    own.mkdir()
+    (own / SETTINGS).write_text(text, encoding="utf-8")
+    with ExitStack() as parts:
+        daemon = Daemon(load_config(own / SETTINGS), parts, frames.clock_ns, frames=frames)
+        while daemon.turn():
+            pass
+        daemon.last_words()
+        assert frames.far_end is not None
+        frames.far_end.step(frames.now_ns)
+    return stable(own / JOURNAL).replace(cable.device, "autopilot")
+
+
+def stable(journal: Path) -> str:
+    """The journal but for what is measured by clocks that cannot be simulated: `unix_s`, and values of `stages_ms`."""
+    text = re.sub(r'^\{"unix_s":[0-9.e+]+,', "{", journal.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return re.sub(r'(?<="stages_ms":)\{[^}]*\}', lambda found: re.sub(r":[0-9.e-]+", ":0", found[0]), text)
+
+
+def run_case(folder: Path, scratch: Path) -> dict[str, str]:
+    """The journal of a run, and all that the daemon has sent: the name of each golden file, and its text."""
+    with closing(Cable()) as cable:
+        frames = PlayedFrames(RECORDINGS / load_case(folder).query)
+        played = frames.far_end = PlayedTelemetry(folder / TELEMETRY, cable)
+        journal = run_daemon(folder, scratch, cable, frames)
+    return {JOURNAL: journal, SENT: "".join(played.sent)}
+
+
+def outputs_of(folder: Path, scratch: Path) -> dict[str, str]:
+    """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once."""
+    return (replay_case if folder.parent.name == "replay" else run_case)(folder, scratch)

@@ -1,0 +1,58 @@
+"""Recordings of the simulator, and the outputs that were right for them: equal to the byte, or the test fails."""
+
+from __future__ import annotations
+
+import json
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
+
+CASES = [*cases("replay"), *cases("run")]
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("golden")
+
+
+@pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
+def test_the_outputs_are_what_they_were(folder: Path, scratch: Path) -> None:
+    for name, now in outputs_of(folder, scratch).items():
+        expected = (folder / name).read_bytes()
+        if expected != now.encode():
+            pytest.fail(f"{folder / name}: {first_difference(expected.decode(), now)}")
+
+
+def first_difference(expected: str, now: str) -> str:
+    for number, (old, new) in enumerate(zip_longest(expected.split("\n"), now.split("\n")), start=1):
+        if old != new:
+            return f"line {number}:\n  expected {old}\n  now      {new}"
+    return "equal"
+
+
+def lines(kind: str, name: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for folder in cases(kind) for line in (folder / name).read_text().splitlines()]
+
+
+def test_the_goldens_have_all_kinds_of_answers_in_them() -> None:
+    """A golden that only says "nothing recognized" would hold nothing."""
+    seen = lines("replay", EXPECTED)
+    kinds = {(line["direction"], line["order"]) for line in seen if line["accepted"]}
+    assert {("reverse", "same"), ("forward", "swapped")} <= kinds
+    assert {True, False} == {line["accepted"] for line in seen if line["place"] is not None}
+    assert any(line["emitted"] and line["category"] for line in seen)
+    assert any(line.get("missed") for line in seen)
+    journal = lines("run", JOURNAL)
+    states = {line["state"] for line in journal if line["event"] == "state"}
+    assert {"on the map", "off the map", "warming up"} <= states
+    events = {line["event"] for line in journal}
+    assert {"frame", "place", "fix_sent", "fix_withheld", "fix_answered", "link", "stopped"} <= events
+    withheld = {line["reason"] for line in journal if line["event"] == "fix_withheld"}
+    assert {"standing", "too few matches in a row", "not confirmed by another place yet"} <= withheld
+    assert {"COMMAND_INT", "GLOBAL_POSITION_SENSOR", "VISION_POSITION_ESTIMATE"} <= {
+        line["mavpackettype"] for line in lines("run", SENT)
+    }
