@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from edge.camera.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.autopilot import SimulatedAutopilot
 from sim.camera import open_renderer
