@@ -110,10 +110,10 @@ def test_a_signature_is_a_small_plain_file(
 
 
 def test_another_model_is_refused_by_its_checksum(
-    write_config: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write_config: Callable[..., Path], network: Network, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same network to the last weight, with one remark more: another file, and so another model."""
-    shipped = Network.load().path
+    shipped = network.path
     for file in shipped.parent.glob("*.onnx"):
         shutil.copy(file, tmp_path)
     config = write_config(descriptor={"model": shipped.name})
