@@ -11,12 +11,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 
+from edge.commands.map_build import build_map
+from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedWriter, read_feed
 from sim.model_tools.onnx_graph import DIMENSIONS, MEAN_RGB, PAD_LEVEL, STD_RGB
 from sim.model_tools.weights import CONVS, FC6_SHAPE, Weights
+from sim.trial.course import RememberingNetwork
+
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.load_profile("repeatable")
 
 SHARED = Path(__file__).parents[2] / "shared"
 
@@ -108,6 +115,27 @@ def write_traverse() -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture(scope="session")
+def network() -> RememberingNetwork:
+    """The shipped network for all tests that do not test the network itself: it describes each picture once."""
+    return RememberingNetwork.load()
+
+
+@pytest.fixture(scope="session")
+def make_street(
+    network: RememberingNetwork, write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., Path]:
+    """Makes a folder with the `feed` of a drive along the street, and the `map` made of it."""
+
+    def make(frames: range = range(80), *, period_ms: int = 50, sampling: SamplingConfig | None = None) -> Path:
+        folder = tmp_path_factory.mktemp("street")
+        feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms))
+        build_map([feed], folder / "map", DescriptorConfig(), sampling or SamplingConfig(), network=network)
+        return folder
+
+    return make
 
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]

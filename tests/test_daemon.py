@@ -14,9 +14,6 @@ from typing import Any
 import pytest
 import tomli_w
 
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import read_feed
 from edge.journal.journal import read_journal
 from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.autopilot_command import straight_line
@@ -29,12 +26,8 @@ OLDEST_S = 5.0
 
 
 @pytest.fixture(scope="module")
-def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a feed and the map made of it."""
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed", range(FRAMES), period_ms=PERIOD_MS)
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
-    return folder
+def street(make_street: Callable[..., Path]) -> Path:
+    return make_street(range(FRAMES), period_ms=PERIOD_MS)
 
 
 @pytest.fixture

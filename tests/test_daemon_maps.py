@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 import tomli_w
 
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
-from edge.feed import read_feed
 from edge.journal.journal import read_journal
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
@@ -33,11 +31,8 @@ PLACES, APART_M = 300, 40.0
 
 
 @pytest.fixture(scope="module")
-def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed", range(FRAMES), period_ms=PERIOD_MS)
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
-    return folder
+def street(make_street: Callable[..., Path]) -> Path:
+    return make_street(range(FRAMES), period_ms=PERIOD_MS)
 
 
 @pytest.fixture
@@ -79,12 +74,12 @@ def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(str
 
 
 @pytest.fixture(scope="module", params=["one map", "tiles"])
-def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """12 km of places that look like nothing, around the place where the simulated autopilot stands."""
     path = tmp_path_factory.mktemp("long") / "map"
     rng = np.random.default_rng(0)
     regions = RegionsKey("left-right", 0.4, "set")
-    with MapBuilder(path, model_key(Network.load()), regions, SamplingConfig()) as builder:
+    with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
         builder.begin_segment("nowhere", "front")
         for index in range(PLACES):
             north_deg = (index - PLACES / 2) * APART_M / 110_800

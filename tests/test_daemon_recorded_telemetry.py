@@ -13,9 +13,6 @@ from typing import Any
 import pytest
 import tomli_w
 
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import read_feed
 from edge.journal.journal import read_journal
 from edge.telemetry.codec import MavlinkCodec
 from sim.pty_link import PtyLink, open_pty
@@ -74,19 +71,18 @@ def _boot_s(message: Any) -> float | None:
 
 @pytest.mark.parametrize("recording", ["ardurover-4.6.3-nogps", "px4-1.18-agp"])
 def test_the_daemon_hears_a_real_autopilot(
-    read_tlog: ReadTlog, write_traverse: Callable[..., Path], tmp_path: Path, recording: str
+    read_tlog: ReadTlog, make_street: Callable[..., Path], tmp_path: Path, recording: str
 ) -> None:
     """Link up, streams asked for, the boot clock right to 20 ms, and with `report` never a position."""
-    feed = write_traverse(tmp_path / "feed", range(FRAMES), period_ms=PERIOD_MS)
-    build_map([read_feed(feed)], tmp_path / "map", DescriptorConfig(), SamplingConfig())
+    street = make_street(range(FRAMES), period_ms=PERIOD_MS)
     cable = open_pty()
     played = Played(read_tlog(recording), cable)
     (tmp_path / "lookback.toml").write_text(
         tomli_w.dumps(
             {
-                "camera": {"kind": "feed", "device": str(feed)},
+                "camera": {"kind": "feed", "device": str(street / "feed")},
                 "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
-                "map": {"path": str(tmp_path / "map")},
+                "map": {"path": str(street / "map")},
                 "sequence": {"length": 5},
                 "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.5},
                 "telemetry": {

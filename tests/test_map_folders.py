@@ -106,13 +106,13 @@ def test_nothing_is_told_of_a_damaged_tile(
 
 
 def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
-    street: Path, damaged: Path, caplog: pytest.LogCaptureFixture
+    street: Path, damaged: Path, network: Network, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognised."""
     config = config_for_map(open_map(street / "map").header, 5, 1.02)
     acceptance = msgspec.structs.replace(config.acceptance, window_m=10.0)
     config = msgspec.structs.replace(config, map=MapConfig(places_per_frame=79), acceptance=acceptance)
-    network, feed = Network.load(), read_feed(street / "last")
+    feed = read_feed(street / "last")
 
     def told(path: Path) -> list[str]:
         recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(path), config)
@@ -206,13 +206,12 @@ def test_the_page_shows_where_the_maps_are(street: Path) -> None:
     assert [view.thumbnail(place) for place in (0, 63, 64, 79)] == [whole.thumbnail(place) for place in (0, 63, 64, 79)]
 
 
-def test_the_page_says_which_map(street: Path, tmp_path: Path) -> None:
+def test_the_page_says_which_map(street: Path, network: Network, tmp_path: Path) -> None:
     config = config_for_map(open_map(street / "map").header, 5, 1.02)
     telemetry = msgspec.structs.replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600")
     config = msgspec.structs.replace(
         config, telemetry=telemetry, map=MapConfig(path="city"), sampling=SamplingConfig(by="frames")
     )
-    network = Network.load()
     recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(street / "tiles"), config)
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         camera = CameraHealth("running", "", 0)

@@ -36,19 +36,14 @@ FRAME_NS = 50_000_000
 
 
 @pytest.fixture(scope="module")
-def network() -> Network:
-    return Network.load()
-
-
-@pytest.fixture(scope="module")
 def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Feed:
     return read_feed(write_traverse(tmp_path_factory.mktemp("feeds") / "street", range(60)))
 
 
 @pytest.fixture(scope="module")
-def street_map(street: Feed, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
+def street_map(street: Feed, network: Network, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
     path = tmp_path_factory.mktemp("maps") / "street.map"
-    build_map([street], path, CONFIG.descriptor, CONFIG.sampling)
+    build_map([street], path, CONFIG.descriptor, CONFIG.sampling, network=network)
     return open_map(path)
 
 
@@ -174,7 +169,7 @@ def test_after_a_gap_a_sequence_begins_anew(
 def test_every_kind_of_descriptor(
     network: Network, street: Feed, frames: list[np.ndarray], descriptor: DescriptorConfig, tmp_path: Path
 ) -> None:
-    build_map([street], tmp_path / "m", descriptor, CONFIG.sampling)
+    build_map([street], tmp_path / "m", descriptor, CONFIG.sampling, network=network)
     reference_map = open_map(tmp_path / "m")
     config = msgspec.structs.replace(CONFIG, descriptor=descriptor)
     matches = drive(recognizer(network, reference_map, config), frames[:60])
@@ -183,7 +178,7 @@ def test_every_kind_of_descriptor(
 
 
 def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_path: Path) -> None:
-    build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling)
+    build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling, network=network)
     with pytest.raises(MapError, match=r"regions left-right of width 0\.5"):
         recognizer(network, open_map(tmp_path / "m"))
 

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.commands.map_build import build_map
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.descriptor.network import Head, Network
 from edge.feed import FeedImages, read_feed
@@ -19,16 +18,9 @@ from edge.warm_start import COUNTS_AS_MOST, WarmStart
 
 
 @pytest.fixture(scope="module")
-def network() -> Network:
-    return Network.load()
-
-
-@pytest.fixture(scope="module")
-def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ReferenceMap]:
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed", range(60))
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
-    return feed, open_map(folder / "map")
+def street(make_street: Callable[..., Path]) -> tuple[Path, ReferenceMap]:
+    folder = make_street(range(60), sampling=SamplingConfig(by="frames"))
+    return folder / "feed", open_map(folder / "map")
 
 
 def config(folder: Path, minutes: float = 30.0, journal: str = "events.jsonl") -> Config:

@@ -102,9 +102,13 @@ def build_map(
     must_have_distance: bool = False,
     dimensions: int | None = None,
     replace: bool = False,
+    network: Network | None = None,
 ) -> MapHeader:
-    """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`."""
-    network = Network.load(Path(descriptor.model) if descriptor.model else None)
+    """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`.
+
+    network: instead of the one that `descriptor` names.
+    """
+    network = network or Network.load(Path(descriptor.model) if descriptor.model else None)
     is_set = descriptor.normalization == "online"
     regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
     if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:

@@ -16,9 +16,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.__main__ import main
 from edge.commands.diagnostic import Diagnostic
 from edge.commands.doctor import examine
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import read_feed
 from edge.telemetry.codec import MavlinkCodec
 from sim.autopilot import SimulatedAutopilot
 from sim.autopilot_command import straight_line
@@ -68,11 +65,8 @@ def fly() -> Iterator[Callable[..., str]]:
 
 
 @pytest.fixture(scope="module")
-def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed")
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
-    return folder
+def street(make_street: Callable[..., Path]) -> Path:
+    return make_street()
 
 
 @pytest.fixture

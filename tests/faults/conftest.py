@@ -1,20 +1,21 @@
 """The fault bench: faults at the real boundary, with seeds and figures.
 
-Quick sizes run with all other tests; the full ones with `make soak`. Each test says at the end what it has measured,
-and a failing one how to run it again: LOOKBACK_SEED=... and its own name.
+Quick sizes run with all other tests, from the same seed every time; the full ones with `make soak`, from a new seed
+each time. Each test reports what it measured at the end of the run, and a failing one how to repeat it:
+LOOKBACK_SEED=... and its own name.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import random
 import select
 import signal
 import socket
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,8 +29,7 @@ from numpy.typing import NDArray
 
 from edge.camera import Frame
 from edge.camera.newest import CameraHealth
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig, load_config
+from edge.config import SamplingConfig, load_config
 from edge.daemon import Daemon
 from edge.descriptor.normalize import normalize
 from edge.feed import FeedImages, FeedWriter, read_feed
@@ -39,35 +39,36 @@ from sim import Pose
 from sim.autopilot import SimulatedAutopilot
 from sim.pty_link import open_pty
 
-FIGURES = pytest.StashKey[list[str]]()
+FIGURE = "fault bench"
 PERIOD_MS = 40
 CALM_FRAMES = 1500
 PATIENCE_S = 120.0
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.stash.setdefault(FIGURES, [])
-
-
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    lines = config.stash.get(FIGURES, [])
-    if lines:
-        terminalreporter.section("fault bench")
-        for line in lines:
-            terminalreporter.write_line(line)
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    calls = [
+        report
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if isinstance(report, pytest.TestReport) and report.when == "call"
+    ]
+    measured = [(call, value) for call in calls for name, value in call.user_properties if name == FIGURE]
+    if measured:
+        terminalreporter.section(FIGURE)
+    for call, value in measured:
+        terminalreporter.write_line(f"{call.nodeid.rpartition('::')[2]}: {value}")
 
 
 @pytest.fixture
-def figures(request: pytest.FixtureRequest) -> Callable[[str], None]:
-    """Tells what a test has measured, at the end of the run."""
-    request.config.stash.setdefault(FIGURES, [])
-    return lambda line: request.config.stash[FIGURES].append(f"{request.node.name}: {line}")
+def figures(record_property: Callable[[str, object], None]) -> Callable[[str], None]:
+    """Reports what a test measured, at the end of the run, from whichever worker ran it."""
+    return lambda line: record_property(FIGURE, line)
 
 
 @pytest.fixture
 def seed(request: pytest.FixtureRequest) -> int:
-    """A new seed each time; a failing test's output says how to have the same again."""
-    value = int(os.environ.get("LOOKBACK_SEED") or random.SystemRandom().randrange(2**32))
+    """The test's own seed, the same in every run unless LOOKBACK_SEED names another."""
+    value = int(os.environ.get("LOOKBACK_SEED") or zlib.crc32(request.node.name.encode()))
     print(f"again: LOOKBACK_SEED={value} python -m pytest -m '' '{request.node.nodeid}'")
     return value
 
@@ -106,12 +107,8 @@ def make_map() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a feed and the map made of it."""
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed", range(80), period_ms=PERIOD_MS)
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig())
-    return folder
+def street(make_street: Callable[..., Path]) -> Path:
+    return make_street(period_ms=PERIOD_MS)
 
 
 @pytest.fixture(scope="session")

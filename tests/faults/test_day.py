@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
@@ -23,27 +22,13 @@ WARM_UP = 500
 SAMPLES = 50
 
 
-class RememberedNetwork:
-    """The shipped network, which describes each picture once and then knows it by its first pixels."""
-
-    def __init__(self) -> None:
-        self._network = Network.load()
-        self.info, self.path = self._network.info, self._network.path
-        self._known: dict[bytes, NDArray[np.float32]] = {}
-
-    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        key = images[:, ::16, ::16].tobytes()
-        if key not in self._known:
-            self._known[key] = self._network.describe(images)
-        return self._known[key]
-
-
 @pytest.mark.parametrize("frames", [1500, pytest.param(DAY, marks=pytest.mark.soak)])
 def test_a_day(
     frames: int,
     street: Path,
     write_config: Callable[..., Path],
     make_bench: Callable[..., Any],
+    network: Network,
     proc: Any,
     tmp_path: Path,
     figures: Callable[[str], None],
@@ -52,7 +37,7 @@ def test_a_day(
     drive = [feed.read(row) for row in range(80)]
     there_and_back = itertools.cycle([*drive, *drive[-2:0:-1]])
     config = write_config(telemetry={"emit": "external_position"}, acceptance={"hold_off_s": 1.0})
-    bench = make_bench(config, network=RememberedNetwork())
+    bench = make_bench(config, network=network)
     began_s, told = time.monotonic(), []
     at, resident = [], []
     descriptors = 0

@@ -155,9 +155,7 @@ def test_model_file(fuzz: Fuzz, tmp_path: Path) -> None:
     fuzz(check, data)
 
 
-def test_frames(fuzz: Fuzz, street: Path) -> None:
-    network = Network.load()
-
+def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
     class Flat:
         """A network that costs nothing: a descriptor of the mean colours."""
 

@@ -110,10 +110,10 @@ def test_a_signature_is_a_small_plain_file(
 
 
 def test_another_model_is_refused_by_its_checksum(
-    write_config: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write_config: Callable[..., Path], network: Network, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same network to the last weight, with one remark more: another file, and so another model."""
-    shipped = Network.load().path
+    shipped = network.path
     for file in shipped.parent.glob("*.onnx"):
         shutil.copy(file, tmp_path)
     config = write_config(descriptor={"model": shipped.name})
@@ -140,11 +140,11 @@ def test_a_map_made_with_another_model_is_refused(
 NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib", "asyncio", "xmlrpc", "requests"}
 NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
 SPEAKS = {
-    "service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
+    "commands/doctor.py": {"serial"},  # which ports there are
+    "health/service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
+    "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
+    "telemetry/host_lookup.py": {"socket"},  # their names
     "telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
-    "telemetry/lookup.py": {"socket"},  # their names
-    "telemetry/page.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
-    "doctor.py": {"serial"},  # which ports there are
 }
 
 

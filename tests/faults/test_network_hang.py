@@ -21,8 +21,8 @@ PATIENCE_S = 120.0
 class HangingNetwork:
     """The shipped network, until it is told to hang."""
 
-    def __init__(self) -> None:
-        self._network = Network.load()
+    def __init__(self, network: Network) -> None:
+        self._network = network
         self.info, self.path = self._network.info, self._network.path
         self.hangs, self.let_go, self.hung = threading.Event(), threading.Event(), threading.Event()
 
@@ -34,17 +34,21 @@ class HangingNetwork:
 
 
 def test_a_network_that_hangs(
-    calm_feed: Path, write_config: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    calm_feed: Path,
+    write_config: Callable[..., Path],
+    network: Network,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     manager.bind(str(tmp_path / "notify"))
     manager.settimeout(PATIENCE_S)
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    network, stop = HangingNetwork(), threading.Event()
+    hanging, stop = HangingNetwork(network), threading.Event()
 
     def turn_until_stopped() -> None:
         with ExitStack() as parts:
-            daemon = Daemon(load_config(write_config(camera={"device": str(calm_feed)})), parts, network=network)  # type: ignore[arg-type]
+            daemon = Daemon(load_config(write_config(camera={"device": str(calm_feed)})), parts, network=hanging)  # type: ignore[arg-type]
             while not stop.is_set() and daemon.turn():
                 pass
 
@@ -53,8 +57,8 @@ def test_a_network_that_hangs(
     try:
         while manager.recv(4096) != b"WATCHDOG=1":
             pass
-        network.hangs.set()
-        assert network.hung.wait(PATIENCE_S)
+        hanging.hangs.set()
+        assert hanging.hung.wait(PATIENCE_S)
         manager.setblocking(False)
         with pytest.raises(BlockingIOError):  # what was said before it hung
             while True:
@@ -64,6 +68,6 @@ def test_a_network_that_hangs(
             manager.recv(4096)
     finally:
         stop.set()
-        network.let_go.set()
+        hanging.let_go.set()
         loop.join()
         manager.close()

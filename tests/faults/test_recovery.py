@@ -293,8 +293,8 @@ def test_an_autopilot_that_falls_silent(
 class SlowNetwork:
     """The shipped network; for some frames the bench's clock goes on by more than a second in it."""
 
-    def __init__(self) -> None:
-        self._network = Network.load()
+    def __init__(self, network: Network) -> None:
+        self._network = network
         self.info, self.path = self._network.info, self._network.path
         self.wait: Callable[[], None] = lambda: None
 
@@ -309,15 +309,16 @@ def test_a_frame_that_takes_too_long(
     write_config: Callable[..., Path],
     tmp_path: Path,
     manager: socket.socket,
+    network: Network,
 ) -> None:
-    network = SlowNetwork()
-    bench = make_bench(write_config(), network=network)
+    slow = SlowNetwork(network)
+    bench = make_bench(write_config(), network=slow)
     witness = Witness(bench, manager, tmp_path / "events.jsonl")
 
     def wait() -> None:
         bench.now_ns += 1_500_000_000 if 40 <= bench.number < 50 else 0
 
-    network.wait = wait
+    slow.wait = wait
     for number in range(-20, FRAMES):
         witness.step(images[number] if number >= 0 else None, number)
     witness.agree("slow: a frame took over 1 s; on the map")

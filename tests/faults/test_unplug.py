@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -110,12 +111,15 @@ def test_unplugged_and_back(times: int, tmp_path: Path, proc: Any, figures: Call
 
 def test_a_udp_peer_that_goes_and_comes(figures: Callable[[str], None]) -> None:
     now_ns = 10**12
-    peer = open_link("udpin:127.0.0.1:28551")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    peer = open_link(f"udpin:{address}")
 
     def clock_ns() -> int:
         return now_ns
 
-    connection = AutopilotConnection(TelemetryConfig(connection="udp:127.0.0.1:28551"), clock_ns)
+    connection = AutopilotConnection(TelemetryConfig(connection=f"udp:{address}"), clock_ns)
 
     def state() -> str:
         return connection.state
@@ -132,7 +136,7 @@ def test_a_udp_peer_that_goes_and_comes(figures: Callable[[str], None]) -> None:
             now_ns += STEP_NS
             connection.poll()
         assert state() == "waiting"
-        peer = open_link("udpin:127.0.0.1:28551")
+        peer = open_link(f"udpin:{address}")
     connection.close()
     peer.close()
     figures("20 times gone and back")

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,13 +14,13 @@ import numpy as np
 import pytest
 
 from edge.camera import Frame
-from edge.commands.map_build import build_map
-from edge.config import CameraConfig, DescriptorConfig, RecordingConfig, SamplingConfig
+from edge.config import CameraConfig, RecordingConfig
 from edge.feed import read_feed
 from edge.feed.recorder import KEPT, RunRecording
 from edge.journal.journal import read_journal
 from edge.localization import VehiclePosition
 
+PATIENCE_S = 60.0
 NOON_S = 1_700_000_000.0
 NAME = "20231114T221320Z"
 CAMERA = CameraConfig(kind="v4l2", view="rear")
@@ -73,20 +72,20 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pyt
 
 
 def test_a_disk_that_hangs_costs_frames_of_the_recording_only(tmp_path: Path) -> None:
-    hangs = threading.Event()
+    test_is_done, waited_for = threading.Event(), []
 
     def free_bytes(folder: Path) -> int:
-        hangs.wait(20)
+        if not test_is_done.wait(PATIENCE_S):
+            waited_for.append(folder)
         return 10**10
 
     recording = RunRecording(RecordingConfig(str(tmp_path)), CAMERA, lambda: NOON_S, free_bytes)
-    started_s = time.monotonic()
     for index in range(100):
         recording.keep(frame(index), None, None)
     recording.close(patience_s=0.1)
-    assert time.monotonic() - started_s < 2
+    assert not waited_for
     assert recording.left_out >= 100 - KEPT - 2
-    hangs.set()
+    test_is_done.set()
 
 
 def test_the_config_is_relative_to_its_file(tmp_path: Path) -> None:
@@ -102,17 +101,16 @@ def test_the_log_names_the_feed(tmp_path: Path, caplog: pytest.LogCaptureFixture
     assert f"recording: {tmp_path / NAME}" in caplog.text
 
 
-def test_the_daemon_records_what_it_uses(write_traverse: Callable[..., Path], tmp_path: Path) -> None:
-    feed = write_traverse(tmp_path / "feed", range(40), period_ms=30)
-    build_map([read_feed(feed)], tmp_path / "map", DescriptorConfig(), SamplingConfig())
+def test_the_daemon_records_what_it_uses(make_street: Callable[..., Path], tmp_path: Path) -> None:
+    street = make_street(range(20), period_ms=200)
     (tmp_path / "lookback.toml").write_text(
-        '[camera]\nkind = "feed"\ndevice = "feed"\n[sampling]\nby = "frames"\n[map]\npath = "map"\n'
+        f'[camera]\nkind = "feed"\ndevice = "{street}/feed"\n[sampling]\nby = "frames"\n[map]\npath = "{street}/map"\n'
         '[sequence]\nlength = 10\n[telemetry]\nconnection = "serial:none:57600"\njournal = "events.jsonl"\n'
         '[page]\nport = 0\n[recording]\nfolder = "runs"\nmin_free_mb = 0\n'
     )
     command = [sys.executable, "-m", "edge", "run", str(tmp_path / "lookback.toml")]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (run,) = (tmp_path / "runs").iterdir()
     stopped = [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "stopped"]
-    assert len(read_feed(run).rows) == stopped[0]["frames_used"] >= 30
+    assert len(read_feed(run).rows) == stopped[0]["frames_used"] >= 10

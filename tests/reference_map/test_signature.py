@@ -10,18 +10,13 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import read_feed
+from edge.config import SamplingConfig
 from edge.reference_map.signature import SIGNATURE
 
 
 @pytest.fixture(scope="module")
-def street_map(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("street")
-    feed = write_traverse(folder / "feed", range(12))
-    build_map([read_feed(feed)], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
-    return folder / "map"
+def street_map(make_street: Callable[..., Path]) -> Path:
+    return make_street(range(12), sampling=SamplingConfig(by="frames")) / "map"
 
 
 @pytest.fixture

@@ -21,9 +21,7 @@ import pytest
 import tomli_w
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 
-from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, GatesConfig, SamplingConfig, TelemetryConfig
-from edge.feed import read_feed
+from edge.config import GatesConfig, TelemetryConfig
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import Link
@@ -192,15 +190,14 @@ def test_a_request_for_the_time_and_an_answer_to_a_fix_are_understood(setting: S
 
 
 def test_the_daemon_as_its_own_process_is_seen(
-    setting: Setting, write_traverse: Callable[..., Path], tmp_path: Path
+    setting: Setting, make_street: Callable[..., Path], tmp_path: Path
 ) -> None:
-    feed = write_traverse(tmp_path / "feed", range(60), period_ms=100)
-    build_map([read_feed(feed)], tmp_path / "map", DescriptorConfig(), SamplingConfig())
+    street = make_street(range(60), period_ms=100)
     setting.ours.close()  # the daemon takes its place
     config = {
-        "camera": {"kind": "feed", "device": str(feed)},
+        "camera": {"kind": "feed", "device": str(street / "feed")},
         "sampling": {"by": "time", "interval_s": 0.1},
-        "map": {"path": str(tmp_path / "map")},
+        "map": {"path": str(street / "map")},
         "sequence": {"length": 5},
         "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0},
         "telemetry": {"connection": setting.connection, "journal": ""},

@@ -29,17 +29,17 @@ def poll_until(port: Port, condition: Callable[[], bool]) -> None:
 
 
 def test_a_lookup_that_hangs_holds_nobody_up() -> None:
-    let_go, asked = threading.Event(), []
+    let_go, asked, waited_for = threading.Event(), [], []
 
     def hang(name: str) -> str:
         asked.append(name)
-        let_go.wait(PATIENCE_S)
+        if not let_go.wait(PATIENCE_S):
+            waited_for.append(name)
         return "127.0.0.1"
 
     port = open_port("gcs.local", hang)
-    began_s = time.monotonic()
     assert [port.open_if_due(turn) for turn in range(1000)] == [False] * 1000
-    assert time.monotonic() - began_s < PATIENCE_S / 2
+    assert not waited_for
     assert asked == ["gcs.local"]
     let_go.set()
     poll_until(port, lambda: port.is_open)

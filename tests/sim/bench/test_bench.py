@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.descriptor.network import Network
 from edge.errors import FeedError
 from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_map
@@ -108,11 +109,10 @@ def test_matching_against_rivals() -> None:
     assert {row.what.partition(": ")[2] for row in section.rows} >= {"faiss SQ8, both orders", "ours, both orders"}
 
 
-def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path) -> None:
-    from edge.descriptor.network import Network
+def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path, network: Network) -> None:
     from edge.recognizer import model_key
 
-    model = model_key(Network.load())
+    model = model_key(network)
     section = page_rows.measure(tmp_path, 200, 3.0, 1, model, periods_ms=[100], settled_s=1.0)
     (row,) = section.rows
     assert row.what.startswith("10 used frames a second: ")
@@ -122,11 +122,10 @@ def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path) -> None:
     assert int(re.findall(r"(\d+) looks", row.note)[0]) >= 1
 
 
-def test_memory_is_of_a_daemon_that_ran(tmp_path: Path) -> None:
-    from edge.descriptor.network import Network
+def test_memory_is_of_a_daemon_that_ran(tmp_path: Path, network: Network) -> None:
     from edge.recognizer import model_key
 
-    section = memory_rows.measure(tmp_path, 200, 10, model_key(Network.load()))
+    section = memory_rows.measure(tmp_path, 200, 10, model_key(network))
     assert section.rows[0].what.startswith("peak: ")
     # On a busy machine the newest frame takes the place of some that came before.
     assert 10 < int(section.rows[0].note.split()[0]) <= 70

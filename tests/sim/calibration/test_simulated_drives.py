@@ -45,11 +45,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def maps(folder: Path) -> dict[str, ReferenceMap]:
+def maps(folder: Path, network: Network) -> dict[str, ReferenceMap]:
     """One map of the street with a front camera, and one with a rear camera."""
     for view in ("front", "rear"):
         feed = record(replace(STREET, view=view), folder / view)
-        build_map([feed], folder / f"{view}.map", DescriptorConfig(), SamplingConfig())
+        build_map([feed], folder / f"{view}.map", DescriptorConfig(), SamplingConfig(), network=network)
     return {view: open_map(folder / f"{view}.map") for view in ("front", "rear")}
 
 
@@ -86,13 +86,14 @@ def test_a_front_camera_over_a_rear_camera_map(maps: dict[str, ReferenceMap], ag
     assert ahead.ahead_m - at_antenna.ahead_m == pytest.approx(8.0, abs=2.0)
 
 
-def test_the_sigma_that_a_drive_gives_is_honest_on_another(maps: dict[str, ReferenceMap], folder: Path) -> None:
+def test_the_sigma_that_a_drive_gives_is_honest_on_another(
+    maps: dict[str, ReferenceMap], network: Network, folder: Path
+) -> None:
     """The way home by day tells what the daemon will say of itself on the way home at dusk."""
     home = replace(STREET, direction="reverse", drive_seed=5)
     offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG)
     dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
     tracker = RouteTracker(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
-    network = Network.load()
     recognizer = PlaceRecognizer(network, Head.load(network), maps["rear"], CONFIG)
     in_sigmas = []
     for item in traverse(dusk, CONFIG.sampling):

@@ -24,7 +24,7 @@ from sim.evaluation.run import Folders, open_bench
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
 
-def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, tmp_path: Path) -> None:
+def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, network: Network, tmp_path: Path) -> None:
     feeds = shared / "feeds"
     plan = Plan(
         title="corridor",
@@ -48,9 +48,8 @@ def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, tmp_path: P
         replace(feed, rows=feed.rows[:FRAMES])
         for feed in (read_feed(feeds / "corridor_reference"), read_feed(feeds / "corridor_query"))
     )
-    build_map([reference], tmp_path / "map", config.descriptor, plan.sampling)
+    build_map([reference], tmp_path / "map", config.descriptor, plan.sampling, network=network)
     reference_map = open_map(tmp_path / "map")
-    network = Network.load()
     recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
     lines = list(replay(recognizer, query, plan.sampling))
 

@@ -21,11 +21,6 @@ LENGTH_M = 560.0
 
 
 @pytest.fixture(scope="module")
-def network() -> RememberingNetwork:
-    return RememberingNetwork.load()
-
-
-@pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     return prepare_world(1, tmp_path_factory.mktemp("trial"), LENGTH_M)
 
