@@ -1,9 +1,9 @@
 #!/bin/sh
-# Build lookback_VERSION_ARCH.deb, which carries the virtual environment: a vehicle installs it without a network.
+# Build lookback_VERSION_ARCH.deb, which contains the virtual environment, so that it installs without a network.
 # Usage: build-deb.sh [-o DIR] [options of install.sh: --wheel, --pypi, --extras, --python]
 #
-# Build it on what it will run on (the same release and architecture, or a container of it): a virtual environment
-# belongs to one minor version of Python, and the package depends on just that.
+# Build it on the release and architecture that it will run on, or in a container of it: a virtual environment
+# works with one minor version of Python, and the package depends on that version.
 set -eu
 umask 022
 
@@ -29,7 +29,7 @@ trap 'exit 130' INT TERM
 stage=$work/stage
 "$here/install.sh" --root "$stage" "$@" >/dev/null
 
-# A package's own files live under /usr/lib; /etc is the admin's.
+# A package installs its units and rules under /usr/lib; /etc is for the admin.
 mkdir -p "$stage/usr/lib/systemd" "$stage/usr/lib/udev"
 mv "$stage/etc/systemd/system" "$stage/usr/lib/systemd/system"
 mv "$stage/etc/sysusers.d" "$stage/etc/tmpfiles.d" "$stage/usr/lib/"
@@ -49,9 +49,9 @@ Installed-Size: $(du -sk "$stage" | cut -f1)
 Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libstdc++6, systemd, udev
 Section: science
 Priority: optional
-Description: place recognition for a vehicle's computer, told to the autopilot
- Recognises places along a route with one camera, also when driving it the
- other way or in another light, and sends place fixes over MAVLink.
+Description: place recognition that gives an autopilot position fixes
+ Recognizes places along a route with one camera, also in the opposite
+ direction or in other light, and sends position fixes over MAVLink.
 TEXT
 
 cat >"$stage/DEBIAN/postinst" <<'TEXT'
@@ -64,11 +64,11 @@ if [ -S /run/udev/control ]; then
     udevadm control --reload
     udevadm trigger --subsystem-match=usb --subsystem-match=tty
 fi
-# Only at the first installation: an admin who disabled it has a reason.
+# Only at the first installation: an admin may have disabled it later.
 [ -n "$2" ] || systemctl enable --quiet lookback.service
 if [ -d /run/systemd/system ]; then
     systemctl daemon-reload
-    systemctl --no-block try-restart lookback.service  # it is ready only once its port is there
+    systemctl --no-block try-restart lookback.service  # it becomes ready only once its port exists
 fi
 TEXT
 cat >"$stage/DEBIAN/prerm" <<'TEXT'
@@ -82,7 +82,7 @@ cat >"$stage/DEBIAN/postrm" <<'TEXT'
 #!/bin/sh
 set -e
 case $1 in
-    # Python may have compiled modules there that dpkg does not know of.
+    # Python may have compiled modules there that dpkg does not list.
     remove | purge) rm -rf /opt/lookback ;;
 esac
 if [ "$1" = purge ]; then rm -rf /etc/lookback /var/lib/lookback; fi

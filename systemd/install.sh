@@ -1,8 +1,8 @@
 #!/bin/sh
-# Install Lookback as a service, again or for the first time; see --help. For systems with systemd and Python 3.10 to
+# Install or update Lookback as a service; see --help. For systems with systemd and Python 3.10 to
 # 3.13: Raspberry Pi OS, Debian, Ubuntu, Jetson Linux.
 set -eu
-umask 022 # the service's user reads what root installs
+umask 022 # the service's user must be able to read what root installs
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 prefix=/opt/lookback
@@ -20,13 +20,13 @@ Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras oak] [--python PYTHO
        install.sh --uninstall [--purge] [--root DIR]
 
 Installs or updates Lookback in $prefix with its service, user, udev rules and directories. Run it as root.
-A config that is there already is kept. A failed update leaves the old version in place.
+An existing config is kept. A failed update leaves the old version in place.
 
-  --wheel FILE      install this wheel; otherwise the checkout that this script lies in
+  --wheel FILE      install this wheel (default: the checkout that contains this script)
   --pypi VERSION    install this version from PyPI
-  --extras NAMES    with these extras of the package, for example oak
+  --extras NAMES    install these extras of the package, for example oak
   --python PYTHON   the Python to use (default /usr/bin/python3)
-  --root DIR        put everything below DIR and touch nothing else: for packages and tests
+  --root DIR        install below DIR and change nothing else: for packages and tests
   --uninstall       remove it; the config, maps and journal stay
   --purge           with --uninstall: remove the config, maps and journal as well
 TEXT
@@ -60,22 +60,22 @@ done
 [ -z "$wheel" ] || [ -f "$wheel" ] || die "$wheel: no such file"
 [ -n "$root" ] || [ "$(id -u)" = 0 ] || die "run it as root: sudo $0"
 
-# With --root, files are put in place and nothing on this system is told of it.
+# With --root, files are installed and no service of this system is changed.
 live() {
     [ -z "$root" ] || return 0
     "$@"
 }
 
-# For a system that is not running systemd now, such as an image being built: not an error.
+# Systemd may not be running, for example while an image is built: this is not an error.
 live_systemctl() {
     if [ -d /run/systemd/system ]; then live systemctl "$@"; fi
 }
 
-put() { # put SOURCE TARGET: the same file again is no change
+put() { # put SOURCE TARGET: can be repeated
     install -D -m 0644 "$here/$1" "$root$2"
 }
 
-what_to_install() { # prints a pip requirement; copies the checkout, as building in it would leave files there
+what_to_install() { # prints a pip requirement; copies the checkout, because a build would leave files in it
     if [ -n "$wheel" ]; then
         spec=$(CDPATH='' cd -- "$(dirname -- "$wheel")" && pwd)/$(basename -- "$wheel")
     elif [ -n "$pypi" ]; then
@@ -98,7 +98,7 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
         || die "$python is not Python 3.10 to 3.13; name one with --python"
     home=$("$python" -c 'import sys; print(sys.base_prefix)')
     case $home in
-        /home/* | /root/*) [ -n "$root" ] || die "$python lies in $home, which the service cannot see (ProtectHome)" ;;
+        /home/* | /root/*) [ -n "$root" ] || die "$python is in $home, which the service cannot read (ProtectHome)" ;;
     esac
     "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
     "$python" -m venv "$stage"
@@ -108,8 +108,8 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
     grep -rlIF -- "$stage" "$stage/bin" "$stage/pyvenv.cfg" | while IFS= read -r file; do
         sed -i "s|$stage|$prefix|g" "$file"
     done
-    # The service cannot write here, so the compiled modules have to be here already. Packages also carry files for
-    # other Pythons, which do not compile.
+    # The service cannot write here, so compile the modules now. Packages also contain files for other Python
+    # versions, which do not compile.
     "$stage/bin/python" -m compileall -q -s "$stage" -p "$prefix" "$stage/lib" || true
 }
 
@@ -157,12 +157,12 @@ install_all() {
     live reload_udev
     live_systemctl daemon-reload
     live_systemctl enable --quiet lookback.service
-    live_systemctl --no-block try-restart lookback.service  # it is ready only once its port is there
+    live_systemctl --no-block try-restart lookback.service  # it becomes ready only once its port exists
     cat <<TEXT
 Lookback is installed in $root$prefix and starts at boot. Next:
   1. edit  $root/etc/lookback/lookback.toml
   2. check $prefix/bin/lookback check /etc/lookback/lookback.toml
-  3. make a map of the route, at the path that the config names (lookback record, lookback map build)
+  3. build a map of the route at the path in the config (lookback record, lookback map build)
   4. start systemctl start lookback, and watch it with journalctl -fu lookback
 TEXT
 }
@@ -174,7 +174,7 @@ uninstall_all() {
     rm -f "$root/etc/systemd/system/lookback.service" "$root/etc/sysusers.d/lookback.conf" \
         "$root/etc/tmpfiles.d/lookback.conf" "$root/etc/udev/rules.d/70-lookback.rules" \
         "$root/etc/systemd/system/lookback.service.d/backoff.conf"
-    rmdir "$root/etc/systemd/system/lookback.service.d" 2>/dev/null || true # kept with the admin's own drop-ins in it
+    rmdir "$root/etc/systemd/system/lookback.service.d" 2>/dev/null || true # kept if the admin has drop-ins in it
     rm -rf "$root$prefix" "$root$prefix.old"
     live_systemctl daemon-reload
     live reload_udev

@@ -93,7 +93,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 def test_every_state_is_explained() -> None:
     from edge.health.health import HealthState
 
-    page = (ROOT / "docs/states.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/vehicle.md").read_text(encoding="utf-8")
     for state in get_args(HealthState):
         assert f"| {state} |" in page
 
