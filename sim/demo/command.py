@@ -22,8 +22,8 @@ from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
 from sim.demo.live import LiveDrive, ReceivedFix, check_ended_well, start_drive
 from sim.demo.review import TOLERANCE_M, Review, review_drive
-from sim.recording import times_by_distance, write_feed
-from sim.scenario import Scenario
+from sim.world.recording import times_by_distance, write_feed
+from sim.world.scenario import Scenario
 
 SEED = 7
 LENGTH_M = 1000.0

@@ -20,10 +20,10 @@ from edge.errors import LookbackError
 from edge.journal.frame_record import Observation
 from edge.journal.journal import read_journal
 from sim import ORIGIN_ALT_M
-from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
-from sim.drive import Drive
-from sim.pty_link import PtyLink, open_pty
-from sim.scenario import Scenario
+from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.world.drive import Drive
+from sim.world.scenario import Scenario
 
 WITH_GPS_S = 6.0  # of each drive, before the receiver fails: so does the autopilot know where it began
 START_S = 6.0  # for the daemon to load its model and the camera to build its world

@@ -14,9 +14,9 @@ from edge.journal.frame_record import Observation
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.store import ReferenceMap
-from sim.camera import open_renderer
 from sim.demo.live import LiveDrive, error_m
 from sim.evaluation.metrics import Answers
+from sim.world.camera import open_renderer
 
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""

@@ -14,7 +14,7 @@ from edge.errors import ConfigError
 from sim.evaluation.bootstrap import Interval
 from sim.evaluation.results import Cell, Section
 
-TEMPLATE = Path(__file__).parents[1] / "report.html.j2"
+TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def write_report(folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section]) -> Path:

@@ -11,8 +11,8 @@ from tqdm import tqdm
 import edge
 from edge.config import SamplingConfig
 from sim.evaluation.plan import TraversePlan
-from sim.recording import times_by_distance, times_by_rate, write_feed
-from sim.scenario import load_scenario
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import load_scenario
 
 
 def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:

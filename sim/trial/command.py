@@ -11,11 +11,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from edge.errors import ConfigError
-from sim.firmware import FIRMWARES
 from sim.trial.course import LIGHTS, RememberingNetwork, one_run, prepare_world
 from sim.trial.live import drive_home_live
 from sim.trial.run import Rules, drive_home
 from sim.trial.score import RunScore, TrialScore
+from sim.vehicle.firmware import FIRMWARES
 
 POSITION_MESSAGES = ("auto", "external_position", "global_position_sensor", "vision_position")
 

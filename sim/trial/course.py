@@ -25,8 +25,8 @@ from edge.descriptor.normalize import normalize
 from edge.feed import Feed, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ReferenceMap, open_map
-from sim.recording import times_by_distance, times_by_rate, write_feed
-from sim.scenario import LightName, Scenario
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import LightName, Scenario
 
 LENGTH_M = 2000.0
 CAMERA_FPS = 10.0

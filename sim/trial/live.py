@@ -16,11 +16,11 @@ import tomli_w
 from edge.config import Config
 from edge.errors import LookbackError
 from edge.journal.journal import read_journal
-from sim.pty_link import open_pty
-from sim.scenario import Scenario
 from sim.trial.course import CAMERA_FPS, JOURNAL, Course, World
 from sim.trial.run import Rules, seeded_autopilot, trial_config
 from sim.trial.score import RunScore, judge
+from sim.vehicle.pty_link import open_pty
+from sim.world.scenario import Scenario
 
 START_S = 8.0  # for the daemon to load its model
 LATE_S = 60.0

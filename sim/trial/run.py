@@ -17,11 +17,11 @@ from edge.daemon import Daemon
 from edge.feed import Feed, FeedImages
 from edge.journal.journal import read_journal
 from sim import ORIGIN_ALT_M
-from sim.autopilot import SimulatedAutopilot
-from sim.drive import Drive
-from sim.pty_link import PtyLink, open_pty
 from sim.trial.course import CAMERA_FPS, JOURNAL, Course, RememberingNetwork, World
 from sim.trial.score import RunScore, judge
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.world.drive import Drive
 
 Origin = tuple[float, float, float]
 STEP_NS = 10_000_000

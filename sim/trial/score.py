@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pymap3d
 
-from sim.autopilot import SimulatedAutopilot
-from sim.drive import Drive
 from sim.trial.course import Course, World
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.world.drive import Drive
 
 MEDIAN_M, MOST_M, SIGMAS = 3.0, 10.0, 3.0
 """What is asked for: the autopilot's error after a fix, its median and 95th percentile, and no fix further off."""

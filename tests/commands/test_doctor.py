@@ -20,9 +20,9 @@ from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import read_feed
 from edge.telemetry.codec import MavlinkCodec
-from sim.autopilot import SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 
 class Parameters:

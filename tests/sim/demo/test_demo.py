@@ -9,7 +9,7 @@ import pytest
 from edge.config import RigConfig
 from edge.errors import LookbackError
 from sim.demo.live import check_ended_well, start_drive
-from sim.scenario import Scenario
+from sim.world.scenario import Scenario
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
