@@ -16,19 +16,19 @@ from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
 from edge.feed import FeedImages, read_feed
 from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
-from sim.demo.live import LiveDrive
-from sim.demo.review import TOLERANCE_M, Review
+from sim.demo.review import TOLERANCE_M, Review, stages_ms
 from sim.evaluation import results
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
 from sim.evaluation.report import render_page
+from sim.vehicle.daemon_drive import DaemonDrive
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it talks about its font cache
 BLUE, ORANGE, GREY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
-    path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[LiveDrive], reviews: list[Review]
+    path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[DaemonDrive], reviews: list[Review]
 ) -> Path:
     """Write the page for all drives and return its path."""
     header = reference_map.header
@@ -47,7 +47,7 @@ def write_report(
 
 
 def _overview(
-    reference_map: ReferenceMap, rig: RigConfig, lives: Sequence[LiveDrive], reviews: Sequence[Review]
+    reference_map: ReferenceMap, rig: RigConfig, lives: Sequence[DaemonDrive], reviews: Sequence[Review]
 ) -> results.Section:
     text = (
         "A vehicle drove out along a street by day with a camera that looks back, and a map was made of"
@@ -67,11 +67,11 @@ def _overview(
     return results.Section("The drives", text, tables=[results.Table("drives", "In numbers", columns, rows, note)])
 
 
-def _name(live: LiveDrive) -> str:
+def _name(live: DaemonDrive) -> str:
     return live.name.replace("_", " ")
 
 
-def _numbers(live: LiveDrive, review: Review) -> dict[str, results.Cell]:
+def _numbers(live: DaemonDrive, review: Review) -> dict[str, results.Cell]:
     """What the table says of one drive, by row."""
     errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
     return {
@@ -82,11 +82,11 @@ def _numbers(live: LiveDrive, review: Review) -> dict[str, results.Cell]:
         "error of the fixes, 95 %, m": float(np.percentile(errors_m, 95)),
         f"precision: accepted frames within {TOLERANCE_M:.0f} m": review.precision,
         "recall: accepted and right, of all frames": review.recall,
-        **{f"time per frame, ms: {stage}": ms for stage, ms in live.stages_ms().items()},
+        **{f"time per frame, ms: {stage}": ms for stage, ms in stages_ms(live).items()},
     }
 
 
-def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> results.Section:
+def _section(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> results.Section:
     figures = [
         results.Figure(
             f"{live.name}_costs",
@@ -101,7 +101,7 @@ def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> re
     return results.Section(_name(live), figures=figures, pictures=_pairs(reference_map, review))
 
 
-def _curves(lives: list[LiveDrive], reviews: list[Review]) -> results.Figure:
+def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> results.Figure:
     note = "Over all used frames, the warm-up included; the dots are the threshold in use."
     return results.Figure("precision_recall", "Every uniqueness threshold", to_png(curves(lives, reviews)), note)
 
@@ -147,7 +147,7 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
     return figure
 
 
-def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figure:
+def route(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> Figure:
     """The map's route from above, with the fixes."""
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.subplots()
@@ -168,7 +168,7 @@ def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figur
     return figure
 
 
-def curves(lives: list[LiveDrive], reviews: list[Review]) -> Figure:
+def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
     """Precision and recall of all drives, and the threshold in use."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
