@@ -1,6 +1,16 @@
-"""Everything that runs at a desk: the street world and its cameras, a simulated autopilot, demo and evaluation.
+"""Everything that runs at a desk. `sim` imports `edge`, never the reverse; `edge` finds it through entry points.
 
-`sim` imports `edge`, never the reverse; `edge` finds it through the entry points in pyproject.toml.
+world        the street world: routes, drives, scenarios, a camera, drives recorded as feeds
+vehicle      the simulated autopilot: firmware, dead reckoning, position inputs, a pseudo-terminal
+trial        `lookback sim fixes`: many seeded drives, judged by the truth
+demo         `lookback demo`: the main job in simulation, with a report
+datasets     published recordings as feeds, MCAP, export
+evaluation   `lookback eval`: the paper's comparisons, and `lookback golden`
+calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
+model_tools  `lookback model`: import, quantize, verify
+training     `lookback train`
+bench        `make bench`
+commands     the list of `lookback sim` commands
 """
 
 from __future__ import annotations
@@ -16,7 +26,7 @@ ORIGIN_ALT_M = 20.0
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a simulated vehicle is: metres east and north of the origin, heading clockwise from north.
+    """Where a simulated vehicle is: meters east and north of the origin, heading clockwise from north.
 
     distance_m is what its wheels have covered since the drive began, in whichever direction it drives.
     """

@@ -9,11 +9,11 @@ from pathlib import Path
 from tqdm import tqdm
 
 from edge.errors import ConfigError
-from sim import autopilot_command
 from sim.datasets import commands as dataset_commands
-from sim.recording import times_by_distance, times_by_rate, write_feed
-from sim.scenario import load_scenario
 from sim.trial import command as trial_command
+from sim.vehicle import command as autopilot_command
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import load_scenario
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -21,7 +21,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = commands.add_parser("sim", help="the simulator: record a drive, or be an autopilot")
     sim_commands = parser.add_subparsers(required=True, metavar="COMMAND")
     drive = sim_commands.add_parser("drive", help="drive through the street world and record a feed")
-    drive.add_argument("scenario", type=Path, help="TOML file; its keys are described in sim/scenario.py")
+    drive.add_argument("scenario", type=Path, help="TOML file; its keys are described in sim/world/scenario.py")
     drive.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     pace = drive.add_mutually_exclusive_group()
     pace.add_argument("--spacing-m", metavar="M", type=float, default=2.0, help="a frame every M metres, default 2")

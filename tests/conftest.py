@@ -18,9 +18,9 @@ from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedWriter, read_feed
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.model_tools.onnx_graph import DIMENSIONS, MEAN_RGB, PAD_LEVEL, STD_RGB
 from sim.model_tools.weights import CONVS, FC6_SHAPE, Weights
-from sim.trial.course import RememberingNetwork
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
@@ -118,14 +118,14 @@ def write_traverse() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def network() -> RememberingNetwork:
+def network() -> MemoizingNetwork:
     """The shipped network for all tests that do not test the network itself: it describes each picture once."""
-    return RememberingNetwork.load()
+    return MemoizingNetwork.load()
 
 
 @pytest.fixture(scope="session")
 def make_street(
-    network: RememberingNetwork, write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
+    network: MemoizingNetwork, write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Path]:
     """Makes a folder with the `feed` of a drive along the street, and the `map` made of it."""
 

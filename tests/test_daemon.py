@@ -15,9 +15,9 @@ import pytest
 import tomli_w
 
 from edge.journal.journal import read_journal
-from sim.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 FRAMES, PERIOD_MS = 80, 150
 PATIENCE_S = 120.0

@@ -23,8 +23,8 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
 from edge.reference_map.tiles import split_map
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 FRAMES, PERIOD_MS = 80, 60
 PLACES, APART_M = 300, 40.0

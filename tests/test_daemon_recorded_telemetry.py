@@ -15,7 +15,7 @@ import tomli_w
 
 from edge.journal.journal import read_journal
 from edge.telemetry.codec import MavlinkCodec
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
 STREAMS = {33, 32, 74, 9000, 24, 2, 230}

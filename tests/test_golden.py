@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
-from sim.golden import EXPECTED, first_difference, load_golden, replay_golden
+from sim.evaluation.golden import EXPECTED, first_difference, load_golden, replay_golden
 
 FOLDERS = sorted(path.parent for path in Path(__file__).parent.glob("golden/*/golden.toml"))
 

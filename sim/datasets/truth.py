@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedRow
@@ -53,26 +52,9 @@ class Truth:
         """`error` of each query row and each reference row, (Q, N)."""
         return self.error(np.arange(len(self.query_at))[:, np.newaxis], np.arange(len(self.reference_at)))
 
-    def is_true(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the rows are of the same place; False where it is not known."""
-        return self.error(query_rows, reference_rows) <= self.tolerance
-
     def true_rows(self, query_row: int) -> Rows:
         """All reference rows that are right for a query row, ascending; empty if it is off the map."""
-        return np.flatnonzero(self.is_true(query_row, np.arange(len(self.reference_at))))
-
-    def nearest(self) -> tuple[Rows, Floats]:
-        """For each query row the nearest reference row and its error, (Q,) each; -1 and NaN where it is not known."""
-        nearest, error = np.full(len(self.query_at), -1, np.intp), np.full(len(self.query_at), np.nan)
-        known, placed = _known(self.reference_at), _known(self.query_at)
-        if known.size and placed.size:
-            error[placed], which = cKDTree(self.reference_at[known]).query(self.query_at[placed])
-            nearest[placed] = known[which]
-        return nearest, error
-
-    def on_map(self) -> NDArray[np.bool_]:
-        """(Q,): whether any reference row is right."""
-        return self.nearest()[1] <= self.tolerance
+        return np.flatnonzero(self.error(query_row, np.arange(len(self.reference_at))) <= self.tolerance)
 
     def take(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Truth:
         """The truth between some of the rows, numbered anew."""

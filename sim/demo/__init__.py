@@ -1,8 +1,7 @@
-"""`lookback demo`: the main job in simulation, from the first map to an autopilot that is told where it is.
+"""`lookback demo`: the main job in simulation, from the first map to an autopilot that receives place fixes.
 
-command.py  the story, in order, and what is printed
-live.py     one drive: the real daemon as its own process, a simulated autopilot at the other end of a pty
-review.py   what the daemon saw, once more, for the pictures
-report.py   one self-contained HTML page
-pictures.py the README's pictures, of the same run
+command   the steps, in order, and what is printed; the drives are those of `sim.vehicle.daemon_drive`
+review    the frames that the daemon used, rendered and recognized again, for the report
+report    one self-contained HTML page
+pictures  the README's pictures, of the same run
 """

@@ -14,16 +14,16 @@ import numpy as np
 from tqdm import tqdm
 
 from edge.commands.map_build import build_map
-from edge.config import DescriptorConfig, PageConfig, RigConfig, SamplingConfig
+from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
 from edge.errors import ConfigError, LookbackError
 from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
-from sim.demo.live import LiveDrive, ReceivedFix, check_ended_well, start_drive
-from sim.demo.review import TOLERANCE_M, Review, review_drive
-from sim.recording import times_by_distance, write_feed
-from sim.scenario import Scenario
+from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
+from sim.vehicle.daemon_drive import AutopilotSetup, DaemonDrive, ReceivedFix, start_daemon_drive
+from sim.world.recording import times_by_distance, write_feed
+from sim.world.scenario import Scenario
 
 SEED = 7
 LENGTH_M = 1000.0
@@ -113,39 +113,56 @@ def _record(scenario: Scenario, path: Path, distance_m: float) -> None:
     write_feed(scenario, drive, path, tqdm(times_s, unit="frame", desc=path.name, disable=None))
 
 
-def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[LiveDrive]:
+def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[DaemonDrive]:
     """Both drives at once, each with its own daemon and autopilot; fixes are printed as they arrive."""
     port = PageConfig().port
-    print(f"   watch them: http://127.0.0.1:{port} and http://127.0.0.1:{port + 1}")
+    print(f"   watch them: {_page_url(0)} and {_page_url(1)}")
     with ExitStack() as running:
         lives = [
-            running.enter_context(start_drive(name, scenario, folder / name, reference_map.path, rig, port + number))
+            running.enter_context(
+                start_daemon_drive(
+                    name, scenario, folder / name, demo_settings(reference_map, rig, port + number), AutopilotSetup()
+                )
+            )
             for number, (name, scenario) in enumerate((("again_dusk", DUSK), ("home_night", NIGHT)))
         ]
         if pictures:
             running.enter_context(_photographer(lives, pictures))
-        while any(live.process.poll() is None for live in lives):
+        while any(live.is_running for live in lives):
             time.sleep(WATCH_S)
             for live in lives:
                 for fix in live.new_fixes():
                     _print_fix(live, fix)
         for live in lives:
-            check_ended_well(live)
+            live.wait_for_end()
     return lives
 
 
+def demo_settings(reference_map: ReferenceMap, rig: RigConfig, page_port: int = 0) -> Config:
+    """The daemon's settings for one of the drives; page_port: of its live page, 0 for none."""
+    return Config(
+        map=MapConfig(path=str(reference_map.path)),
+        page=PageConfig(port=page_port),
+        rig=rig,
+        telemetry=TelemetryConfig(emit="external_position", journal_frames=True),
+    )
+
+
+def _page_url(number: int) -> str:
+    return f"http://127.0.0.1:{PageConfig().port + number}/"
+
+
 @contextmanager
-def _photographer(lives: list[LiveDrive], pictures: Path) -> Iterator[None]:
+def _photographer(lives: list[DaemonDrive], pictures: Path) -> Iterator[None]:
     """Photographs the live page, for a desk and a phone, once both drives are well under way."""
     from sim.demo.pictures import photograph_page
 
     def photograph() -> None:
-        while min(len(live.fixes) for live in lives) < PHOTOGRAPHED_AT and all(
-            one.process.poll() is None for one in lives
-        ):
+        while min(len(live.fixes) for live in lives) < PHOTOGRAPHED_AT and all(live.is_running for live in lives):
             time.sleep(WATCH_S)
-        for live, (width, height) in zip(lives, ((1280, 1070), (390, 1500)), strict=True):
-            photograph_page(live.page, pictures / f"page_{live.name}.png", width, height)
+        sizes = ((1280, 1070), (390, 1500))
+        for number, (live, (width, height)) in enumerate(zip(lives, sizes, strict=True)):
+            photograph_page(_page_url(number), pictures / f"page_{live.name}.png", width, height)
 
     thread = threading.Thread(target=photograph, name="photographer")
     thread.start()
@@ -153,16 +170,16 @@ def _photographer(lives: list[LiveDrive], pictures: Path) -> Iterator[None]:
     thread.join()
 
 
-def _print_fix(live: LiveDrive, fix: ReceivedFix) -> None:
+def _print_fix(live: DaemonDrive, fix: ReceivedFix) -> None:
     print(
         f"   {live.name:<10}  {fix.time_s:5.1f} s  at {fix.route_m:5.0f} m  fix {fix.error_m:5.1f} m from the truth,"
         f" {fix.age_s * 1e3:3.0f} ms old; the autopilot was {fix.believed_error_m:4.1f} m off"
     )
 
 
-def _print_table(live: LiveDrive, review: Review) -> None:
+def _print_table(live: DaemonDrive, review: Review) -> None:
     errors_m = np.array([fix.error_m for fix in live.fixes])
-    stages = ", ".join(f"{stage} {ms:.2f}" for stage, ms in live.stages_ms().items())
+    stages = ", ".join(f"{stage} {ms:.2f}" for stage, ms in stages_ms(live).items())
     print(f"\n   {live.name}: {live.scenario.light}, {live.scenario.direction}, {len(review.seen)} frames used")
     print(f"   fixes                {len(errors_m)}")
     if errors_m.size:
@@ -172,7 +189,7 @@ def _print_table(live: LiveDrive, review: Review) -> None:
     print(f"   time per frame, ms   {stages}")
 
 
-def _is_good(live: LiveDrive, review: Review) -> bool:
+def _is_good(live: DaemonDrive, review: Review) -> bool:
     """Fixes came, and nearly all of them are right: the bar of the smoke test."""
     if len(live.fixes) < 5 or not review.precision >= 0.9:
         raise LookbackError(f"{live.name}: {len(live.fixes)} fixes, precision {review.precision:.3f}: not good enough")

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import ReferenceMap
-from sim.demo.live import LiveDrive
 from sim.demo.report import cost_matrix, curves, route
 from sim.demo.review import Review
+from sim.vehicle.daemon_drive import DaemonDrive
 
 DPI = 80
 PAIR_HEIGHT_PX = 150
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 def write_pictures(
-    folder: Path, reference_map: ReferenceMap, lives: list[LiveDrive], reviews: list[Review]
+    folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review]
 ) -> list[Path]:
     """Write plots of the last drive as PNG and a sheet of matched pairs of all as JPEG; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -16,19 +16,18 @@ from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
 from edge.feed import FeedImages, read_feed
 from edge.reference_map.route import east_north
 from edge.reference_map.store import ReferenceMap
-from sim.demo.live import LiveDrive
-from sim.demo.review import TOLERANCE_M, Review
-from sim.evaluation import results
+from sim.demo.review import TOLERANCE_M, Review, stages_ms
+from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
-from sim.evaluation.report import render_page
+from sim.vehicle.daemon_drive import DaemonDrive
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it talks about its font cache
 BLUE, ORANGE, GREY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
-    path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[LiveDrive], reviews: list[Review]
+    path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[DaemonDrive], reviews: list[Review]
 ) -> Path:
     """Write the page for all drives and return its path."""
     header = reference_map.header
@@ -40,15 +39,15 @@ def write_report(
     sections = [
         _overview(reference_map, rig, lives, reviews),
         *(_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)),
-        results.Section("Precision and recall", figures=[_curves(lives, reviews)]),
+        report.Section("Precision and recall", figures=[_curves(lives, reviews)]),
     ]
-    path.write_text(render_page("Lookback demo", about, sections), encoding="utf-8")
+    path.write_text(report.render_page("Lookback demo", about, sections), encoding="utf-8")
     return path
 
 
 def _overview(
-    reference_map: ReferenceMap, rig: RigConfig, lives: Sequence[LiveDrive], reviews: Sequence[Review]
-) -> results.Section:
+    reference_map: ReferenceMap, rig: RigConfig, lives: Sequence[DaemonDrive], reviews: Sequence[Review]
+) -> report.Section:
     text = (
         "A vehicle drove out along a street by day with a camera that looks back, and a map was made of"
         f" {reference_map.header.places} places. Then it drove with a camera that looks ahead, GPS failing soon: the"
@@ -64,14 +63,14 @@ def _overview(
     by_drive = [_numbers(live, review) for live, review in zip(lives, reviews, strict=True)]
     rows = [[label, *(numbers[label] for numbers in by_drive)] for label in by_drive[0]]
     columns = ("", *(_name(live) for live in lives))
-    return results.Section("The drives", text, tables=[results.Table("drives", "In numbers", columns, rows, note)])
+    return report.Section("The drives", text, tables=[report.Table("drives", "In numbers", columns, rows, note)])
 
 
-def _name(live: LiveDrive) -> str:
+def _name(live: DaemonDrive) -> str:
     return live.name.replace("_", " ")
 
 
-def _numbers(live: LiveDrive, review: Review) -> dict[str, results.Cell]:
+def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
     """What the table says of one drive, by row."""
     errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
     return {
@@ -82,31 +81,31 @@ def _numbers(live: LiveDrive, review: Review) -> dict[str, results.Cell]:
         "error of the fixes, 95 %, m": float(np.percentile(errors_m, 95)),
         f"precision: accepted frames within {TOLERANCE_M:.0f} m": review.precision,
         "recall: accepted and right, of all frames": review.recall,
-        **{f"time per frame, ms: {stage}": ms for stage, ms in live.stages_ms().items()},
+        **{f"time per frame, ms: {stage}": ms for stage, ms in stages_ms(live).items()},
     }
 
 
-def _section(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> results.Section:
+def _section(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> report.Section:
     figures = [
-        results.Figure(
+        report.Figure(
             f"{live.name}_costs",
             "Cost matrix",
             to_png(cost_matrix(reference_map, review)),
             "The better region order of each cell, with the best match of each frame and the line behind one of them.",
         ),
-        results.Figure(
+        report.Figure(
             f"{live.name}_route", "The route from above, with the fixes", to_png(route(reference_map, live, review))
         ),
     ]
-    return results.Section(_name(live), figures=figures, pictures=_pairs(reference_map, review))
+    return report.Section(_name(live), figures=figures, pictures=_pairs(reference_map, review))
 
 
-def _curves(lives: list[LiveDrive], reviews: list[Review]) -> results.Figure:
+def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> report.Figure:
     note = "Over all used frames, the warm-up included; the dots are the threshold in use."
-    return results.Figure("precision_recall", "Every uniqueness threshold", to_png(curves(lives, reviews)), note)
+    return report.Figure("precision_recall", "Every uniqueness threshold", to_png(curves(lives, reviews)), note)
 
 
-def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[results.Picture]]:
+def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Picture]]:
     """Frames beside the places that they were taken for."""
     feed = read_feed(reference_map.path.with_suffix(""))  # the demo keeps the feed beside the map made of it
     images = FeedImages(feed)
@@ -118,8 +117,8 @@ def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[results.Pic
                 f"taken for place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
                 f" {seen.direction}, {seen.order} order, {seen.category}"
             )
-            here = results.Picture(_jpeg(picture), f"at {review.route_m[row]:.0f} m")
-            pairs.append([here, results.Picture(_jpeg(images.read(seen.map_row)), taken_for)])
+            here = report.Picture(_jpeg(picture), f"at {review.route_m[row]:.0f} m")
+            pairs.append([here, report.Picture(_jpeg(images.read(seen.map_row)), taken_for)])
     return pairs
 
 
@@ -147,7 +146,7 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
     return figure
 
 
-def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figure:
+def route(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> Figure:
     """The map's route from above, with the fixes."""
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.subplots()
@@ -168,7 +167,7 @@ def route(reference_map: ReferenceMap, live: LiveDrive, review: Review) -> Figur
     return figure
 
 
-def curves(lives: list[LiveDrive], reviews: list[Review]) -> Figure:
+def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
     """Precision and recall of all drives, and the threshold in use."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()

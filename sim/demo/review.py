@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from edge.commands.replay import config_for_map
 from edge.descriptor.network import Head, Network
 from edge.journal.frame_record import Observation
+from edge.journal.journal import read_journal
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.store import ReferenceMap
-from sim.camera import open_renderer
-from sim.demo.live import LiveDrive, error_m
 from sim.evaluation.metrics import Answers
+from sim.vehicle.daemon_drive import DaemonDrive
+from sim.world.camera import open_renderer
 
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""
@@ -60,12 +61,26 @@ class Review:
         return float((self.accepted & (self.error_m <= TOLERANCE_M)).mean())
 
 
-def review_drive(live: LiveDrive, reference_map: ReferenceMap, pictures: int) -> Review:
+def used_frames(live: DaemonDrive) -> list[Observation]:
+    """Every frame that the daemon used, from its journal."""
+    return [
+        msgspec.convert({key: value for key, value in record.items() if key not in ("event", "unix_s")}, Observation)
+        for record in read_journal(live.journal)
+        if record["event"] == "frame"
+    ]
+
+
+def stages_ms(live: DaemonDrive) -> dict[str, float]:
+    """Median time of each stage of a frame, from the last record of the daemon's journal."""
+    return next(dict(record["stages_ms"]) for record in read_journal(live.journal) if record["event"] == "stopped")
+
+
+def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:
     """Render the used frames again, run the recogniser on them, and keep `pictures` of the emitted ones."""
-    seen = live.frames()
+    seen = used_frames(live)
     times_s = [item.stamp_ns / 1e9 - live.epoch_s for item in seen]
     errors_m = [
-        np.nan if item.lat_deg is None or item.lon_deg is None else error_m(live.drive, t, item.lat_deg, item.lon_deg)
+        np.nan if item.lat_deg is None or item.lon_deg is None else live.drive.error_m(t, item.lat_deg, item.lon_deg)
         for item, t in zip(seen, times_s, strict=True)
     ]
     emitted = [row for row, item in enumerate(seen) if item.emitted]

@@ -13,6 +13,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     _add_run(actions.add_parser("run", help="run a plan and write its report"))
     _add_match(actions.add_parser("match", help="search a cost matrix, and score the matches"))
+    shrinking = actions.add_parser("shrinking", help="what fewer dimensions cost, measured on a map that has them")
+    shrinking.add_argument("map", type=Path, metavar="MAP", help="a map that `map build --dimensions` made")
+    shrinking.set_defaults(run=_shrinking)
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
@@ -46,5 +49,11 @@ def _run(args: argparse.Namespace) -> int:
 
 def _match(args: argparse.Namespace) -> int:
     from sim.evaluation.match_command import run
+
+    return run(args)
+
+
+def _shrinking(args: argparse.Namespace) -> int:
+    from sim.evaluation.shrinking import run
 
     return run(args)

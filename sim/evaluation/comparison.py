@@ -15,7 +15,7 @@ from sim.evaluation.bootstrap import difference, interval
 from sim.evaluation.matching import errors_of
 from sim.evaluation.metrics import max_f1_of_places, precision_recall, recall_of_best, scores
 from sim.evaluation.plan import Pair
-from sim.evaluation.results import Cell, Figure, Picture, Section, Table
+from sim.evaluation.report import Cell, Figure, Picture, Section, Table
 from sim.evaluation.traverses import place_coordinates
 
 COUNTS = (1, 5, 10)

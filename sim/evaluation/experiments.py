@@ -24,7 +24,7 @@ from sim.evaluation.comparison import Results, thumbnail
 from sim.evaluation.methods import METHODS, query_rows
 from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.evaluation.plan import ActivationMap, Pair, Plan
-from sim.evaluation.results import Cell, Figure, Picture, Section, Table
+from sim.evaluation.report import Cell, Figure, Picture, Section, Table
 from sim.evaluation.traverses import true_errors
 
 Step = Callable[[str], None]

@@ -6,15 +6,15 @@ import base64
 import csv
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import jinja2
 
 from edge.errors import ConfigError
 from sim.evaluation.bootstrap import Interval
-from sim.evaluation.results import Cell, Section
 
-TEMPLATE = Path(__file__).parents[1] / "report.html.j2"
+TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def write_report(folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section]) -> Path:
@@ -61,3 +61,46 @@ def _write_files(folder: Path, section: Section) -> None:
 
 def _plain(cell: Cell) -> str | int | float:
     return f"{cell.value!r} [{cell.low!r}, {cell.high!r}]" if isinstance(cell, Interval) else cell
+
+
+Cell = str | int | float | Interval
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the report and a CSV file; `name` is the file's, and each row has as many cells as `columns`."""
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture of the report and a PNG file."""
+
+    name: str
+    title: str
+    png: bytes
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a match: JPEG and what is said under it."""
+
+    jpeg: bytes
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """One experiment: heading, plain words, tables, figures, and rows of pictures that belong together."""
+
+    title: str
+    text: str = ""
+    tables: Sequence[Table] = ()
+    figures: Sequence[Figure] = ()
+    pictures: Sequence[Sequence[Picture]] = field(default_factory=list)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from tqdm import tqdm
 
@@ -21,14 +22,13 @@ from edge.errors import ConfigError
 from sim.evaluation import experiments
 from sim.evaluation.bench import Bench
 from sim.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
-from sim.evaluation.descriptions import Descriptions
-from sim.evaluation.plan import Plan, load_plan
-from sim.evaluation.report import write_report
-from sim.evaluation.results import Section
-from sim.evaluation.scenarios import feed_of
+from sim.evaluation.descriptions import Descriptions, open_executor
+from sim.evaluation.plan import Plan, TraversePlan, load_plan
+from sim.evaluation.report import Section, write_report
 from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
-from sim.evaluation.workers import open_executor
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import load_scenario
 
 SHIPPED = Path(__file__).with_name("plans")
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
@@ -146,3 +146,31 @@ def _print_overview(section: Section) -> None:
         for row in table.rows:
             if not np.isnan(float(str(row[index]))):
                 print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
+
+
+def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
+    """The feed of a scenario, in `rendered` under a name that has a hash of all that decides what it shows.
+
+    A feed that was broken off does not count: it has its last name only when it is whole.
+    """
+    scenario = load_scenario(folder / plan.scenario)
+    spacing_m = sampling.spacing_m
+    decides = msgspec.json.encode([scenario, plan.fps or spacing_m, edge.__version__])
+    path = rendered / f"{name}-{hashlib.sha256(decides).hexdigest()[:12]}"
+    if path.is_dir():
+        return path
+    part = path.with_suffix(".part")
+    _remove(part)
+    drive = scenario.drive()
+    times_s = times_by_rate(drive, plan.fps) if plan.fps else times_by_distance(drive, spacing_m)
+    write_feed(scenario, drive, part, tqdm(times_s, desc=f"rendering {name}", unit="frame", leave=False))
+    part.rename(path)
+    return path
+
+
+def _remove(folder: Path) -> None:
+    """Take away what a broken-off rendering left."""
+    for file in sorted(folder.rglob("*"), reverse=True):
+        file.rmdir() if file.is_dir() else file.unlink()
+    if folder.is_dir():
+        folder.rmdir()

@@ -1,13 +1,14 @@
-"""What descriptors of fewer dimensions cost, measured on the map itself.
+"""`lookback eval shrinking MAP`: what descriptors of fewer dimensions cost, measured on the map itself.
 
-Every other place of the map is taken out of it, as another drive would have seen it, and looked for by sequences among
-the rest: once with whole descriptors, once shrunk to as many dimensions as the map's, along directions found from the
-rest alone. It is the easiest of drives, of the same day and the same camera, so the numbers tell what shrinking loses
-and not how often places will be recognised.
+Every other place is removed from the map, as if another drive had recorded it, and searched for by sequences among the
+rest: once with whole descriptors, once with descriptors shrunk to as many dimensions as the map's, along directions
+found from the rest alone. No drive is easier, since it is of the same day and the same camera: the numbers say what
+shrinking costs, not how often places will be recognized.
 """
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.normalize import normalize
+from edge.errors import MapError
 from edge.reference_map.costs import CostMatcher, encode, squared_norms
 from edge.reference_map.pca import principal_directions, project
-from edge.reference_map.store import STATISTICS, ReferenceMap
+from edge.reference_map.store import STATISTICS, ReferenceMap, open_map
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 
 LENGTH = 5
@@ -26,10 +28,12 @@ MOST_PLACES = 4000
 
 
 @dataclass(frozen=True)
-class Price:
-    """right, right_shrunk: shares of sequences that end beside their true place. same: shares of equal answers.
+class ShrinkingCost:
+    """With whole and with shrunk descriptors.
 
-    margin, margin_shrunk: medians of the lowest cost elsewhere over the lowest cost. sequences: how many were tried.
+    sequences: how many were searched for. right, right_shrunk: share of them that end within one place of the truth.
+    same: share whose answers are equal. margin, margin_shrunk: median of the lowest cost outside a window around the
+    best place, over the lowest cost.
     """
 
     sequences: int
@@ -41,16 +45,29 @@ class Price:
 
     def __str__(self) -> str:
         return (
-            f"every other place looked for among the rest, {self.sequences} sequences of {LENGTH}: right to a place"
-            f" {self.right:.2%} with whole descriptors, {self.right_shrunk:.2%} with shrunk ones; the same answer in"
-            f" {self.same:.2%}; median uniqueness {self.margin:.3f} and {self.margin_shrunk:.3f}"
+            f"{self.sequences} sequences of {LENGTH} places, each searched for among every other place of the map\n"
+            f"                            whole    shrunk\n"
+            f"right within one place    {self.right:7.2%}   {self.right_shrunk:7.2%}\n"
+            f"median uniqueness         {self.margin:7.3f}   {self.margin_shrunk:7.3f}\n"
+            f"same answer               {self.same:7.2%}"
         )
 
 
-def price_of_shrinking(reference_map: ReferenceMap) -> Price | None:
-    """Measure it; None for a map that is not shrunk, or too short to say anything."""
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; MapError for a map that is not shrunk, or too short to say anything."""
+    reference_map = open_map(args.map, every_file=True)
+    cost = cost_of_shrinking(reference_map)
+    header = reference_map.header
+    print(f"{args.map}: shrunk to {header.dimensions} of {header.model.dimensions} dimensions a region")
+    print(cost)
+    return 0
+
+
+def cost_of_shrinking(reference_map: ReferenceMap) -> ShrinkingCost:
+    """Measure it; MapError for a map that is not shrunk, or too short to say anything."""
     if reference_map.projection is None:
-        return None
+        raise MapError(f"{reference_map.path}: its descriptors are whole; build it with --dimensions to shrink them")
+    too_short = MapError(f"{reference_map.path}: no segment of it is long enough for a sequence of {LENGTH} places")
     whole = _normalized(reference_map)
     pieces = [
         np.arange(segment.start, min(segment.end, len(whole)) - 1, 2) for segment in reference_map.header.segments
@@ -58,21 +75,21 @@ def price_of_shrinking(reference_map: ReferenceMap) -> Price | None:
     kept = np.concatenate(pieces)
     segments = list(pairwise(np.cumsum([0, *(len(piece) for piece in pieces if len(piece))]).tolist()))
     if not segments:
-        return None
-    place, margin = _looked_for(whole[kept + 1], whole[kept], segments)
-    # Directions of all places would know what was taken out.
+        raise too_short
+    place, margin = _search(whole[kept + 1], whole[kept], segments)
+    # Directions of all places would know what was removed.
     directions = principal_directions(lambda: [whole[kept]], whole.shape[2], len(reference_map.projection))
     shrunk = project(whole, directions)
-    shrunk_place, shrunk_margin = _looked_for(shrunk[kept + 1], shrunk[kept], segments)
+    shrunk_place, shrunk_margin = _search(shrunk[kept + 1], shrunk[kept], segments)
     tried = np.flatnonzero(place >= 0)
     if not tried.size:
-        return None
+        raise too_short
 
     def right(found: NDArray[np.intp]) -> float:
-        # The k-th place left out lies between the k-th that was kept and the next.
+        # The k-th removed place lies between the k-th that was kept and the next.
         return float(np.isin(found[tried] - tried, (0, 1)).mean())
 
-    return Price(
+    return ShrinkingCost(
         sequences=len(tried),
         right=right(place),
         right_shrunk=right(shrunk_place),
@@ -91,7 +108,7 @@ def _normalized(reference_map: ReferenceMap) -> NDArray[np.float32]:
     return normalize(raw, mean, deviation)
 
 
-def _looked_for(
+def _search(
     queries: NDArray[np.float32], kept: NDArray[np.float32], segments: list[tuple[int, int]]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Best place, -1 where no whole sequence ends, and margin of the sequence that ends at each query (n, R, D)."""

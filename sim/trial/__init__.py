@@ -1,7 +1,7 @@
-"""`lookback sim fixes`: does what the daemon tells an autopilot do it good? Seeded drives, judged by the truth.
+"""`lookback sim fixes`: do the daemon's fixes improve the autopilot's position? Seeded drives, judged by the truth.
 
-course  worlds driven once with a camera, and for each run a map of ten stretches with a false one planted among them
-run     one drive: the whole daemon and the simulated autopilot on a pty, in simulated time
-score   how far the autopilot was off after each fix, how honest the sigmas were, whether the false place got out
-command prints a line for each run and the table over all
+course   roads recorded once in each direction, and for each run a map of ten stretches with a false one among them
+run      one drive: the daemon beside a simulated autopilot, in simulated or in real time
+score    the autopilot's error after each fix, error over sigma, and whether a fix of the false stretch was sent
+command  prints a line for each run, and the table of all
 """

@@ -1,4 +1,4 @@
-"""`lookback sim fixes`: many seeded drives home, each without GPS, and what the autopilot made of the fixes."""
+"""`lookback sim fixes`: many seeded drives home without GPS, and what the autopilot made of the fixes."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from edge.errors import ConfigError
-from sim.firmware import FIRMWARES
-from sim.trial.course import LIGHTS, RememberingNetwork, one_run, prepare_world
-from sim.trial.live import drive_home_live
-from sim.trial.run import Rules, drive_home
+from sim.evaluation.memoizing_network import MemoizingNetwork
+from sim.trial.course import LIGHTS, one_run, prepare_world
+from sim.trial.run import Rules, drive_home, drive_home_live
 from sim.trial.score import RunScore, TrialScore
+from sim.vehicle.firmware import FIRMWARES
 
 POSITION_MESSAGES = ("auto", "external_position", "global_position_sensor", "vision_position")
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `fixes` to the commands of `lookback sim`."""
-    parser = sim_commands.add_parser("fixes", help="many drives without GPS: is the autopilot told the truth?")
+    parser = sim_commands.add_parser("fixes", help="many drives without GPS: are the fixes right?")
     parser.add_argument("--runs", type=int, default=50, metavar="N", help="seeded drives, default 50")
     parser.add_argument("--first-seed", type=int, default=1, metavar="SEED", help="of the first run, default 1")
-    parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads that they share, default 5")
+    parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads to drive on, default 5")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--emit", choices=POSITION_MESSAGES, default="auto", help="as [telemetry] emit, default auto")
-    parser.add_argument("--no-gps", action="store_true", help="not even at the start; an origin is set near it")
-    parser.add_argument("--live", action="store_true", help="in real time, the daemon as its own process")
-    parser.add_argument("--at-once", type=int, default=1, metavar="N", help="of the live drives, default 1")
+    parser.add_argument("--no-gps", action="store_true", help="no GPS even at the start; an origin is set near it")
+    parser.add_argument("--live", action="store_true", help="in real time, the daemon as a process of its own")
+    parser.add_argument("--at-once", type=int, default=1, metavar="N", help="live drives at the same time, default 1")
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER")
     parser.set_defaults(run=_run)
 
@@ -52,14 +52,14 @@ def _run(args: argparse.Namespace) -> int:
 
 def _simulated(args: argparse.Namespace) -> Iterator[RunScore]:
     """World by world, since drives on the same road share what the network has described."""
-    logging.getLogger("edge").setLevel(logging.WARNING)  # the daemon says a line at each end of each stretch
-    network = RememberingNetwork.load()
+    logging.getLogger("edge").setLevel(logging.WARNING)  # the daemon logs a line at each end of each stretch
+    network = MemoizingNetwork.load()
     for number in range(min(args.worlds, args.runs)):
         world = prepare_world(number, args.output)
         for seed in range(args.first_seed + number, args.first_seed + args.runs, args.worlds):
             with one_run(world, seed, args.output) as (course, folder):
                 yield drive_home(world, course, seed, network, folder, _rules(args))
-        network.forget()
+        network.clear()
 
 
 def _live(args: argparse.Namespace) -> Iterator[RunScore]:
@@ -86,7 +86,7 @@ def _line(run: RunScore) -> str:
     after = sorted(run.after_m)
     middle = f"{after[len(after) // 2]:4.1f}" if after else "   -"
     return (
-        f"seed {run.seed:3d}  {run.light:<5}  {len(run.fix_error_m):3d} fixes, {len(after):3d} taken, autopilot then"
+        f"seed {run.seed:3d}  {run.light:<5}  {len(run.fix_error_m):3d} fixes, {len(after):3d} used, autopilot then"
         f" {middle} m off (largest {max(after, default=0.0):4.1f}),"
         f" at most {max(run.fix_sigmas, default=0.0):.1f} sigma,"
         f" false {run.false_fixes}; withheld: {', '.join(f'{why} {n}' for why, n in sorted(run.withheld.items()))}"

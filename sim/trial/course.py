@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from hashlib import blake2b
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,13 +19,13 @@ from numpy.typing import NDArray
 import edge
 from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.feed import Feed, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ReferenceMap, open_map
-from sim.recording import times_by_distance, times_by_rate, write_feed
-from sim.scenario import LightName, Scenario
+from sim.vehicle.daemon_drive import JOURNAL
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import LightName, Scenario
 
 LENGTH_M = 2000.0
 CAMERA_FPS = 10.0
@@ -34,7 +33,6 @@ STRETCHES = 10
 KNOWN_M = 140.0
 PLANTED_M = 130.0
 FALSE_BY_M = 300.0
-JOURNAL = "journal.jsonl"
 LIGHTS: tuple[LightName, ...] = ("night", "dusk", "rain", "day", "snow")
 """Of the drives home, one for each world in turn."""
 
@@ -55,31 +53,6 @@ class Course:
 
     map_path: Path
     planted: tuple[int, int]
-
-
-class RememberingNetwork(Network):
-    """The network, but what it has described before it knows by heart: runs share most of their frames."""
-
-    _known: dict[bytes, NDArray[np.float32]]
-
-    @classmethod
-    def load(cls, path: Path | None = None) -> RememberingNetwork:
-        """See Network."""
-        network = super().load(path)
-        assert isinstance(network, RememberingNetwork)
-        network._known = {}
-        return network
-
-    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """See Network; the answer is bit for bit that of the network."""
-        key = blake2b(images.tobytes(), digest_size=16).digest()
-        if key not in self._known:
-            self._known[key] = super().describe(images)
-        return self._known[key]
-
-    def forget(self) -> None:
-        """For the next world."""
-        self._known.clear()
 
 
 def prepare_world(number: int, folder: Path, length_m: float = LENGTH_M) -> World:

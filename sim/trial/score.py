@@ -7,23 +7,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pymap3d
 
-from sim.autopilot import SimulatedAutopilot
-from sim.drive import Drive
-from sim.trial.course import Course, World
+from sim.vehicle.daemon_drive import DaemonDrive
 
 MEDIAN_M, MOST_M, SIGMAS = 3.0, 10.0, 3.0
-"""What is asked for: the autopilot's error after a fix, its median and 95th percentile, and no fix further off."""
+"""What a trial requires: of the autopilot's error after a fix the median and the 95th percentile; and of each fix, that
+its error is no more than so many of the sigmas that were sent with it."""
 
 
 @dataclass(frozen=True)
 class RunScore:
     """One run.
 
-    fix_error_m: of each fix told, from where the vehicle was at its moment. fix_sigmas: the same over the sigma that
-    was told. after_m: the autopilot's own error after each one it took; before_m: just before. false_fixes: how many
-    were of the planted place. withheld: why fixes stayed, and how often that began.
+    fix_error_m: of each fix sent, from where the vehicle was at its exposure. fix_sigmas: the same over the sigma that
+    was sent. before_m, after_m: the autopilot's own error before and after each fix that it used. false_fixes,
+    planted_seen: fixes and recognized places of the planted stretch. withheld: how often fixes began to be withheld,
+    by reason. answers: how often the autopilot gave each answer.
     """
 
     seed: int
@@ -38,24 +37,20 @@ class RunScore:
     answers: dict[str, int]
 
 
-def judge(
-    seed: int,
-    world: World,
-    epoch_s: float,
-    course: Course,
-    autopilot: SimulatedAutopilot,
-    journal: list[dict[str, Any]],
-) -> RunScore:
-    """Hold the journal of a run, and what the autopilot did, against the drive."""
+def judge(seed: int, run: DaemonDrive, planted: tuple[int, int], journal: list[dict[str, Any]]) -> RunScore:
+    """Compare the journal of a run, and what the autopilot did, with the true drive. planted: rows [start, end)."""
     sent = [record for record in journal if record["event"] == "fix_sent"]
-    boot_s, drive = autopilot.booted_s, world.home.drive()
-    errors_m = [_error_m(drive, boot_s + item["send_boot_s"] - item["age_s"] - epoch_s, item) for item in sent]
-    taken = autopilot.resets + autopilot.inputs.fused
-    first, end = course.planted
+    booted_s = run.autopilot.booted_s - run.epoch_s
+    errors_m = [
+        run.drive.error_m(booted_s + item["send_boot_s"] - item["age_s"], item["lat_deg"], item["lon_deg"])
+        for item in sent
+    ]
+    taken = run.autopilot.resets + run.autopilot.inputs.fused
+    first, end = planted
     withheld = Counter(record["reason"] for record in journal if record["event"] == "fix_withheld")
     return RunScore(
         seed=seed,
-        light=world.home.light,
+        light=run.scenario.light,
         fix_error_m=tuple(errors_m),
         fix_sigmas=tuple(error / item["sigma_m"] for error, item in zip(errors_m, sent, strict=True)),
         before_m=tuple(item.error_before_m for item in taken),
@@ -67,12 +62,6 @@ def judge(
     )
 
 
-def _error_m(drive: Drive, time_s: float, item: dict[str, Any]) -> float:
-    lat_deg, lon_deg = drive.pose(time_s).geodetic()
-    east_m, north_m, _ = pymap3d.geodetic2enu(item["lat_deg"], item["lon_deg"], 0.0, lat_deg, lon_deg, 0.0)
-    return float(np.hypot(east_m, north_m))
-
-
 @dataclass(frozen=True)
 class TrialScore:
     """All runs together."""
@@ -81,7 +70,7 @@ class TrialScore:
 
     @property
     def after_m(self) -> np.ndarray:
-        """The autopilot's error after each fix it took."""
+        """The autopilot's error after each fix that it used."""
         return np.array([value for run in self.runs for value in run.after_m])
 
     @property
@@ -94,14 +83,14 @@ class TrialScore:
         """What was asked for and is not so."""
         after_m, sigmas = self.after_m, self.fix_sigmas
         if not after_m.size:
-            return ["no fix was taken"]
-        asked = (
+            return ["no fix was used"]
+        required = (
             (np.median(after_m) <= MEDIAN_M, f"median of the autopilot's error above {MEDIAN_M:g} m"),
             (np.percentile(after_m, 95) <= MOST_M, f"95 % of the autopilot's errors above {MOST_M:g} m"),
             (sigmas.max() <= SIGMAS, f"{(sigmas > SIGMAS).sum()} fixes more than {SIGMAS:g} sigma wrong"),
             (not sum(run.false_fixes for run in self.runs), "fixes of the planted false place"),
         )
-        return [failure for good, failure in asked if not good]
+        return [failure for good, failure in required if not good]
 
     def table(self) -> str:
         """The figures, for people."""
@@ -109,15 +98,15 @@ class TrialScore:
         errors_m = np.array([value for run in self.runs for value in run.fix_error_m])
         before_m = np.array([value for run in self.runs for value in run.before_m])
         if not after_m.size:
-            return "no fix was taken"
+            return "no fix was used"
         lines = [
-            f"runs                         {len(self.runs)}, fixes told {len(errors_m)}, taken {len(after_m)}",
+            f"runs                         {len(self.runs)}, fixes sent {len(errors_m)}, used {len(after_m)}",
             f"error of the fixes           {_spread(errors_m)}",
             f"autopilot before a fix       {_spread(before_m)}",
             f"autopilot after a fix        {_spread(after_m)}",
             f"error over sigma             rms {np.sqrt(np.mean(sigmas**2)):.2f}, largest {sigmas.max():.2f}",
-            f"planted false place          recognised in {sum(bool(run.planted_seen) for run in self.runs)} runs,"
-            f" told {sum(run.false_fixes for run in self.runs)} times",
+            f"planted false place          recognized in {sum(bool(run.planted_seen) for run in self.runs)} runs,"
+            f" sent {sum(run.false_fixes for run in self.runs)} times",
         ]
         return "\n".join(lines)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.drive import Drive
 from sim.world.cars import draw_car
+from sim.world.drive import Drive
 from sim.world.route import DistrictKind, Route
 from sim.world.solids import Plot, Thing
 

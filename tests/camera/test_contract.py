@@ -13,8 +13,8 @@ from edge.camera.oak import OakCamera, OakSource
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.feed import read_feed
-from sim.camera import SimCamera
-from sim.scenario import Scenario
+from sim.world.camera import SimCamera
+from sim.world.scenario import Scenario
 
 WIDTH, HEIGHT = 64, 48
 

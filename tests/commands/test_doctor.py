@@ -17,9 +17,9 @@ from edge.__main__ import main
 from edge.commands.diagnostic import Diagnostic
 from edge.commands.doctor import examine
 from edge.telemetry.codec import MavlinkCodec
-from sim.autopilot import SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 
 class Parameters:

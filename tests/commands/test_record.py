@@ -19,8 +19,8 @@ from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
 from edge.errors import CameraLost, ConfigError, FeedError
 from edge.feed import FeedHeader, FeedImages, FeedWriter, read_feed
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
 
 COUNT = 40
 PERIOD_NS = 10_000_000

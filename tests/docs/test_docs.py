@@ -101,7 +101,7 @@ def test_every_state_is_explained() -> None:
 def test_every_key_that_the_docs_name_exists() -> None:
     """Words in code type that look like a key, such as `spacing_m`, are one, or else a word of the program's."""
     from edge.config import DEFAULT_TOML
-    from sim import scenario
+    from sim.world import scenario
 
     known = set(re.findall(r"^(\w+) = ", DEFAULT_TOML.read_text(encoding="utf-8"), re.MULTILINE))
     known |= set(scenario.Scenario.__struct_fields__)

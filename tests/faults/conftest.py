@@ -36,8 +36,8 @@ from edge.feed import FeedImages, FeedWriter, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
 
 FIGURE = "fault bench"
 PERIOD_MS = 40

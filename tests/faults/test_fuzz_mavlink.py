@@ -20,7 +20,7 @@ from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import EPOCH_S, Signer
-from sim.pty_link import open_pty
+from sim.vehicle.pty_link import open_pty
 
 KINDS = {number: kind for number, kind in mavlink.mavlink_map.items() if 0 <= number < 2**24}
 READ = (0, 1, 2, 24, 32, 33, 49, 74, 77, 111, 147, 148, 230, 331, 9000, 30)

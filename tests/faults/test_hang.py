@@ -222,7 +222,7 @@ def test_a_camera_that_is_not_there_is_no_hang(
 def test_ready_waits_for_the_port_and_asks_for_time_meanwhile(
     write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
 ) -> None:
-    from sim.pty_link import open_pty
+    from sim.vehicle.pty_link import open_pty
 
     port = tmp_path / "autopilot"
     process = start(write_config(telemetry={"connection": f"serial:{port}:921600"}))

@@ -12,7 +12,7 @@ import pytest
 
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 MB = 1_000_000
 TURN_BYTES = 2048  # at 921600 baud, 20 ms

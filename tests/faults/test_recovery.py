@@ -24,7 +24,7 @@ from edge.errors import CameraLost
 from edge.feed import FeedImages, read_feed
 from edge.health.health import MAV_STATES, Health
 from edge.journal.journal import read_journal
-from sim.autopilot import EXTERNAL_POSITION_ESTIMATE
+from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE
 
 LENGTH = 10
 FAULT_FROM, FAULT_TO = 35, 51

@@ -21,8 +21,8 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import KEPT_AHEAD, Signer
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 KEY = bytes(range(32))
 DRIVING = Pose(0.0, 0.0, 0.0, 5.0, 0.0)

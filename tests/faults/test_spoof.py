@@ -16,7 +16,7 @@ from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import Signer
 from sim import Pose
-from sim.pty_link import open_pty
+from sim.vehicle.pty_link import open_pty
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 TURN_NS = 20_000_000

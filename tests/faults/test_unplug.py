@@ -16,8 +16,8 @@ from edge.errors import LinkLost
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 STEP_NS = 20_000_000
 HEARTBEAT_WITHIN_S = 2.0

@@ -14,7 +14,7 @@ from edge.daemon import Daemon
 from edge.errors import MapError
 from edge.journal.journal import read_journal
 from edge.telemetry.codec import MavlinkCodec
-from sim.pty_link import open_pty
+from sim.vehicle.pty_link import open_pty
 
 
 def test_a_failure_to_start_is_told_to_everybody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

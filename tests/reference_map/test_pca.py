@@ -14,7 +14,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.costs import COST_ONE, CostMatcher
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
-from sim.evaluation.shrinking import price_of_shrinking
+from sim.evaluation.shrinking import cost_of_shrinking
 
 DIMENSIONS = 64
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
@@ -92,12 +92,10 @@ def test_a_damaged_projection_is_noticed(tmp_path: Path) -> None:
         open_map(tmp_path / "m")
 
 
-def test_the_price_rises_as_dimensions_go(tmp_path: Path) -> None:
+def test_fewer_dimensions_cost_more(tmp_path: Path) -> None:
     raw = street(240, carriers=30, noise=0.3)
-    prices = [price_of_shrinking(build(tmp_path / str(kept), raw, kept, segments=3)) for kept in (40, 2)]
+    prices = [cost_of_shrinking(build(tmp_path / str(kept), raw, kept, segments=3)) for kept in (40, 2)]
     dear, cheap = prices[1], prices[0]
-    assert cheap is not None
-    assert dear is not None
     assert cheap.sequences == dear.sequences == 3 * (40 - 4)
     assert cheap.right == dear.right > 0.9
     assert cheap.same > 0.9
@@ -106,6 +104,8 @@ def test_the_price_rises_as_dimensions_go(tmp_path: Path) -> None:
     assert "sequences of 5" in str(cheap)
 
 
-def test_nothing_is_paid_for_nothing(tmp_path: Path) -> None:
-    assert price_of_shrinking(build(tmp_path / "whole", street(20, carriers=4), None)) is None
-    assert price_of_shrinking(build(tmp_path / "short", street(4, carriers=4), 8)) is None
+def test_a_map_that_cannot_be_measured_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="whole: its descriptors are whole; build it with --dimensions"):
+        cost_of_shrinking(build(tmp_path / "whole", street(20, carriers=4), None))
+    with pytest.raises(MapError, match="short: no segment of it is long enough for a sequence of 5 places"):
+        cost_of_shrinking(build(tmp_path / "short", street(4, carriers=4), 8))

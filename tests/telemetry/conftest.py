@@ -12,9 +12,9 @@ from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.journal import Journal, read_journal
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
-from sim.autopilot import SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000

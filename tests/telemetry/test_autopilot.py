@@ -12,7 +12,7 @@ from edge.config import TelemetryConfig
 from edge.errors import ConfigError
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from sim.autopilot import SILENT
+from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0

@@ -25,7 +25,7 @@ from edge.config import GatesConfig, TelemetryConfig
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import Link
-from sim.pty_link import open_pty
+from sim.vehicle.pty_link import open_pty
 
 ORIGIN = (-27.478, 153.028, 20.0)
 LONG_TEXT = "Lookback has a text that needs three messages of fifty bytes each, since it fills two of them wholly"

@@ -10,7 +10,7 @@ import pytest
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry import open_link
 from edge.telemetry.link import Link, parse_connection
-from sim.pty_link import open_pty
+from sim.vehicle.pty_link import open_pty
 
 
 def receive(link: Link, size: int) -> bytes:

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
-from sim.autopilot import SILENT
+from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 OpenRig: TypeAlias = Callable[..., Any]

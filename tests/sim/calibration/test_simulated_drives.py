@@ -26,8 +26,8 @@ from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
-from sim.recording import times_by_distance, write_feed
-from sim.scenario import Scenario
+from sim.world.recording import times_by_distance, write_feed
+from sim.world.scenario import Scenario
 
 STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
 CONFIG = Config(sequence=SequenceConfig(length=20))

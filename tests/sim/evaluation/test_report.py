@@ -11,8 +11,7 @@ import pytest
 from edge.errors import ConfigError
 from sim.evaluation.bootstrap import Interval
 from sim.evaluation.figures import bar_plot, line_plot
-from sim.evaluation.report import format_cell, write_report
-from sim.evaluation.results import Cell, Figure, Picture, Section, Table
+from sim.evaluation.report import Cell, Figure, Picture, Section, Table, format_cell, write_report
 
 
 def section() -> Section:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.evaluation.segments import likeliest_states, runs
+from sim.evaluation.methods import likeliest_states, runs
 
 
 @settings(max_examples=60, deadline=None)

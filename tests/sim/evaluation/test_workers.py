@@ -12,9 +12,9 @@ from edge.config import SamplingConfig
 from edge.descriptor.regions import REGION_COUNT, Regions
 from edge.errors import ConfigError
 from sim.evaluation.bench import Bench
+from sim.evaluation.descriptions import open_executor
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
 from sim.evaluation.run import Folders, open_bench
-from sim.evaluation.workers import open_executor
 
 
 @pytest.fixture

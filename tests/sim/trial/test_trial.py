@@ -12,8 +12,9 @@ import pytest
 from edge.errors import ConfigError
 from edge.journal.journal import read_journal
 from edge.reference_map.store import open_map
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.trial import command
-from sim.trial.course import FALSE_BY_M, KNOWN_M, PLANTED_M, RememberingNetwork, World, lay_course, prepare_world
+from sim.trial.course import FALSE_BY_M, KNOWN_M, PLANTED_M, World, lay_course, prepare_world
 from sim.trial.run import Rules, drive_home
 from sim.trial.score import RunScore, TrialScore
 
@@ -41,7 +42,7 @@ def test_a_course_knows_its_stretches_and_lies_about_one(world: World, tmp_path:
         assert off_m == pytest.approx(FALSE_BY_M if first <= index < end else 0.0, abs=3.0)
 
 
-def test_the_whole_daemon_drives_home(world: World, network: RememberingNetwork, tmp_path: Path) -> None:
+def test_the_whole_daemon_drives_home(world: World, network: MemoizingNetwork, tmp_path: Path) -> None:
     """In simulated time: right fixes, honest ones, and none of the false place, which is recognised."""
     course = lay_course(world, 5, tmp_path / "map", stretches=2)
     run = drive_home(world, course, 5, network, tmp_path, Rules())
@@ -59,7 +60,7 @@ def test_the_whole_daemon_drives_home(world: World, network: RememberingNetwork,
 
 
 def test_without_gps_from_boot_the_autopilot_finds_where_it_is(
-    world: World, network: RememberingNetwork, tmp_path: Path
+    world: World, network: MemoizingNetwork, tmp_path: Path
 ) -> None:
     """Its origin was set some 20 m from where it starts, and the first stretch it recognises needs a second."""
     course = lay_course(world, 5, tmp_path / "map", stretches=2)
@@ -70,7 +71,7 @@ def test_without_gps_from_boot_the_autopilot_finds_where_it_is(
     assert max(run.after_m) <= 10.0
 
 
-def test_px4_is_told_a_stream(world: World, network: RememberingNetwork, tmp_path: Path) -> None:
+def test_px4_is_told_a_stream(world: World, network: MemoizingNetwork, tmp_path: Path) -> None:
     course = lay_course(world, 6, tmp_path / "map", stretches=2)
     run = drive_home(world, course, 6, network, tmp_path, Rules("px4"))
     assert len(run.after_m) >= 25
@@ -89,7 +90,7 @@ GOOD = RunScore(1, "day", (1.0,), (0.5,), (9.0,), (1.0,), 0, 3, {}, {"ACCEPTED":
         ({"after_m": (1.0,) * 5 + (12.0,) * 2}, "95 %"),
         ({"fix_sigmas": (3.1,)}, "1 fixes more than 3 sigma wrong"),
         ({"false_fixes": 1}, "planted false place"),
-        ({"after_m": ()}, "no fix was taken"),
+        ({"after_m": ()}, "no fix was used"),
     ],
 )
 def test_what_is_not_good_enough(change: dict[str, object], failure: str | None) -> None:
@@ -101,7 +102,7 @@ def test_what_is_not_good_enough(change: dict[str, object], failure: str | None)
 def test_the_table_names_every_figure() -> None:
     table = TrialScore((GOOD,)).table()
     assert "autopilot after a fix        median 1.00 m" in table
-    assert "recognised in 1 runs, told 0 times" in table
+    assert "recognized in 1 runs, sent 0 times" in table
 
 
 def test_no_runs_are_refused() -> None:

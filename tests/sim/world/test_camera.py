@@ -15,8 +15,8 @@ from edge.camera import open_camera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import read_feed
-from sim.camera import SimCamera, open_renderer
-from sim.scenario import Scenario
+from sim.world.camera import SimCamera, open_renderer
+from sim.world.scenario import Scenario
 
 EPOCH_NS = 5_000_000_000
 SCENARIO = Scenario(length_m=200.0, speed_mps=20.0, width=64, height=48, epoch_ns=EPOCH_NS)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from edge.config import RigConfig
+from edge.config import Config, MapConfig, PageConfig
 from edge.errors import LookbackError
-from sim.demo.live import check_ended_well, start_drive
-from sim.scenario import Scenario
+from sim.vehicle.daemon_drive import AutopilotSetup, start_daemon_drive
+from sim.world.scenario import Scenario
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -22,9 +22,9 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path: Path, capsys: pytest.
 
 
 def test_a_daemon_that_fails_is_told_with_its_last_line(tmp_path: Path) -> None:
-    scenario = Scenario(length_m=200.0)
+    settings = Config(map=MapConfig(path=str(tmp_path / "no.map")), page=PageConfig(port=0))
     with (
-        start_drive("drive", scenario, tmp_path / "drive", tmp_path / "no.map", RigConfig()) as live,
+        start_daemon_drive("drive", Scenario(length_m=200.0), tmp_path / "drive", settings, AutopilotSetup()) as live,
         pytest.raises(LookbackError, match=r"drive: the daemon ended with 78: .*no\.map: no such map"),
     ):
-        check_ended_well(live)
+        live.wait_for_end()

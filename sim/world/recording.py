@@ -9,9 +9,9 @@ import numpy as np
 
 from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
-from sim.camera import open_renderer
-from sim.drive import Drive
-from sim.scenario import Scenario
+from sim.world.camera import open_renderer
+from sim.world.drive import Drive
+from sim.world.scenario import Scenario
 
 
 def times_by_distance(drive: Drive, spacing_m: float) -> list[float]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from edge.errors import ConfigError
-from sim.scenario import Scenario, load_scenario
+from sim.world.scenario import Scenario, load_scenario
 
 
 def write(folder: Path, text: str) -> Path:

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
-from sim.dead_reckoning import DeadReckoning
-from sim.firmware import Firmware
+from sim.vehicle.dead_reckoning import DeadReckoning
+from sim.vehicle.firmware import Firmware
 
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0

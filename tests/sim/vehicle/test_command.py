@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.errors import ConfigError
 from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
-from sim.autopilot_command import add_command
+from sim.vehicle.command import add_command
 
 
 def parse(*arguments: str) -> argparse.Namespace:

@@ -18,9 +18,9 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import Sending
 from edge.telemetry.vehicle import Origin
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
-from sim.autopilot import SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.firmware import FIRMWARES
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.firmware import FIRMWARES
 
 RECORDED = {"ardupilot": "ardurover-4.6.3-nogps", "px4": "px4-1.18-agp"}
 SPEED_MPS = 5.0

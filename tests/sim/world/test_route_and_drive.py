@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sim.drive import ACCELERATION_MPS2, Drive, plan_drive
+from sim.world.drive import ACCELERATION_MPS2, Drive, plan_drive
 from sim.world.route import KINDS, generate_route
 
 ROUTE = generate_route(7, 600.0)

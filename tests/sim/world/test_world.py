@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 pytest.importorskip("panda3d")
 
 from sim import Pose
-from sim.drive import plan_drive
-from sim.scenario import Scenario
+from sim.world.drive import plan_drive
 from sim.world.light import LIGHTS, Light
 from sim.world.renderer import Renderer
 from sim.world.route import generate_route
+from sim.world.scenario import Scenario
 from sim.world.sensor import CAMERA_HIGH_M
 from sim.world.solids import Plot, Thing, house
 from sim.world.street import World, build_world
@@ -188,12 +188,12 @@ def test_two_renderers_live_side_by_side(house_cameras: dict[str, Renderer]) -> 
 
 
 def test_rendering_is_silent_and_writes_nothing_into_the_home_folder(tmp_path: Path) -> None:
-    code = "from sim.scenario import Scenario as S; from sim.camera import open_renderer as o\n"
+    code = "from sim.world.scenario import Scenario as S; from sim.world.camera import open_renderer as o\n"
     code += "s = S(length_m=200.0, width=64, height=48); d = s.drive(); o(s, d).render(d.pose(3.0), 3.0)"
     environment = {**os.environ, "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     environment.pop("DISPLAY", None)
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, cwd=Path(__file__).parents[2], capture_output=True, check=True
+        [sys.executable, "-c", code], env=environment, cwd=Path(__file__).parents[3], capture_output=True, check=True
     )
     assert (done.stdout, done.stderr) == (b"", b"")
     assert list(tmp_path.iterdir()) == []

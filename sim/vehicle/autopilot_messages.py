@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import Message
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
-from sim.firmware import Firmware
+from sim.vehicle.firmware import Firmware
 
 
 @dataclass(frozen=True)

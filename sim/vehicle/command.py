@@ -15,9 +15,9 @@ import msgspec
 from edge.errors import ConfigError
 from edge.telemetry import open_link
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.firmware import FIRMWARES
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 if TYPE_CHECKING:
     from edge.telemetry.link import Link

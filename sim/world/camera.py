@@ -12,8 +12,8 @@ from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import read_feed
-from sim.drive import Drive
-from sim.scenario import Scenario, load_scenario
+from sim.world.drive import Drive
+from sim.world.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from sim.world.renderer import Renderer

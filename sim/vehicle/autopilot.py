@@ -2,7 +2,7 @@
 
 It speaks as the real ones were seen to: heartbeats always, streams when they are asked for, answers to TIMESYNC and
 to positions; and it records all that it receives. Its position estimate follows fixes, so that what a companion
-computer sends can be judged by where the vehicle then believes to be. `sim.firmware` is the table of differences.
+computer sends can be judged by where the vehicle then believes to be. `sim.vehicle.firmware` has the differences.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from sim import Pose
-from sim.autopilot_messages import ENCODERS, Knowledge
-from sim.dead_reckoning import DeadReckoning
-from sim.firmware import FIRMWARES
-from sim.position_inputs import Moment, PositionInputs, Reset, east_north_m
+from sim.vehicle.autopilot_messages import ENCODERS, Knowledge
+from sim.vehicle.dead_reckoning import DeadReckoning
+from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.position_inputs import Moment, PositionInputs, Reset, east_north_m
 
 __all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
 
@@ -62,7 +62,7 @@ class SimulatedAutopilot:
     ) -> None:
         """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree.
 
-        firmware: a row of `sim.firmware.FIRMWARES`. gps: whether there is a receiver with a fix, which fails at
+        firmware: a row of `sim.vehicle.firmware.FIRMWARES`. gps: whether there is a receiver with a fix, which fails at
         `gps_fails_s` of that clock. has_origin: whether it knows at boot where on earth it is, as after a start with
         GPS; else, where the firmware needs one, an origin has to be set. codec: one that signs.
         """

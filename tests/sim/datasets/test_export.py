@@ -84,7 +84,7 @@ def test_events_only_and_lines_of_replay(journal: Path, tmp_path: Path) -> None:
 
 def test_mistakes_are_one_line(journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, told in (
-        ([str(journal), "-o", "x.shp"], "--output: x.shp: a name that ends in one of .geojson, .gpx, .kml, .tum"),
+        ([str(journal), "-o", "x.shp"], "--output: x.shp: use a name that ends in one of .geojson, .gpx, .kml, .tum"),
         ([str(tmp_path / "none"), "-o", "x.gpx"], "none: cannot read it: No such file"),
         ([str(journal), "-o", str(tmp_path / "no/x.gpx")], "x.gpx: cannot write it: No such file"),
     ):

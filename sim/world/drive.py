@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
 
-from sim import Pose
+from sim import ORIGIN_ALT_M, Pose
 from sim.world.route import Route
 
 Direction = Literal["forward", "reverse"]
@@ -70,6 +71,14 @@ class Drive:
         heading += -np.arctan(slope) + (0.0 if sign > 0 else np.pi)
         speed_mps = (self.distance_m(time_s + STEP_S) - self.distance_m(time_s - STEP_S)) / (2 * STEP_S)
         return Pose(east, north, float(np.degrees(heading)) % 360.0, speed_mps, self.distance_m(time_s))
+
+    def error_m(self, time_s: float, lat_deg: float, lon_deg: float) -> float:
+        """Horizontal distance of a position from where the vehicle is at `time_s`."""
+        true_lat_deg, true_lon_deg = self.pose(time_s).geodetic()
+        east_m, north_m, _ = pymap3d.geodetic2enu(
+            lat_deg, lon_deg, ORIGIN_ALT_M, true_lat_deg, true_lon_deg, ORIGIN_ALT_M
+        )
+        return float(np.hypot(east_m, north_m))
 
     def _sway(self, route_m: float) -> tuple[float, float]:
         """Distance from the lane's middle and its slope along the route: two sines of 60 and 23 m."""

@@ -29,7 +29,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from edge.errors import ConfigError
-from sim.drive import Drive, plan_drive
+from sim.world.drive import Drive, plan_drive
 from sim.world.route import generate_route
 
 if sys.version_info >= (3, 11):

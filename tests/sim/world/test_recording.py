@@ -13,8 +13,8 @@ from edge.errors import ConfigError, FeedError
 from edge.feed import FeedImages, read_feed
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.commands import add_command
-from sim.recording import times_by_distance, times_by_rate, write_feed
-from sim.scenario import Scenario
+from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.scenario import Scenario
 
 HOME = Scenario(seed=3, length_m=200.0, direction="reverse", light="dusk", view="rear", width=64, height=48)
 

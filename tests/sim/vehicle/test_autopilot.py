@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.autopilot_command import straight_line
-from sim.pty_link import PtyLink, open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
 
 SPEED_MPS = 5.0
 

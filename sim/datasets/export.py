@@ -1,0 +1,172 @@
+"""`lookback export`: the recognized places of a journal or a replay, for maps, GPS tools, Google Earth and evo."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from edge.errors import ConfigError, FeedError
+from edge.journal.journal import read_journal
+from edge.reference_map.route import east_north
+
+EVENT, FRAME = "place", "frame"
+
+
+@dataclass(frozen=True)
+class TrackPoint:
+    """One position of a track.
+
+    stamp_ns: Unix time where it is known, else the stamp of the frame. fields: what else is known of the point.
+    is_event: shown as a point of its own and not only as part of the track.
+    """
+
+    stamp_ns: int
+    lat_deg: float
+    lon_deg: float
+    heading_deg: float | None
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    is_event: bool = False
+
+    @property
+    def name(self) -> str:
+        """Text beside the point on a map."""
+        return f"place {self.fields['place']}"
+
+    @property
+    def description(self) -> str:
+        """What is known of a place."""
+        parts = (self.fields.get("category"), self.fields.get("direction"), f"uniqueness {self.fields['uniqueness']}")
+        return ", ".join(part for part in parts if part)
+
+    @property
+    def time(self) -> datetime:
+        """The stamp as UTC."""
+        return datetime.fromtimestamp(self.stamp_ns / 1e9, tz=timezone.utc)
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback export` to the command line; an entry point of `lookback.commands`."""
+    parser = commands.add_parser("export", help="write recognized places as GeoJSON, GPX, KML or TUM")
+    parser.add_argument("journal", type=Path, metavar="JOURNAL", help="a journal, or the output of replay")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=", ".join(WRITERS))
+    parser.add_argument("--events-only", action="store_true", help="without the track of accepted frames")
+    parser.set_defaults(run=_run)
+
+
+def read_track(path: Path) -> list[TrackPoint]:
+    """The events and accepted frames of a journal or of replay's output, in order, where they have a position."""
+    try:
+        points = [_point(record) for record in read_journal(path)]
+    except OSError as error:
+        raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
+    return [point for point in points if point is not None]
+
+
+def _point(record: dict[str, Any]) -> TrackPoint | None:
+    # Lines of replay have no kind; those that were emitted are events.
+    kind = record.get("event", EVENT if record.get("emitted") else FRAME)
+    if kind not in (EVENT, FRAME) or record.get("lat_deg") is None or not record.get("accepted", True):
+        return None
+    stamp_ns = round(record["unix_s"] * 1e9) if "unix_s" in record else record["stamp_ns"]
+    place = (record["lat_deg"], record["lon_deg"], record.get("heading_deg"))
+    return TrackPoint(stamp_ns, *place, record, kind == EVENT)
+
+
+def as_geojson(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
+    """RFC 7946, longitude first: a point for each event with all its fields, and a line through all points."""
+    features: list[dict[str, Any]] = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [one.lon_deg, one.lat_deg]},
+            "properties": {"name": one.name, "time": one.time.isoformat(), **one.fields},
+        }
+        for one in points
+        if one.is_event
+    ]
+    if len(points) > 1:
+        line = {"type": "LineString", "coordinates": [[one.lon_deg, one.lat_deg] for one in points]}
+        features.append({"type": "Feature", "geometry": line, "properties": {"name": name}})
+    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+
+
+def as_gpx(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
+    """A waypoint for each event, and a track of all points."""
+    import gpxpy.gpx
+
+    gpx = gpxpy.gpx.GPX()
+    gpx.creator = "lookback"
+    segment = gpxpy.gpx.GPXTrackSegment()
+    for one in points:
+        at: dict[str, Any] = {"latitude": one.lat_deg, "longitude": one.lon_deg, "time": one.time}
+        segment.points.append(gpxpy.gpx.GPXTrackPoint(**at))
+        if one.is_event:
+            gpx.waypoints.append(gpxpy.gpx.GPXWaypoint(**at, name=one.name, description=one.description))
+    gpx.tracks.append(gpxpy.gpx.GPXTrack(name=name))
+    gpx.tracks[0].segments.append(segment)
+    return str(gpx.to_xml())
+
+
+def as_kml(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
+    """A placemark for each event, and a line through all points."""
+    import simplekml
+
+    kml = simplekml.Kml(name=name)
+    for one in points:
+        if one.is_event:
+            point = kml.newpoint(name=one.name, description=one.description, coords=[(one.lon_deg, one.lat_deg)])
+            point.timestamp.when = one.time.isoformat()
+    kml.newlinestring(name=name, coords=[(one.lon_deg, one.lat_deg) for one in points])
+    return str(kml.kml())
+
+
+def as_tum(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
+    """Lines `stamp_s x y z qx qy qz qw`, as evo reads them: meters east, north and up of `origin`, yaw as quaternion.
+
+    Where no heading is known, the quaternion is that of looking east.
+    """
+    degrees = np.array([(one.lat_deg, one.lon_deg) for one in (origin, *points)])
+    lines = []
+    for one, (east_m, north_m) in zip(points, east_north(*degrees.T)[1:].tolist(), strict=True):
+        # Headings turn clockwise from north, yaw counterclockwise from east.
+        yaw_rad = math.radians(90 - one.heading_deg) if one.heading_deg is not None else 0.0
+        stamp = f"{one.stamp_ns // 10**9}.{one.stamp_ns % 10**9:09d}"
+        half_rad = yaw_rad / 2
+        lines.append(f"{stamp} {east_m:.3f} {north_m:.3f} 0 0 0 {math.sin(half_rad):.9f} {math.cos(half_rad):.9f}\n")
+    return "".join(lines)
+
+
+WRITERS: dict[str, Callable[[Sequence[TrackPoint], str, TrackPoint], str]] = {
+    ".geojson": as_geojson,
+    ".gpx": as_gpx,
+    ".kml": as_kml,
+    ".tum": as_tum,
+}
+"""By the suffix of the file: (points, name, origin) to its text."""
+
+
+def _run(args: argparse.Namespace) -> int:
+    writer = WRITERS.get(args.output.suffix.lower())
+    if writer is None:
+        raise ConfigError(f"--output: {args.output}: use a name that ends in one of {', '.join(WRITERS)}")
+    points = [one for one in read_track(args.journal) if one.is_event or not args.events_only]
+    if not points:
+        raise FeedError(f"{args.journal}: no place with a position in it; a map without positions gives none")
+    try:
+        text = writer(points, args.journal.stem, points[0])
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{args.output.suffix} needs {error.name}: pip install 'lookback[desk]'") from None
+    try:
+        args.output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--output: {args.output}: cannot write it: {error.strerror}") from None
+    events = sum(one.is_event for one in points)
+    print(f"{args.output}: {events} events, {len(points) - events} further frames")
+    return 0
