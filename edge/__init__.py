@@ -21,6 +21,9 @@ The files beside them:
     config          the one TOML file
     warm_start      what is kept from one run to the next
     errors          everything that can go wrong, in three kinds
+    toml_file       a TOML file as a typed record
+    atomic_file     a file that is replaced whole
+    backoff         pauses that double while attempts fail
 """
 
 __version__ = "0.1.0"

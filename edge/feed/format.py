@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -13,11 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from edge.errors import FeedError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from edge.toml_file import read_toml
 
 View = Literal["front", "rear"]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
@@ -37,12 +32,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
 
 def read_header(file: Path) -> FeedHeader:
     """Read and check `feed.toml`; FeedError names it, and the key."""
-    try:
-        header = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
-        raise FeedError(f"{file}: {error}") from None
+    header = read_toml(file, FeedHeader, FeedError)
     if header.video and not stays_inside(header.video):
         raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
     return header
