@@ -8,15 +8,14 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-STAGES = ("camera", "feed", "descriptor", "reference_map", "sequence", "localization", "telemetry", "health", "page")
-"""In the order of the data path: a stage may import itself, and the front door (`edge.STAGE`) of an earlier one."""
+STAGES = ("feed", "camera", "descriptor", "reference_map", "sequence", "localization", "telemetry", "health", "page")
+"""In the order of the data path: a stage may import itself, and the front door (`edge.STAGE`) of an earlier one.
+
+Feeds come first, since one of the cameras plays a feed.
+"""
 SHARED_TOOLS = ("errors", "config", "geodesy", "atomic_file", "backoff", "toml_file", "journal")
 """Below everything."""
 DEBTS: set[tuple[str, str]] = {
-    ("camera.recorded", "feed"),
-    ("feed.recorder", "localization"),
-    ("feed.traverse", "camera.recorded"),
-    ("feed.traverse", "reference_map.route"),
     ("sequence.global_search", "reference_map.map_set"),
     ("sequence.global_search", "reference_map.spatial_index"),
     ("sequence.place_search", "descriptor.normalize"),

@@ -14,8 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from edge.backoff import BackOff
-from edge.camera.frame import Camera, Frame
+from edge.camera import open_camera
+from edge.camera.frame import Camera
+from edge.config import CameraConfig
 from edge.errors import FrameError, LookbackError, LostError, SetupError
+from edge.feed import Frame
 
 FIRST_BACK_OFF_S = 0.5
 LONGEST_BACK_OFF_S = 5.0
@@ -94,6 +97,18 @@ class NewestFrame:
         self._opened.wait()
         if isinstance(self._failure, SetupError):
             raise self._failure
+
+    @classmethod
+    def configured(
+        cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns, close_timeout_s: float = 5.0
+    ) -> NewestFrame:
+        """The camera that [camera] names. A feed is not opened again, since it would begin anew."""
+        return cls(
+            lambda: open_camera(config),
+            close_timeout_s=close_timeout_s,
+            reopens=config.kind != "feed",
+            clock_ns=clock_ns,
+        )
 
     @property
     def health(self) -> CameraHealth:

@@ -57,8 +57,9 @@ class FeedRow:
 
 
 def read_rows(file: Path) -> tuple[FeedRow, ...]:
-    """Read and check `frames.csv`; FeedError names the line and the column. Stamps strictly increase."""
+    """Read and check `frames.csv`; FeedError names the line and the column. Stamps strictly increase, and distances never fall."""
     rows: list[FeedRow] = []
+    furthest_m = -math.inf
     try:
         with file.open(newline="", encoding="utf-8") as stream:
             reader = csv.DictReader(stream)
@@ -72,6 +73,7 @@ def read_rows(file: Path) -> tuple[FeedRow, ...]:
                         f"{file}: line {reader.line_num}: stamp_ns {row.stamp_ns} is not after {rows[-1].stamp_ns}, "
                         "that of the row before"
                     )
+                furthest_m = _check_distance(f"{file}: line {reader.line_num}", row, furthest_m)
                 rows.append(row)
     except OSError as error:
         raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
@@ -80,6 +82,18 @@ def read_rows(file: Path) -> tuple[FeedRow, ...]:
     if not rows:
         raise FeedError(f"{file}: no frames in it")
     return tuple(rows)
+
+
+def _check_distance(where: str, row: FeedRow, furthest_m: float) -> float:
+    """The distance driven up to this row; FeedError if it is less than that of an earlier row."""
+    if row.distance_m is None:
+        return furthest_m
+    if row.distance_m < furthest_m:
+        raise FeedError(
+            f"{where}: distance_m {row.distance_m:g} is less than {furthest_m:g} of an earlier row; a distance that "
+            "starts again belongs in a feed of its own"
+        )
+    return row.distance_m
 
 
 def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:

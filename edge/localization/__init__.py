@@ -7,24 +7,9 @@ are the rules that a position must pass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
-
-
-@dataclass(frozen=True)
-class VehiclePosition:
-    """The autopilot's own estimate: degrees (WGS 84), metres above mean sea level, heading clockwise from north."""
-
-    stamp_ns: int
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-    heading_deg: float | None
-    speed_mps: float
-    north_mps: float = 0.0
-    east_mps: float = 0.0
 
 
 class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
+from edge.geodesy import VehiclePosition
 
 Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 

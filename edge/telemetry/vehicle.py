@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
+from edge.geodesy import VehiclePosition
 from edge.localization.dead_reckoning import DeadReckoning, Reckoned
 from edge.localization.odometry import Odometer
 from edge.telemetry.boot_clock import BootClock

@@ -81,6 +81,12 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         ("frames.csv", "1050000000", "1150000000", r"line 4: stamp_ns 1100000000 is not after 1150000000"),
         ("frames.csv", "0,,,,,,2.0", "0,,,,,,two", r"frames\.csv: line 4: distance_m: 'two' is not a number"),
         ("frames.csv", "0,,,,,,2.0", "0,nan,,,,,2.0", r"frames\.csv: line 4: lat_deg: 'nan' is not a number"),
+        (
+            "frames.csv",
+            "0,,,,,,2.0",
+            "0,,,,,,0.5",
+            r"frames\.csv: line 4: distance_m 0\.5 is less than 1 of an earlier",
+        ),
         ("frames.csv", "0,,,,,,2.0", "0,,,,,,2.0,7", r"frames\.csv: line 4: more values than"),
         ("frames.csv", "frames/000002.jpg", "", r"frames\.csv: line 4: file is empty"),
         ("frames.csv", "frames/000002.jpg", "../../etc/passwd", r"line 4: file: '\.\./\.\./etc/passwd' leads out of"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
+from edge.geodesy import VehiclePosition
 from edge.telemetry.acknowledgements import VERDICTS, Jump, result_name
 
 S = 1_000_000_000
