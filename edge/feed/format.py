@@ -57,7 +57,10 @@ class FeedRow:
 
 
 def read_rows(file: Path) -> tuple[FeedRow, ...]:
-    """Read and check `frames.csv`; FeedError names the line and the column. Stamps strictly increase, and distances never fall."""
+    """Read and check `frames.csv`; FeedError names the line and the column.
+
+    Stamps strictly increase, and distances never fall.
+    """
     rows: list[FeedRow] = []
     furthest_m = -math.inf
     try:

@@ -1,7 +1,7 @@
 """From matches and the odometer to a position of the vehicle, and whether it may be sent.
 
 `route_tracker` follows the vehicle along the map's drive, with `line_refinement` for where a line really ends;
-`odometry` and `dead_reckoning` integrate what the autopilot reports of its motion; `integrity` and `fix_consistency`
+`dead_reckoning` integrates what the autopilot reports of its motion; `integrity` and `fix_consistency`
 are the rules that a position must pass.
 """
 
@@ -10,6 +10,10 @@ from __future__ import annotations
 from typing import Literal
 
 import msgspec
+
+from edge.localization.dead_reckoning import DeadReckoning, Displacement
+
+__all__ = ["DeadReckoning", "Displacement", "PlaceFix"]
 
 
 class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):

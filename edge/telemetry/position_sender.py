@@ -135,7 +135,7 @@ class PositionSender:
         # Only then does it matter, and this is asked with every turn while a fix waits.
         may_be_anywhere = position is None or uncertainty_m is None
         confirmed = may_be_anywhere and self._witnesses.confirm(
-            fix, vehicle.reckoned(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
+            fix, vehicle.displacement(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
         )
         return Situation(
             now_ns,
