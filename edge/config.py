@@ -7,7 +7,6 @@ structs. Paths are relative to the folder of the config file that names them.
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -16,11 +15,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from edge.errors import ConfigError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from edge.toml_file import parse_toml, read_toml
 
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 
@@ -207,23 +202,16 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
 def load_config(path: Path) -> Config:
     """Read and check a config file; ConfigError names the file and the key, in one line."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read it: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not UTF-8 text") from None
-    return parse_config(text, path)
+    return _checked(read_toml(path, Config), path)
 
 
 def parse_config(text: str, path: Path) -> Config:
     """Check the text of a config file; `path` is for messages and for resolving relative paths."""
-    try:
-        config = msgspec.convert(tomllib.loads(text), Config)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {_explain(str(error))}") from None
+    return _checked(parse_toml(text, path, Config), path)
+
+
+def _checked(config: Config, path: Path) -> Config:
+    """The config with its paths resolved. ConfigError for a path that no file can have."""
     for where, why in _unusable_paths(config):
         raise ConfigError(f"{path}: {where}: {why}")
     return _resolve_paths(config, path.parent)
@@ -258,18 +246,6 @@ def checked_option(config: ConfigStruct, option: str, **changes: object) -> Conf
     except msgspec.ValidationError as error:
         what = str(error).partition(" - at ")[0]
         raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
-
-
-def _explain(message: str) -> str:
-    """Turn msgspec's "Expected `int` - at `$.camera.fps`" into "[camera] fps: expected `int`"."""
-    what, _, where = message.partition(" - at `$.")
-    section, _, key = where.rstrip("`").partition(".")
-    what = what[:1].lower() + what[1:]
-    if not section:
-        return what.replace("object contains unknown field", "unknown section")
-    if not key:
-        return f"[{section}] {what.replace('object contains unknown field', 'unknown key')}"
-    return f"[{section}] {key}: {what}"
 
 
 def _resolve_paths(config: Config, folder: Path) -> Config:

@@ -17,11 +17,11 @@ from typing import Protocol
 
 import msgspec
 
-from edge.camera import Frame, open_camera
+from edge.camera import Frame
 from edge.camera.newest import CameraHealth, NewestFrame
 from edge.config import Config, load_config, naming
 from edge.descriptor.network import Head, Network
-from edge.feed.recorder import RunRecording
+from edge.feed.recorder import Recorder, run_folder
 from edge.feed.sampling import Sampler
 from edge.health.monitor import HealthMonitor
 from edge.health.service import Supervision, notify, when_told_to_stop
@@ -131,12 +131,7 @@ class Daemon:
         self._newest: PlaceMatch | None = None
         self._own_camera: NewestFrame | None = None
         if frames is None:
-            frames = self._own_camera = NewestFrame(
-                lambda: open_camera(config.camera),
-                close_timeout_s=CLOSE_S,
-                reopens=config.camera.kind != "feed",  # which would begin anew
-                clock_ns=self._clock_ns,
-            )
+            frames = self._own_camera = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
         self._camera: Frames = parts.enter_context(closing(frames))
         self._watch = LiveStatus(
             config,
@@ -151,9 +146,11 @@ class Daemon:
         self._page = open_page(config.page, self._atlas)
         if self._page is not None:
             parts.enter_context(closing(self._page))
-        self._recording: RunRecording | None = None
+        self._recorder: Recorder | None = None
         if config.recording.folder:
-            self._recording = parts.enter_context(closing(RunRecording(config.recording, config.camera)))
+            folder = Path(config.recording.folder)
+            recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
+            self._recorder = parts.enter_context(closing(recorder))
         self._frames_used = 0
         self._events = 0
         self._supervision = Supervision()
@@ -164,7 +161,7 @@ class Daemon:
         frame = self._camera.take(TURN_S)
         if frame is not None and self.condition.see(frame, self._own_camera):
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
-            if self._sampler.take(frame.stamp_ns, distance_m):
+            if self._sampler.is_place(frame.stamp_ns, distance_m):
                 self._use(frame, distance_m)
         else:
             self._recognizer.verify(CHECK_BYTES)
@@ -198,8 +195,8 @@ class Daemon:
             match = None
         self._tracker.see(match, frame.stamp_ns, distance_m, missed)
         self._watch.note(frame, match)
-        if self._recording is not None:
-            self._recording.keep(frame, self._autopilot.vehicle.position(began_ns), distance_m)
+        if self._recorder is not None:
+            self._recorder.record(frame, self._autopilot.vehicle.position(began_ns), distance_m)
         if self._journal and self._config.telemetry.journal_frames:
             seen = observation(frame.index, frame.stamp_ns, match, self._atlas, missed)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})

@@ -7,10 +7,8 @@ another model, cut or map is refused in one line, and the run then starts from n
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.atomic_file import replacing
 from edge.config import Config
 from edge.descriptor.normalize import RunningStatistics
 from edge.recognizer import PlaceMatch, PlaceRecognizer
@@ -124,20 +123,14 @@ class StateFile:
         """Replace the file; a disk that does not take it costs the next run's good start, and is reported once."""
         body = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
         header = _Header(FORMAT, VERSION, self._key, now, self._shape, kept.count, kept.state, kept.place)
-        new = self._path.with_name(f"{self._path.name}.new")
         try:
-            with new.open("wb") as file:
-                file.write(_encode(header, body) + b"\n" + body)
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(self._path)
+            with replacing(self._path) as stream:
+                stream.write(_encode(header, body) + b"\n" + body)
             self._told = False
         except OSError as error:
             if not self._told:
                 log.warning("%s: cannot keep the state: %s", self._path, error.strerror)
             self._told = True
-            with contextlib.suppress(OSError):
-                new.unlink(missing_ok=True)
 
 
 def _encode(header: _Header, body: bytes) -> bytes:

@@ -15,7 +15,7 @@ HERE = Path("/etc/lookback/lookback.toml")
 def test_the_commented_default_has_every_key_at_its_default() -> None:
     import msgspec
 
-    from edge.config import tomllib
+    from edge.toml_file import tomllib
 
     written = tomllib.loads(DEFAULT_TOML.read_text(encoding="utf-8"))
     assert written == msgspec.json.decode(msgspec.json.encode(Config()))

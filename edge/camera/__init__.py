@@ -1,19 +1,19 @@
 """Cameras: recorded feed, V4L2, OAK, or an installed plug-in (the simulator); all hand on a `Frame`.
 
-`feed` is the file format (`feed_header` and `feed_rows` its two files; other recordings come in by the entry point
-`lookback.feeds`), and `recorded` plays it. `v4l2` and `oak` are devices, which say in `settings` what they did not
-accept. `newest` is the one thread, which keeps only the newest frame of any of them and opens a lost camera again;
-`picture` finds pictures that show nothing. A further camera is a module with a class like `Camera`, and a line in
-`open_camera`; or, outside this package, an entry point `lookback.cameras`.
+`recorded` plays a feed. `v4l2` and `oak` are devices; `settings` lists what a device did not accept. `newest` is the
+one thread, which keeps only the newest frame of any of them and opens a lost camera again; `frozen_picture` finds
+pictures that show nothing. A further camera is a module with a class like `Camera`, and a line in `open_camera`; or,
+outside this package, an entry point `lookback.cameras`.
 """
 
 from __future__ import annotations
 
 from importlib.metadata import entry_points
 
-from edge.camera.frame import Camera, Frame
+from edge.camera.frame import Camera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge.feed import Frame
 
 __all__ = ["Camera", "Frame", "open_camera"]
 

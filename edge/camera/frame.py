@@ -1,26 +1,10 @@
-"""What every camera hands on, and what every camera can do."""
+"""What every camera can do."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One picture.
-
-    image: (H, W, 3) uint8, BGR as OpenCV has it; the camera's own buffer, not to be written to.
-    stamp_ns: exposure on CLOCK_MONOTONIC for live cameras, the feed's own time for feeds read as files.
-    index: the camera's frame counter, or the row of the feed; gaps are frames that were never seen.
-    """
-
-    image: NDArray[np.uint8]
-    stamp_ns: int
-    index: int
+from edge.feed import Frame
 
 
 class Camera(Protocol):

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.backoff import BackOff
+
 BLANK_DEVIATION = 2.0
 """Grey levels, of the channel that varies most. The flattest picture of the recorded feeds has 56."""
 BLANK_AFTER_NS = 500_000_000
@@ -41,8 +43,7 @@ class FrozenPictureDetector:
         self._checksum: int | None = None
         self._same_since_ns = 0
         self._blank_since_ns: int | None = None
-        self._reopen_pause_ns = REOPEN_FIRST_NS
-        self._reopen_at_ns = 0
+        self._reopening = BackOff(REOPEN_FIRST_NS, REOPEN_LAST_NS)
 
     def see(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> PictureFault | None:
         """What is wrong with a picture (H, W, 3) uint8; moves: whether the vehicle drives, None where nobody tells.
@@ -56,7 +57,8 @@ class FrozenPictureDetector:
         is_same = checksum == self._checksum and stamp_ns >= self._same_since_ns and moves is not False
         if not is_same:
             self._checksum, self._same_since_ns = checksum, stamp_ns
-            self._reopen_pause_ns, self._reopen_at_ns = REOPEN_FIRST_NS, stamp_ns + REOPEN_FIRST_NS
+            self._reopening.reset()
+            self._reopening.failed(stamp_ns)
         # By channel, since a buffer of zeros in YUV is a plain green.
         is_blank = float(thinned.std(axis=(0, 1)).max()) < BLANK_DEVIATION
         if not is_blank:
@@ -72,8 +74,7 @@ class FrozenPictureDetector:
 
     def _is_due(self, stamp_ns: int) -> bool:
         """Whether to open a frozen camera again now; the pauses grow while that does not help."""
-        if stamp_ns < self._reopen_at_ns:
+        if not self._reopening.is_over(stamp_ns):
             return False
-        self._reopen_pause_ns = min(2 * self._reopen_pause_ns, REOPEN_LAST_NS)
-        self._reopen_at_ns = stamp_ns + self._reopen_pause_ns
+        self._reopening.failed(stamp_ns)
         return True

@@ -9,12 +9,16 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from edge.camera.frame import Camera, Frame
+from edge.backoff import BackOff
+from edge.camera import open_camera
+from edge.camera.frame import Camera
+from edge.config import CameraConfig
 from edge.errors import FrameError, LookbackError, LostError, SetupError
+from edge.feed import Frame
 
 FIRST_BACK_OFF_S = 0.5
 LONGEST_BACK_OFF_S = 5.0
@@ -71,8 +75,7 @@ class NewestFrame:
         """
         self._open = open
         self._close_timeout_s = close_timeout_s
-        self._first_back_off_s = first_back_off_s
-        self._longest_back_off_s = longest_back_off_s
+        self._back_off = BackOff(round(first_back_off_s * 1e9), round(longest_back_off_s * 1e9))
         self._reopens = reopens
         self._clock_ns = clock_ns
         self._changed = threading.Condition()
@@ -94,6 +97,18 @@ class NewestFrame:
         self._opened.wait()
         if isinstance(self._failure, SetupError):
             raise self._failure
+
+    @classmethod
+    def configured(
+        cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns, close_timeout_s: float = 5.0
+    ) -> NewestFrame:
+        """The camera that [camera] names. A feed is not opened again, since it would begin anew."""
+        return cls(
+            lambda: open_camera(config),
+            close_timeout_s=close_timeout_s,
+            reopens=config.kind != "feed",
+            clock_ns=clock_ns,
+        )
 
     @property
     def health(self) -> CameraHealth:
@@ -156,29 +171,22 @@ class NewestFrame:
     def _run(self) -> None:
         # A signal that reached this thread would end a wait for a frame, which OpenCV reports as a lost camera.
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
-        back_offs_s = self._back_offs_s()
         try:
             while not self._stop.is_set():
                 delivered = self.health.delivered
                 if self._open_and_read():
                     return
                 if self.health.delivered > delivered:  # it worked for a while: start over
-                    back_offs_s = self._back_offs_s()
-                back_off_s = next(back_offs_s)
-                self._expect("waiting", back_off_s)
-                self._stop.wait(back_off_s)
+                    self._back_off.reset()
+                pause_s = self._back_off.failed(self._clock_ns()) / 1e9
+                self._expect("waiting", pause_s)
+                self._stop.wait(pause_s)
         except Exception as error:
             with self._changed:
                 self._failure = error
                 self._changed.notify_all()
         finally:
             self._opened.set()
-
-    def _back_offs_s(self) -> Iterator[float]:
-        back_off_s = self._first_back_off_s
-        while True:
-            yield back_off_s
-            back_off_s = min(2 * back_off_s, self._longest_back_off_s)
 
     def _open_and_read(self) -> bool:
         """Open the camera and read it until it is lost; True when it is over for good (feed ended, or close())."""

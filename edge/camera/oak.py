@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from edge.camera.frame import Frame
 from edge.camera.settings import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
+from edge.feed import Frame
 
 if TYPE_CHECKING:
     import depthai as dai

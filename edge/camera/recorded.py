@@ -11,9 +11,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from edge.camera.frame import Frame
 from edge.config import CameraConfig
-from edge.feed import Feed, FeedImages, read_feed
+from edge.feed import Feed, FeedImages, Frame, read_feed
 
 DECODE_S = 2.0  # a picture from a slow disk
 

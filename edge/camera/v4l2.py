@@ -18,10 +18,10 @@ from typing import Final, Protocol
 import cv2
 import numpy as np
 
-from edge.camera.frame import Frame
 from edge.camera.settings import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
+from edge.feed import Frame
 
 # linux/videodev2.h: struct v4l2_capability is driver[16], card[32], bus_info[32], version, capabilities,
 # device_caps, reserved[3]; VIDIOC_QUERYCAP is _IOR('V', 0, struct v4l2_capability).

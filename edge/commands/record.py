@@ -1,14 +1,10 @@
-"""`lookback record`: the camera that the config names, to a feed, with what the autopilot says about where it is.
-
-newest camera frame -> is it a place? -> picture and row, with the autopilot's position and distance where known
-"""
+"""`lookback record`: what the configured camera sees, written to a feed, with the autopilot's position and distance."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import math
-import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -19,37 +15,41 @@ from typing import Literal, TypeAlias
 
 from tqdm import tqdm
 
-from edge.camera import Frame, open_camera
 from edge.camera.newest import NewestFrame
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
-from edge.feed import FeedHeader, FeedWriter
-from edge.feed.recorder import feed_header, write_frame
+from edge.feed.recorder import DISK_FULL, Recorder, free_bytes_at
 from edge.feed.sampling import Sampler
 from edge.health.service import when_told_to_stop
 from edge.telemetry.autopilot import AutopilotConnection
 
-TURN_S = 0.02  # at most this long between looks at the MAVLink port
+TURN_S = 0.02  # at most this long between two reads of the MAVLink port
+FLUSH_S = 30.0
+"""How long frames that were handed over may take to be written at the end, on a slow disk."""
 MIN_FREE_BYTES = 200_000_000
-Why: TypeAlias = Literal["told to stop", "time is over", "camera ended", "disk nearly full"]
+Why: TypeAlias = Literal["stopped by a signal", "duration reached", "camera ended", "disk nearly full"]
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What was recorded: rows written, of these how many with a position, and why it stopped."""
+    """What was recorded: rows written, of these how many with a position, and why it stopped.
+
+    skipped: frames that were not written because the disk was too slow.
+    """
 
     frames: int
     with_position: int
+    skipped: int
     why: Why
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback record` to the command line."""
-    parser = commands.add_parser("record", help="record a traverse: camera and positions, to a feed")
+    parser = commands.add_parser("record", help="record a traverse: the camera's frames and positions, as a feed")
     parser.add_argument("config", type=Path, metavar="CONFIG")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FEED", help="folder to make")
-    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="stop after S seconds")
     parser.add_argument(
         "--min-free-mb",
         type=float,
@@ -60,75 +60,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.set_defaults(run=_run)
 
 
-class Recorder:
-    """The running parts; `turn` moves at most one frame from the camera to the feed."""
-
-    def __init__(
-        self,
-        config: Config,
-        path: Path,
-        parts: ExitStack,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        """Open the camera and the link to the autopilot; SetupError. `parts` closes what was opened.
-
-        An autopilot that is not there is no error: rows then have no position, and are sampled by time.
-        """
-        if (path / "frames.csv").exists():  # said before the camera is opened, which can take seconds
-            raise FeedError(f"{path}: there is a feed here already; name another folder")
-        self._config = config
-        self._path = path
-        self._parts = parts
-        self._clock_ns = clock_ns
-        self._sampler = Sampler(config.sampling)
-        self._writer: FeedWriter | None = None
-        self._autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry, clock_ns)))
-        reopens = config.camera.kind != "feed"  # which would begin anew
-        camera = NewestFrame(lambda: open_camera(config.camera), reopens=reopens, clock_ns=clock_ns)
-        self._camera = parts.enter_context(closing(camera))
-        self._camera_state = ""
-        self.frames = 0
-        self.with_position = 0
-
-    def turn(self) -> bool:
-        """One turn of the loop; False when the camera has come to its end. FeedError when the disk refuses a frame."""
-        self._autopilot.poll()
-        frame = self._camera.take(TURN_S)
-        if frame is not None:
-            distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
-            if self._sampler.take(frame.stamp_ns, distance_m):
-                self._write(frame, distance_m)
-        self._tell_camera()
-        return not self._camera.ended
-
-    def _write(self, frame: Frame, distance_m: float | None) -> None:
-        if self._writer is None:  # only now is the size known that the camera really gives
-            self._writer = self._parts.enter_context(FeedWriter(self._path, self._header(frame)))
-        position = self._autopilot.vehicle.position(self._clock_ns())
-        try:
-            write_frame(self._writer, frame, position, distance_m)
-        except OSError as error:
-            raise FeedError(f"{self._path}: stopped after {self.frames} frames: {error.strerror}") from None
-        self.frames += 1
-        self.with_position += position is not None
-
-    def _header(self, frame: Frame) -> FeedHeader:
-        notes = "; ".join(self._camera.health.differences)
-        return feed_header(self._path.name, self._config.camera, frame, notes)
-
-    def _tell_camera(self) -> None:
-        health = self._camera.health
-        if health.state != self._camera_state:
-            self._camera_state = health.state
-            for line in (health.reason, *health.differences):
-                if line:
-                    log.warning("camera %s: %s", health.state, line)
-
-    def why_no_frames(self) -> str:
-        """The camera's last words, for the error when nothing came."""
-        return self._camera.health.reason or "the camera gave no frame"
-
-
 def record(
     config: Config,
     path: Path,
@@ -136,38 +67,81 @@ def record(
     *,
     duration_s: float = math.inf,
     min_free_bytes: float = MIN_FREE_BYTES,
-    free_bytes: Callable[[], int] | None = None,
+    free_bytes: Callable[[Path], int] = free_bytes_at,
     clock_ns: Callable[[], int] = time.monotonic_ns,
 ) -> Recording:
-    """Record until `stop` is set, the time is over, the camera ends, or the disk has less than `min_free_bytes`.
+    """Record until `stop` is set, the duration is reached, the camera ends, or the disk has too little space.
 
-    free_bytes: what the disk under `path` has left. Raises SetupError, and CameraLost when no frame came at all.
+    Without an autopilot, rows have no position and are sampled by time. Raises SetupError; FeedError when the disk
+    refuses a frame; CameraLost when no frame came at all.
     """
-    free_bytes = free_bytes or (lambda: shutil.disk_usage(_existing(path)).free)
+    if (path / "frames.csv").exists():  # checked before the camera is opened, which can take seconds
+        raise FeedError(f"{path}: there is a feed here already; name another folder")
     with ExitStack() as parts:
-        recorder = Recorder(config, path, parts, clock_ns)
-        # On a terminal only: a service's log is no place for a counter.
-        counter = parts.enter_context(tqdm(unit=" frames", disable=None))
-        deadline_ns = clock_ns() + duration_s * 1e9
-        why: Why | None = None
-        while why is None:
-            if free_bytes() < min_free_bytes:
-                why = "disk nearly full"
-            elif stop.is_set():
-                why = "told to stop"
-            elif clock_ns() >= deadline_ns:
-                why = "time is over"
-            elif not recorder.turn():
-                why = "camera ended"
-            counter.update(recorder.frames - counter.n)
-        if recorder.frames == 0:
-            raise CameraLost(f"{path}: nothing recorded ({why}): {recorder.why_no_frames()}")
-        return Recording(recorder.frames, recorder.with_position, why)
+        autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry, clock_ns)))
+        camera = parts.enter_context(closing(NewestFrame.configured(config.camera, clock_ns)))
+        recorder = Recorder(
+            lambda: path,
+            config.camera,
+            min_free_bytes,
+            notes=lambda: "; ".join(camera.health.differences),
+            free_bytes=free_bytes,
+        )
+        sampler, deadline_ns = Sampler(config.sampling), clock_ns() + duration_s * 1e9
+
+        def ended() -> Why | None:
+            if stop.is_set():
+                return "stopped by a signal"
+            if clock_ns() >= deadline_ns:
+                return "duration reached"
+            return "camera ended" if camera.ended or recorder.stopped else None
+
+        try:
+            why = _fill(recorder, camera, autopilot, sampler, ended, clock_ns)
+        finally:
+            recorder.close(FLUSH_S)
+        if recorder.stopped == DISK_FULL:
+            why = "disk nearly full"
+        elif recorder.stopped:
+            raise FeedError(f"{path}: stopped after {recorder.written} frames: {recorder.stopped}")
+        if recorder.written == 0:
+            reason = camera.health.reason or "the camera gave no frame"
+            raise CameraLost(f"{path}: nothing recorded ({why}): {reason}")
+        return Recording(recorder.written, recorder.with_position, recorder.skipped, why)
 
 
-def _existing(path: Path) -> Path:
-    """The folder, or the nearest above it that there is: the disk that a new folder will be on."""
-    return next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
+def _fill(
+    recorder: Recorder,
+    camera: NewestFrame,
+    autopilot: AutopilotConnection,
+    sampler: Sampler,
+    ended: Callable[[], Why | None],
+    clock_ns: Callable[[], int],
+) -> Why:
+    """Move frames from the camera to the recorder until `ended` says why to stop."""
+    camera_state = ""
+    # On a terminal only: the log of a service needs no counter.
+    with tqdm(unit=" frames", disable=None) as counter:
+        while (why := ended()) is None:
+            autopilot.poll()
+            frame = camera.take(TURN_S)
+            if frame is not None:
+                distance_m = autopilot.vehicle.distance_m(frame.stamp_ns)
+                if sampler.is_place(frame.stamp_ns, distance_m):
+                    recorder.record(frame, autopilot.vehicle.position(clock_ns()), distance_m)
+            counter.update(recorder.written - counter.n)
+            camera_state = _log_camera(camera, camera_state)
+    return why
+
+
+def _log_camera(camera: NewestFrame, logged: str) -> str:
+    """Write a line to the log when the camera's state is another than the one logged last; returns the state."""
+    health = camera.health
+    if health.state != logged:
+        for line in (health.reason, *health.differences):
+            if line:
+                log.warning("camera %s: %s", health.state, line)
+    return health.state
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -176,4 +150,6 @@ def _run(args: argparse.Namespace) -> int:
     with when_told_to_stop(stop.set), naming(args.config):
         done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)
+    if done.skipped:
+        log.warning("%s: %d frames were skipped because the disk is too slow", args.output, done.skipped)
     return 1 if done.why == "disk nearly full" else 0

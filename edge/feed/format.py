@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -13,11 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from edge.errors import FeedError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from edge.toml_file import read_toml
 
 View = Literal["front", "rear"]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
@@ -37,12 +32,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
 
 def read_header(file: Path) -> FeedHeader:
     """Read and check `feed.toml`; FeedError names it, and the key."""
-    try:
-        header = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), FeedHeader)
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
-        raise FeedError(f"{file}: {error}") from None
+    header = read_toml(file, FeedHeader, FeedError)
     if header.video and not stays_inside(header.video):
         raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
     return header
@@ -67,8 +57,12 @@ class FeedRow:
 
 
 def read_rows(file: Path) -> tuple[FeedRow, ...]:
-    """Read and check `frames.csv`; FeedError names the line and the column. Stamps strictly increase."""
+    """Read and check `frames.csv`; FeedError names the line and the column.
+
+    Stamps strictly increase, and distances never fall.
+    """
     rows: list[FeedRow] = []
+    furthest_m = -math.inf
     try:
         with file.open(newline="", encoding="utf-8") as stream:
             reader = csv.DictReader(stream)
@@ -82,6 +76,7 @@ def read_rows(file: Path) -> tuple[FeedRow, ...]:
                         f"{file}: line {reader.line_num}: stamp_ns {row.stamp_ns} is not after {rows[-1].stamp_ns}, "
                         "that of the row before"
                     )
+                furthest_m = _check_distance(f"{file}: line {reader.line_num}", row, furthest_m)
                 rows.append(row)
     except OSError as error:
         raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
@@ -90,6 +85,18 @@ def read_rows(file: Path) -> tuple[FeedRow, ...]:
     if not rows:
         raise FeedError(f"{file}: no frames in it")
     return tuple(rows)
+
+
+def _check_distance(where: str, row: FeedRow, furthest_m: float) -> float:
+    """The distance driven up to this row; FeedError if it is less than that of an earlier row."""
+    if row.distance_m is None:
+        return furthest_m
+    if row.distance_m < furthest_m:
+        raise FeedError(
+            f"{where}: distance_m {row.distance_m:g} is less than {furthest_m:g} of an earlier row; a distance that "
+            "starts again belongs in a feed of its own"
+        )
+    return row.distance_m
 
 
 def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:

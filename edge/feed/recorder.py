@@ -1,7 +1,8 @@
-"""What `lookback run` saw, kept as a feed while it runs: [recording]. This file is the thread that writes it.
+"""Writes a feed while frames come from a camera: for `lookback record`, and for [recording] of `lookback run`.
 
-Recording must never cost a place: a disk that is slow, full or gone costs frames of the recording and nothing else. A
-frame is handed over without waiting; when the disk is KEPT frames behind, the next are left out.
+The feed is written by a thread, since recording must never cost a place: a disk that is slow, full or gone costs
+frames of the recording and nothing else. A frame is handed over without waiting; while the disk is QUEUE_FRAMES behind,
+further frames are skipped.
 """
 
 from __future__ import annotations
@@ -17,121 +18,129 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from edge.camera import Frame
-from edge.config import CameraConfig, RecordingConfig
+from edge.config import CameraConfig
 from edge.errors import FeedError
 from edge.feed.format import FeedHeader
+from edge.feed.frame import Frame
 from edge.feed.writer import FeedWriter
-from edge.localization import VehiclePosition
+from edge.geodesy import VehiclePosition
 
-KEPT = 16
+QUEUE_FRAMES = 16
+DISK_FULL = "the disk is nearly full"
 log = logging.getLogger(__name__)
 
 
-def write_frame(writer: FeedWriter, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
-    """Append one frame with what the autopilot says of it. OSError when the disk refuses it."""
-    if position is None:
-        writer.write(frame.image, frame.stamp_ns, distance_m=distance_m)
-        return
-    writer.write(
-        frame.image,
-        frame.stamp_ns,
-        lat_deg=position.lat_deg,
-        lon_deg=position.lon_deg,
-        alt_m=position.alt_m,
-        heading_deg=position.heading_deg,
-        speed_mps=position.speed_mps,
-        distance_m=distance_m,
-    )
-
-
-def feed_header(name: str, camera: CameraConfig, frame: Frame, notes: str = "") -> FeedHeader:
-    """The header of a feed that is recorded from this camera."""
-    height, width = frame.image.shape[:2]
-    return FeedHeader(name, camera.view, width, height, f"{camera.kind} {camera.device}", notes)
-
-
 @dataclass(frozen=True)
-class _Kept:
+class _Queued:
     frame: Frame
     position: VehiclePosition | None
     distance_m: float | None
 
 
-class RunRecording:
-    """The feed of one run, in a folder that is named by the time of its first frame."""
+def free_bytes_at(path: Path) -> int:
+    """Free bytes of the disk that `path` is on, or will be once it is made."""
+    existing = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
+    return shutil.disk_usage(existing).free
+
+
+class Recorder:
+    """One feed, written by a thread of its own."""
 
     def __init__(
         self,
-        config: RecordingConfig,
+        feed: Callable[[], Path],
         camera: CameraConfig,
-        unix_time_s: Callable[[], float] = time.time,
-        free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+        min_free_bytes: float,
+        *,
+        notes: Callable[[], str] = lambda: "",
+        free_bytes: Callable[[Path], int] = free_bytes_at,
     ) -> None:
-        """Start the thread; nothing is written before the first frame."""
-        self._config, self._camera = config, camera
-        self._unix_time_s, self._free_bytes = unix_time_s, free_bytes
-        self._frames: queue.Queue[_Kept | None] = queue.Queue(KEPT)
+        """Start the thread. Nothing is written before the first frame, when `feed` names the folder to make.
+
+        notes: of the feed's header. min_free_bytes: recording stops when the disk has less than this left.
+        """
+        self._feed, self._camera, self._notes = feed, camera, notes
+        self._min_free_bytes, self._free_bytes = min_free_bytes, free_bytes
+        self._queue: queue.Queue[_Queued | None] = queue.Queue(QUEUE_FRAMES)
         self._writer: FeedWriter | None = None
+        self._path = Path()
         self.written = 0
-        self.left_out = 0
+        self.with_position = 0
+        self.skipped = 0
         """Frames that came while the disk was behind."""
         self.stopped = ""
-        """Why nothing is recorded any more."""
+        """Why nothing is recorded any more, "" while recording."""
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
-    def keep(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
-        """Hand a frame over; never waits and never raises."""
+    def record(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
+        """Hand a frame over, with what the autopilot reports of that moment; never waits and never raises."""
         if self.stopped:
             return
         try:
-            self._frames.put_nowait(_Kept(frame, position, distance_m))
+            self._queue.put_nowait(_Queued(frame, position, distance_m))
         except queue.Full:
-            self.left_out += 1
+            self.skipped += 1
 
-    def close(self, patience_s: float = 1.0) -> None:
-        """Write what has been handed over, for at most `patience_s`; more than once is harmless."""
+    def close(self, timeout_s: float = 1.0) -> None:
+        """Write what has been handed over, for at most `timeout_s` twice; more than once is harmless."""
         try:
-            self._frames.put(None, timeout=patience_s)
+            self._queue.put(None, timeout=timeout_s)
         except queue.Full:
             return  # the disk hangs; the thread ends with the process, and its feed is whole up to the last row
-        self._thread.join(patience_s)
+        self._thread.join(timeout_s)
 
     def _run(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
-            while (kept := self._frames.get()) is not None:
-                self._write(kept)
+            while (queued := self._queue.get()) is not None:
+                self._write(queued)
         except (OSError, FeedError) as error:
             self._stop(getattr(error, "strerror", None) or str(error))
-            while self._frames.get() is not None:
+            while self._queue.get() is not None:
                 pass  # so that close() never waits for room
         finally:
             if self._writer is not None:
                 self._writer.close()
 
-    def _write(self, kept: _Kept) -> None:
+    def _write(self, queued: _Queued) -> None:
         if self.stopped:
             return
-        folder = Path(self._config.folder)
-        if self._writer is None:
-            folder.mkdir(parents=True, exist_ok=True)
-            started = datetime.fromtimestamp(self._unix_time_s(), tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-            name = next(name for name in _names(started) if not (folder / name).exists())
-            self._writer = FeedWriter(folder / name, feed_header(name, self._camera, kept.frame))
-            log.info("recording: %s", folder / name)
-        if self._free_bytes(folder) < self._config.min_free_mb * 1e6:
-            self._stop("the disk is nearly full")
+        writer = self._writer or self._open(queued.frame)
+        if self._free_bytes(self._path) < self._min_free_bytes:
+            self._stop(DISK_FULL)
             return
-        write_frame(self._writer, kept.frame, kept.position, kept.distance_m)
+        position = queued.position
+        writer.write(
+            queued.frame.image,
+            queued.frame.stamp_ns,
+            lat_deg=position.lat_deg if position else None,
+            lon_deg=position.lon_deg if position else None,
+            alt_m=position.alt_m if position else None,
+            heading_deg=position.heading_deg if position else None,
+            speed_mps=position.speed_mps if position else None,
+            distance_m=queued.distance_m,
+        )
         self.written += 1
+        self.with_position += position is not None
+
+    def _open(self, frame: Frame) -> FeedWriter:
+        """Make the feed's folder; only now is the size known that the camera really gives."""
+        self._path = self._feed()
+        height, width = frame.image.shape[:2]
+        source = f"{self._camera.kind} {self._camera.device}"
+        header = FeedHeader(self._path.name, self._camera.view, width, height, source, self._notes())
+        self._writer = FeedWriter(self._path, header)
+        log.info("recording: %s", self._path)
+        return self._writer
 
     def _stop(self, why: str) -> None:
         self.stopped = why
-        log.warning("recording: %s: stopped after %d frames: %s", self._config.folder, self.written, why)
+        log.warning("recording: %s: stopped after %d frames: %s", self._path, self.written, why)
 
 
-def _names(started: str) -> list[str]:
-    """Two runs may begin in the same second, and clocks of vehicles without a battery often do."""
-    return [started, *(f"{started}-{number}" for number in range(2, 1000))]
+def run_folder(folder: Path, unix_time_s: Callable[[], float] = time.time) -> Path:
+    """A new folder for the feed of one run, named by the time. Two runs may begin in the same second."""
+    started = datetime.fromtimestamp(unix_time_s(), tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
+    names = [started, *(f"{started}-{number}" for number in range(2, 1000))]
+    return folder / next(name for name in names if not (folder / name).exists())

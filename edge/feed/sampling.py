@@ -1,4 +1,4 @@
-"""Which frames are places: one every so many metres where the distance is known, else one every so many seconds."""
+"""Which frames are places: one every so many meters where the distance is known, else one every so many seconds."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ class Sampler:
 
     def __init__(self, config: SamplingConfig) -> None:
         self.missed = 0
-        """Places that were passed unseen before the frame taken last: no frame came where one should have been."""
+        """Places passed before the frame chosen last without a frame of their own, because none came there in time."""
         self._config = config
-        self._seen = 0
+        self._frames = 0
         self._last: tuple[int, float | None] | None = None
         self._due_m = 0.0
 
-    def take(self, stamp_ns: int, distance_m: float | None) -> bool:
+    def is_place(self, stamp_ns: int, distance_m: float | None) -> bool:
         """Whether the frame of this time, at this distance driven, is a place; the first always is."""
-        self._seen += 1
+        self._frames += 1
         if self._config.by == "frames":
-            return (self._seen - 1) % self._config.spacing_frames == 0
+            return (self._frames - 1) % self._config.spacing_frames == 0
         if self._last is not None and not self._is_due(stamp_ns, distance_m, *self._last):
             return False
         if self._config.by == "distance" and distance_m is not None:

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 
-from edge.camera import Frame
-from edge.camera.recorded import RecordedCamera
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed.format import FeedRow
-from edge.feed.reader import Feed
+from edge.feed.frame import Frame
+from edge.feed.reader import Feed, FeedImages
 from edge.feed.sampling import Sampler
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class TraverseFrame:
-    """One chosen frame, its row of the feed, metres driven since the first row (None where unknown).
+    """One chosen frame, its row of the feed, meters driven since the first row (None where unknown).
 
     missed: places passed before it without a frame of the feed.
     """
@@ -34,7 +34,7 @@ class TraverseFrame:
 
 
 def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:
-    """The chosen frames in order; unreadable pictures are left out, each with a line in the log.
+    """The chosen frames in order; unreadable images are skipped, each with a line in the log.
 
     FeedError if `must_have_distance` and neither distance_m nor positions are in every row.
     """
@@ -45,25 +45,20 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             " distance; use --spacing-frames or --interval-s"
         )
     sampler = Sampler(sampling)
-    camera = RecordedCamera(feed)
-    try:
-        while True:
+    with closing(FeedImages(feed)) as images:
+        for index, row in enumerate(feed.rows):
             try:
-                frame = camera.read()
+                image = images.read(index)
             except FrameError as error:
-                log.warning("%s; left out", error)
+                log.warning("%s; skipped", error)
                 continue
-            if frame is None:
-                return
-            distance_m = distances_m[frame.index] if distances_m else None
-            if sampler.take(frame.stamp_ns, distance_m):
-                yield TraverseFrame(frame, feed.rows[frame.index], distance_m, sampler.missed)
-    finally:
-        camera.close()
+            distance_m = distances_m[index] if distances_m else None
+            if sampler.is_place(row.stamp_ns, distance_m):
+                yield TraverseFrame(Frame(image, row.stamp_ns, index), row, distance_m, sampler.missed)
 
 
 def driven_m(feed: Feed) -> list[float] | None:
-    """Metres driven at each row: as recorded, else summed up between positions, else None."""
+    """Meters driven at each row: as recorded, else summed up between positions, else None."""
     recorded = [row.distance_m for row in feed.rows if row.distance_m is not None]
     if len(recorded) == len(feed.rows):
         return recorded

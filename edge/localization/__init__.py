@@ -1,30 +1,19 @@
 """From matches and the odometer to a position of the vehicle, and whether it may be sent.
 
 `route_tracker` follows the vehicle along the map's drive, with `line_refinement` for where a line really ends;
-`odometry` and `dead_reckoning` integrate what the autopilot reports of its motion; `integrity` and `fix_consistency`
+`dead_reckoning` integrates what the autopilot reports of its motion; `integrity` and `fix_consistency`
 are the rules that a position must pass.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 
+from edge.localization.dead_reckoning import DeadReckoning, Displacement
 
-@dataclass(frozen=True)
-class VehiclePosition:
-    """The autopilot's own estimate: degrees (WGS 84), metres above mean sea level, heading clockwise from north."""
-
-    stamp_ns: int
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-    heading_deg: float | None
-    speed_mps: float
-    north_mps: float = 0.0
-    east_mps: float = 0.0
+__all__ = ["DeadReckoning", "Displacement", "PlaceFix"]
 
 
 class PlaceFix(msgspec.Struct, frozen=True, tag_field="event", tag="place"):

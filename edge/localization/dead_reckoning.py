@@ -1,76 +1,152 @@
-"""Metres east and north by the autopilot's own reckoning: its velocity integrated, whatever its position jumps to."""
+"""How far the vehicle has driven and moved, by its own speed and velocity, at the moment of any frame.
+
+Both are integrated by the trapezoid rule, whatever the autopilot's position jumps to.
+"""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import deque
 from dataclasses import dataclass
 
-BRIDGE_NS = 2_000_000_000  # the longest silence that two velocities are believed to span
+SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
+LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are believed to span
+STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
+MAX_SPEED_MPS = 350.0  # a speed beyond it is damage, or not a number
 KEPT = 1024
-FASTEST_MPS = 350.0  # beyond it is damage, or not a number
 
 
 @dataclass(frozen=True)
-class Reckoned:
-    """Metres east and north since the beginning of a leg; those of different legs say nothing about each other."""
+class Displacement:
+    """Meters east and north since the beginning of a leg; those of different legs cannot be compared."""
 
     leg: int
     east_m: float
     north_m: float
 
 
-@dataclass(frozen=True)
-class _Moment:
-    stamp_ns: int
-    reckoned: Reckoned
-    east_mps: float
-    north_mps: float
+class _Integral:
+    """A rate with one or more components, integrated over time; the last KEPT reports can be looked up."""
+
+    def __init__(self, valid_ns: int) -> None:
+        """valid_ns: how long the newest rate holds beyond its stamp."""
+        self._valid_ns = valid_ns
+        self._stamps_ns: list[int] = []
+        self._totals: list[tuple[float, ...]] = []
+        self._rate: tuple[float, ...] = ()
+
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the newest report, None before the first."""
+        return self._stamps_ns[-1] if self._stamps_ns else None
+
+    @property
+    def total(self) -> tuple[float, ...] | None:
+        """The integral up to the newest report, None before the first."""
+        return self._totals[-1] if self._totals else None
+
+    def add(self, stamp_ns: int, *rate: float) -> None:
+        """A rate at a time after the newest; after a gap that is too long the integral goes on from where it was."""
+        total = self.total or (0.0,) * len(rate)
+        gap_ns = stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
+        if 0 < gap_ns <= LONGEST_GAP_NS:
+            total = tuple(
+                before + (new + old) / 2 * gap_ns / 1e9
+                for before, new, old in zip(total, rate, self._rate, strict=True)
+            )
+        self._stamps_ns.append(stamp_ns)
+        self._totals.append(total)
+        self._rate = rate
+        if len(self._stamps_ns) > 2 * KEPT:
+            del self._stamps_ns[:KEPT], self._totals[:KEPT]
+
+    def clear(self) -> None:
+        """Start at zero with the next report."""
+        self._stamps_ns, self._totals = [], []
+
+    def at(self, stamp_ns: int) -> tuple[float, ...] | None:
+        """The integral at a moment: between two reports by interpolation; None where no rate is valid."""
+        index = bisect_right(self._stamps_ns, stamp_ns)
+        if index == 0:
+            return None
+        before_ns, before = self._stamps_ns[index - 1], self._totals[index - 1]
+        if index == len(self._stamps_ns):
+            ahead_ns = stamp_ns - before_ns
+            if ahead_ns > self._valid_ns:
+                return None
+            return tuple(value + rate * ahead_ns / 1e9 for value, rate in zip(before, self._rate, strict=True))
+        share = (stamp_ns - before_ns) / (self._stamps_ns[index] - before_ns)
+        after = self._totals[index]
+        return tuple(value + share * (end - value) for value, end in zip(before, after, strict=True))
 
 
 class DeadReckoning:
-    """Integrates velocity by the trapezoid rule; a silence begins a new leg."""
+    """Distance driven by the best source of speed that still reports, and displacement by velocity."""
 
     def __init__(self) -> None:
-        self._past: deque[_Moment] = deque(maxlen=KEPT)
+        self._distance = _Integral(SPEED_VALID_NS)
+        self._displacement = _Integral(LONGEST_GAP_NS)
         self._legs = 0
+        self._speed_mps = 0.0
+        self._source = 0
+        self._answered = (0, 0.0)
 
-    def add(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
-        """A velocity; one that is older than the last is ignored."""
-        if not math.hypot(east_mps, north_mps) <= FASTEST_MPS:
+    def add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
+        """A ground speed; `source` ranks its origin, 0 the best, and a worse one counts only after a second without.
+
+        Ignored where it is not after the newest, or is no speed.
+        """
+        if not 0 <= speed_mps <= MAX_SPEED_MPS:
             return
-        last = self._past[-1] if self._past else None
-        if last is not None and stamp_ns <= last.stamp_ns:
+        last_ns = self._distance.last_ns
+        if last_ns is not None:
+            gap_ns = stamp_ns - last_ns
+            if gap_ns <= 0 or (source > self._source and gap_ns < SPEED_VALID_NS):
+                return
+        self._distance.add(stamp_ns, speed_mps if speed_mps >= STANDING_MPS else 0.0)
+        self._speed_mps, self._source = speed_mps, source
+
+    def add_velocity(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
+        """A velocity over ground. Ignored where it is not after the newest, or is none."""
+        if not math.hypot(east_mps, north_mps) <= MAX_SPEED_MPS:
             return
-        if last is None or stamp_ns - last.stamp_ns > BRIDGE_NS:
+        last_ns = self._displacement.last_ns
+        if last_ns is not None and stamp_ns <= last_ns:
+            return
+        if last_ns is None or stamp_ns - last_ns > LONGEST_GAP_NS:
             self.begin_leg()
-            reckoned = Reckoned(self._legs, 0.0, 0.0)
-        else:
-            half_s = (stamp_ns - last.stamp_ns) / 2e9
-            reckoned = Reckoned(
-                self._legs,
-                last.reckoned.east_m + half_s * (east_mps + last.east_mps),
-                last.reckoned.north_m + half_s * (north_mps + last.north_mps),
-            )
-        self._past.append(_Moment(stamp_ns, reckoned, east_mps, north_mps))
+        self._displacement.add(stamp_ns, east_mps, north_mps)
 
     def begin_leg(self) -> None:
-        """Nothing before has to do with what follows."""
-        self._past.clear()
+        """The displacement before cannot be compared with what follows."""
+        self._displacement.clear()
         self._legs += 1
 
-    def at(self, stamp_ns: int) -> Reckoned | None:
-        """Where the vehicle was at that moment; None when it is not within the leg, or too long ago."""
-        index = bisect_right(self._past, stamp_ns, key=lambda moment: moment.stamp_ns)
-        if index == 0:
-            return None
-        last = self._past[index - 1]
-        since_s = (stamp_ns - last.stamp_ns) / 1e9
-        if since_s > BRIDGE_NS / 1e9:
-            return None
-        return Reckoned(
-            last.reckoned.leg,
-            last.reckoned.east_m + since_s * last.east_mps,
-            last.reckoned.north_m + since_s * last.north_mps,
-        )
+    @property
+    def total_m(self) -> float | None:
+        """All meters driven up to the newest report, None before the first."""
+        total = self._distance.total
+        return None if total is None else total[0]
+
+    def distance_m(self, stamp_ns: int) -> float | None:
+        """Meters driven at `stamp_ns`; None when no speed was known around then. Never less than it was before."""
+        driven = self._distance.at(stamp_ns)
+        return None if driven is None else self._not_less(stamp_ns, driven[0])
+
+    def _not_less(self, stamp_ns: int, distance_m: float) -> float:
+        """Hold a distance that was extrapolated while braking, until the vehicle has really driven it."""
+        answered_ns, answered_m = self._answered
+        if stamp_ns < answered_ns:
+            return distance_m
+        self._answered = (stamp_ns, max(distance_m, answered_m))
+        return self._answered[1]
+
+    def displacement(self, stamp_ns: int) -> Displacement | None:
+        """Meters east and north at `stamp_ns`; None when that is outside the leg, or too long ago."""
+        moved = self._displacement.at(stamp_ns)
+        return None if moved is None else Displacement(self._legs, *moved)
+
+    def speed_mps(self, now_ns: int) -> float | None:
+        """The newest ground speed, None when it is older than a second."""
+        last_ns = self._distance.last_ns
+        return None if last_ns is None or now_ns - last_ns > SPEED_VALID_NS else self._speed_mps

@@ -15,7 +15,7 @@ import pymap3d
 
 from edge.config import GatesConfig
 from edge.localization import PlaceFix
-from edge.localization.dead_reckoning import Reckoned
+from edge.localization.dead_reckoning import Displacement
 
 APART_M = 5.0
 """Between two that are kept."""
@@ -28,7 +28,7 @@ class _Witness:
     lat_deg: float
     lon_deg: float
     sigma_m: float
-    reckoned: Reckoned
+    displacement: Displacement
     driven_m: float
 
 
@@ -39,18 +39,18 @@ class FixConsistency:
         self._gates = gates
         self._kept: deque[_Witness] = deque(maxlen=round(TOO_FAR_M / APART_M))
 
-    def confirm(self, fix: PlaceFix, reckoned: Reckoned | None, driven_m: float | None) -> bool:
+    def confirm(self, fix: PlaceFix, displacement: Displacement | None, driven_m: float | None) -> bool:
         """Whether one of those before confirms this fix, which is then one of them.
 
-        reckoned, driven_m: of the fix's moment; None where nobody tells, and then nothing can be confirmed.
+        displacement, driven_m: of the fix's moment; None where nobody tells, and then nothing can be confirmed.
         """
         if self._gates.confirm_m == 0:
             return True
-        if reckoned is None or driven_m is None or fix.lat_deg is None or fix.lon_deg is None:
+        if displacement is None or driven_m is None or fix.lat_deg is None or fix.lon_deg is None:
             return False
         if fix.matches < self._gates.far_matches:
             return False
-        seen = _Witness(fix.lat_deg, fix.lon_deg, fix.sigma_m, reckoned, driven_m)
+        seen = _Witness(fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, driven_m)
         confirmed = any(self._agree(witness, seen) for witness in self._kept)
         if not self._kept or abs(driven_m - self._kept[-1].driven_m) >= APART_M:
             self._kept.append(seen)
@@ -62,12 +62,12 @@ class FixConsistency:
 
     def _agree(self, before: _Witness, now: _Witness) -> bool:
         driven_m = now.driven_m - before.driven_m
-        if before.reckoned.leg != now.reckoned.leg or not self._gates.confirm_m <= driven_m <= TOO_FAR_M:
+        if before.displacement.leg != now.displacement.leg or not self._gates.confirm_m <= driven_m <= TOO_FAR_M:
             return False
         east_m, north_m, _ = pymap3d.geodetic2enu(now.lat_deg, now.lon_deg, 0.0, before.lat_deg, before.lon_deg, 0.0)
         off_m = math.hypot(
-            east_m - (now.reckoned.east_m - before.reckoned.east_m),
-            north_m - (now.reckoned.north_m - before.reckoned.north_m),
+            east_m - (now.displacement.east_m - before.displacement.east_m),
+            north_m - (now.displacement.north_m - before.displacement.north_m),
         )
         drifted_m = self._gates.drift_percent / 100 * driven_m
         return off_m <= self._gates.near_sigmas * math.hypot(before.sigma_m, now.sigma_m, drifted_m)

@@ -15,7 +15,8 @@ from typing import Literal, TypeAlias
 import pymap3d
 
 from edge.config import GatesConfig
-from edge.localization import PlaceFix, VehiclePosition
+from edge.geodesy import VehiclePosition
+from edge.localization import PlaceFix
 
 Reason: TypeAlias = Literal[
     "no position in the map",

@@ -13,6 +13,7 @@ from types import ModuleType
 
 import msgspec
 
+from edge.atomic_file import replacing
 from edge.errors import ConfigError, MapError
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
@@ -41,13 +42,9 @@ def sign_map(path: Path, key_file: Path) -> None:
     """Check every byte of a map and sign it; ConfigError for the key, MapError for the map."""
     key = _ed25519().Ed25519PrivateKey.from_private_bytes(_read_key(key_file, secret=True))
     header = open_map(path, every_file=True).header
-    new = path / f"{SIGNATURE}.new"
     try:
-        with new.open("w", encoding="ascii") as stream:
-            stream.write(f"{key.sign(_signed_bytes(header)).hex()}\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        new.replace(path / SIGNATURE)
+        with replacing(path / SIGNATURE) as stream:
+            stream.write(f"{key.sign(_signed_bytes(header)).hex()}\n".encode("ascii"))
     except OSError as error:
         raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
 

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
+from edge.geodesy import VehiclePosition
 
 Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 
@@ -42,27 +42,6 @@ def result_name(result: int) -> str:
     """MAV_RESULT without its prefix; the number of one that the dialect does not know."""
     entry = mavlink.enums["MAV_RESULT"].get(result)
     return entry.name.removeprefix("MAV_RESULT_") if entry else str(result)
-
-
-class BackOff:
-    """Longer and longer pauses while the answer is "not now"; none after a success."""
-
-    def __init__(self) -> None:
-        self._pause_ns = BACK_OFF_FIRST_NS
-        self._until_ns = 0
-
-    def refused(self, now_ns: int) -> None:
-        """One more "not now"."""
-        self._until_ns = now_ns + self._pause_ns
-        self._pause_ns = min(2 * self._pause_ns, BACK_OFF_LAST_NS)
-
-    def succeeded(self) -> None:
-        """The next refusal begins with a short pause again."""
-        self._pause_ns, self._until_ns = BACK_OFF_FIRST_NS, 0
-
-    def holds(self, now_ns: int) -> bool:
-        """Whether to wait still."""
-        return now_ns < self._until_ns
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import dataclasses
 import logging
 from collections.abc import Callable
 
+from edge.backoff import BackOff
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.host_lookup import LookUp, Lookup, is_address, look_up
@@ -34,9 +35,8 @@ class Port:
         self._clock_ns = clock_ns
         self._link: Link | None = None
         self._opened_ns = 0
-        self._next_try_ns = 0
-        self._pause_ns = RETRY_FIRST_NS
-        self._told = ""
+        self._back_off = BackOff(RETRY_FIRST_NS, RETRY_LAST_NS[connection.kind])
+        self._logged = ""
 
     @property
     def is_open(self) -> bool:
@@ -45,7 +45,7 @@ class Port:
 
     def open_if_due(self, now_ns: int) -> bool:
         """Open a closed port once its pause is over; True when it is open."""
-        if self._link is None and now_ns >= self._next_try_ns:
+        if self._link is None and self._back_off.is_over(now_ns):
             log.debug("opening %s", self.connection)
             try:
                 self._link, self._opened_ns = self._open(), now_ns
@@ -87,7 +87,8 @@ class Port:
 
     def proved(self) -> None:
         """A peer has answered: the next loss begins with short pauses again, and is told again."""
-        self._told, self._pause_ns = "", RETRY_FIRST_NS
+        self._logged = ""
+        self._back_off.reset()
 
     def close(self) -> None:
         """Release the port; more than once is harmless, and `open_if_due` would open it again."""
@@ -103,8 +104,7 @@ class Port:
     def _lose(self, why: str) -> None:
         self.close()
         self.why_closed = why
-        self._next_try_ns = self._clock_ns() + self._pause_ns
-        self._pause_ns = min(2 * self._pause_ns, RETRY_LAST_NS[self.connection.kind])
-        if why != self._told:  # one line for each new reason, not one for each try
-            self._told = why
+        self._back_off.failed(self._clock_ns())
+        if why != self._logged:  # one line for each new reason, not one for each try
+            self._logged = why
             log.warning("%s; trying again", why)

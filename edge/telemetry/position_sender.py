@@ -12,13 +12,22 @@ from collections.abc import Callable
 
 import msgspec
 
+from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, WayChosen
 from edge.localization import PlaceFix
 from edge.localization.fix_consistency import FixConsistency
 from edge.localization.integrity import GPS_SIGMA_M, Refusal, Situation, Uncertainty, distance_from, offset_m, refusal
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import ANSWER_NS, MOVED_NS, VERDICTS, BackOff, Jump, result_name
+from edge.telemetry.acknowledgements import (
+    ANSWER_NS,
+    BACK_OFF_FIRST_NS,
+    BACK_OFF_LAST_NS,
+    MOVED_NS,
+    VERDICTS,
+    Jump,
+    result_name,
+)
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
 from edge.telemetry.position_messages import POSITION_MESSAGES, Moment, PositionMessage, suitable_message
@@ -56,7 +65,7 @@ class PositionSender:
         self._start_over()
 
     def _start_over(self) -> None:
-        self._back_off = BackOff()
+        self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
         self._last_sent_ns: int | None = None
         self._told_ns: int | None = None
         self._waiting: tuple[PlaceFix, int, bool] | None = None  # sent and not answered: fix, when, second try
@@ -95,7 +104,7 @@ class PositionSender:
 
     def wanted(self, now_ns: int) -> Moment | None:
         """The moment of which a fix is due: that of the newest exposure, or now. None while none is."""
-        if self.way is None or self._disabled or self._waiting is not None or self._back_off.holds(now_ns):
+        if self.way is None or self._disabled or self._waiting is not None or not self._back_off.is_over(now_ns):
             return None
         due = self._last_sent_ns is None or now_ns - self._last_sent_ns >= self._period_s(self.way) * 1e9
         return self.way.of if due else None
@@ -126,7 +135,7 @@ class PositionSender:
         # Only then does it matter, and this is asked with every turn while a fix waits.
         may_be_anywhere = position is None or uncertainty_m is None
         confirmed = may_be_anywhere and self._witnesses.confirm(
-            fix, vehicle.reckoned(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
+            fix, vehicle.displacement(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
         )
         return Situation(
             now_ns,
@@ -226,12 +235,12 @@ class PositionSender:
         self._waiting = None
         self._record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
-            self._back_off.succeeded()
+            self._back_off.reset()
             if self._jump is not None:
                 self._jump = *self._jump[:2], now_ns
             return
         self._jump = None
-        self._back_off.refused(now_ns)
+        self._back_off.failed(now_ns)
         if verdict == "never":
             self._disabled = True
             log.error("the autopilot answered %s: no more positions until it reboots", result_name(result))
@@ -280,5 +289,5 @@ class PositionSender:
         if moved:
             self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
         else:
-            self._back_off.refused(now_ns)
+            self._back_off.failed(now_ns)
             self._tell_pilot(f"Lookback: fix accepted, position {remaining_m:.0f} m off")

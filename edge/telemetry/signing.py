@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.atomic_file import replacing
 from edge.errors import ConfigError
 from edge.telemetry.replay_guard import TICKS_PER_S, ReplayGuard, Stream
 
@@ -123,7 +124,8 @@ class Signer:
             return
         self._kept = kept
         try:
-            _write(self._file, msgspec.json.encode(kept))
+            with replacing(self._file) as stream:
+                stream.write(msgspec.json.encode(kept))
         except OSError as error:
             self._tell("file", "%s: cannot keep the signing timestamps: %s", self._file, error.strerror)
 
@@ -169,18 +171,3 @@ def _read(file: Path) -> SigningClock:
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
         log.warning("%s: not used, so that signed frames of the last minute may be taken again: %s", file, error)
         return SigningClock()
-
-
-def _write(file: Path, data: bytes) -> None:
-    """Replace a file by one rename, and have both on the disk: power is lost without a warning."""
-    new = file.with_name(f"{file.name}.new")
-    with new.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
-    new.replace(file)
-    folder = os.open(file.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

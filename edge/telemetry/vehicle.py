@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
-from edge.localization.dead_reckoning import DeadReckoning, Reckoned
-from edge.localization.odometry import Odometer
+from edge.geodesy import VehiclePosition
+from edge.localization import DeadReckoning, Displacement
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import Message
 
@@ -59,8 +58,7 @@ class Vehicle:
         self._clock = BootClock()
         self._newest_boot_ms = -1
         self._timesync_sent_ns = 0
-        self._odometer = Odometer()
-        self._displacement = DeadReckoning()
+        self._motion = DeadReckoning()
         self._position: VehiclePosition | None = None
         self._gps_healthy_ns: int | None = None
         self._accuracy: tuple[int, float] | None = None
@@ -114,19 +112,19 @@ class Vehicle:
 
     def distance_m(self, stamp_ns: int) -> float | None:
         """Metres driven since the first report, at the moment of a frame; None when no speed is known around it."""
-        return self._odometer.distance_m(stamp_ns)
+        return self._motion.distance_m(stamp_ns)
 
     def driven_m(self, now_ns: int) -> float | None:
         """Metres driven up to the newest report; None when no speed has come for a second."""
-        return None if self._odometer.speed_mps(now_ns) is None else self._odometer.total_m
+        return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m
 
-    def reckoned(self, stamp_ns: int) -> Reckoned | None:
-        """Metres east and north at the moment of a frame, by the autopilot's own velocity."""
-        return self._displacement.at(stamp_ns)
+    def displacement(self, stamp_ns: int) -> Displacement | None:
+        """Meters east and north at the moment of a frame, by the autopilot's own velocity."""
+        return self._motion.displacement(stamp_ns)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""
-        return self._odometer.speed_mps(now_ns)
+        return self._motion.speed_mps(now_ns)
 
     def position(self, now_ns: int) -> VehiclePosition | None:
         """The autopilot's own position, None when it has none or the newest is over two seconds old."""
@@ -158,7 +156,7 @@ class Vehicle:
     def _start_session(self) -> None:
         self.session += 1
         self._clock = BootClock()
-        self._displacement.begin_leg()
+        self._motion.begin_leg()
         self._newest_boot_ms = -1
         self._gps_healthy_ns = None
         self._accuracy = self._wheels = None
@@ -180,8 +178,8 @@ class Vehicle:
         if message.lat == 0 and message.lon == 0:
             return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
-        self._odometer.add(stamp_ns, speed_mps, source=1)
-        self._displacement.add(stamp_ns, message.vy / 100, message.vx / 100)
+        self._motion.add_speed(stamp_ns, speed_mps, source=1)
+        self._motion.add_velocity(stamp_ns, message.vy / 100, message.vx / 100)
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
         self._position = VehiclePosition(
             stamp_ns,
@@ -196,12 +194,12 @@ class Vehicle:
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        self._odometer.add(stamp_ns, math.hypot(message.vx, message.vy), source=0)
-        self._displacement.add(stamp_ns, message.vy, message.vx)
+        self._motion.add_speed(stamp_ns, math.hypot(message.vx, message.vy), source=0)
+        self._motion.add_velocity(stamp_ns, message.vy, message.vx)
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.
-        self._odometer.add(now_ns, math.hypot(message.vx, message.vy), source=2)
+        self._motion.add_speed(now_ns, math.hypot(message.vx, message.vy), source=2)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative metres of up to 16 wheels; both sides turn against each other on the spot, so take the mean."""
@@ -209,10 +207,10 @@ class Vehicle:
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
-            self._odometer.add(stamp_ns, abs(driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
+            self._motion.add_speed(stamp_ns, abs(driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
 
     def _read_vfr_hud(self, message: Message, now_ns: int) -> None:
-        self._odometer.add(now_ns, message.groundspeed, source=4)
+        self._motion.add_speed(now_ns, message.groundspeed, source=4)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
         if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:

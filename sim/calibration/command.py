@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from edge.atomic_file import replacing
 from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
@@ -177,10 +179,9 @@ def write_lines(path: Path, lines: Lines) -> None:
         document.setdefault(section, tomlkit.table())[key] = value
     new = tomlkit.dumps(document)
     parse_config(new, path)  # what was good before must not be bad now
-    beside = path.with_name(f".{path.name}.new")
     try:
-        beside.write_text(new, encoding="utf-8")
-        beside.chmod(path.stat().st_mode)
-        beside.replace(path)
+        with replacing(path) as stream:
+            os.fchmod(stream.fileno(), path.stat().st_mode)
+            stream.write(new.encode())
     except OSError as error:
         raise ConfigError(f"{path}: cannot write it: {error.strerror}") from None

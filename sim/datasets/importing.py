@@ -58,7 +58,7 @@ def choose_rows(
             unplaced += 1
         elif last_ns is not None and row.stamp_ns <= last_ns:
             late += 1
-        elif (distance_m is None or distance_m <= length_m) and sampler.take(row.stamp_ns, distance_m):
+        elif (distance_m is None or distance_m <= length_m) and sampler.is_place(row.stamp_ns, distance_m):
             chosen.append(ChosenRow(index, distance_m))
             last_ns = row.stamp_ns
     for count, why in ((unplaced, "were taken where no position is known"), (late, "are no later than the one before")):

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import tempfile
 from itertools import zip_longest
 from pathlib import Path
@@ -27,11 +26,7 @@ from edge.errors import ConfigError
 from edge.feed import read_feed
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map.store import open_map
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from edge.toml_file import read_toml
 
 SETTINGS, EXPECTED = "golden.toml", "expected.jsonl"
 
@@ -60,12 +55,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def load_golden(folder: Path) -> Golden:
     """Read `golden.toml`. ConfigError names it."""
     file = folder / SETTINGS
-    try:
-        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), Golden)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot read it: {error.strerror}; make one with --reference and --query") from None
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: {error}") from None
+    if not file.exists():
+        raise ConfigError(f"{file}: cannot read it: no such file; make one with --reference and --query")
+    return read_toml(file, Golden)
 
 
 def replay_golden(folder: Path, golden: Golden) -> str:

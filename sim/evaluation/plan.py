@@ -33,7 +33,6 @@ sequence_lengths = [5, 10, 20, 40]
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -42,11 +41,7 @@ from msgspec import Meta, Struct
 
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from edge.toml_file import read_toml
 
 Truth = Literal["positions", "rows", "route_m", "anchors"]
 Length = Annotated[int, Meta(ge=1, le=500)]
@@ -166,16 +161,7 @@ class Plan(Struct, frozen=True, forbid_unknown_fields=True):
 
 def load_plan(path: Path) -> Plan:
     """Read and check a plan; ConfigError names the file and the key, in one line."""
-    try:
-        plan = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Plan)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read the plan: {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
-    except msgspec.ValidationError as error:
-        what, _, key = str(error).partition(" - at `$")
-        where = key.rstrip("`").lstrip(".")
-        raise ConfigError(f"{path}: {where + ': ' if where else ''}{what[:1].lower()}{what[1:]}") from None
+    plan = read_toml(path, Plan)
     _check_names(path, plan)
     return plan
 

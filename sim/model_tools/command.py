@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.atomic_file import replacing
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelInfo, read_model_file, resolve_model
 from edge.descriptor.network import Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
@@ -131,9 +132,8 @@ def _write(model: onnx.ModelProto, file: Path) -> str:
     """Write a network in one step, read it back, and return its sha256."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_bytes(model.SerializeToString(deterministic=True))
-        part.replace(file)
+        with replacing(file) as stream:
+            stream.write(model.SerializeToString(deterministic=True))
     except OSError as error:
         raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
     info = read_model_file(file).info

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
+from edge.atomic_file import replacing
 from edge.errors import ConfigError
 from sim.training.alexnet import alexnet
 from sim.training.images import LabelledImages
@@ -90,10 +91,9 @@ class Training:
 
     def save(self, file: Path) -> None:
         """Write a checkpoint in one step; ConfigError if it cannot be written."""
-        part = file.with_suffix(".part")
         try:
-            torch.save({"of": self._identity(), "step": self.step, **self._states()}, part)
-            part.replace(file)
+            with replacing(file) as stream:
+                torch.save({"of": self._identity(), "step": self.step, **self._states()}, stream)
         except (OSError, RuntimeError) as error:
             raise ConfigError(f"{file}: cannot write the checkpoint: {str(error).splitlines()[0]}") from None
 

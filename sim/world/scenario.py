@@ -21,21 +21,14 @@ Processes that share a scenario with `epoch_ns` agree on where the vehicle is at
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta, Struct
 
-from edge.errors import ConfigError
+from edge.toml_file import read_toml
 from sim.world.drive import Drive, plan_drive
 from sim.world.route import generate_route
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 View = Literal["front", "rear"]
@@ -75,14 +68,4 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
 
 def load_scenario(path: Path) -> Scenario:
     """Read and check a scenario file; ConfigError names the file and the key, in one line."""
-    try:
-        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Scenario)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read the scenario: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
-    except msgspec.ValidationError as error:
-        what, _, key = str(error).partition(" - at `$.")
-        raise ConfigError(f"{path}: {key.rstrip('`') + ': ' if key else ''}{what[:1].lower()}{what[1:]}") from None
+    return read_toml(path, Scenario)

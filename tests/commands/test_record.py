@@ -95,14 +95,14 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
 
 
 def test_it_stops_when_the_time_is_over(config: Config, tmp_path: Path) -> None:
-    assert record.record(config, tmp_path / "out", threading.Event(), duration_s=0.2).why == "time is over"
+    assert record.record(config, tmp_path / "out", threading.Event(), duration_s=0.2).why == "duration reached"
     assert 1 <= len(read_feed(tmp_path / "out").rows) <= 5
 
 
 def test_it_stops_before_the_disk_is_full(config: Config, tmp_path: Path) -> None:
     out = tmp_path / "out"
 
-    def free_bytes() -> int:
+    def free_bytes(path: Path) -> int:
         return 1000 - len(list(out.glob("frames/*")))
 
     done = record.record(config, out, threading.Event(), min_free_bytes=998, free_bytes=free_bytes)
@@ -122,7 +122,7 @@ def test_a_disk_that_refuses_a_frame_is_one_line_and_the_feed_stays_whole(config
 
 def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
     no_camera = replace(config, camera=CameraConfig(device="/dev/video-none"))
-    with pytest.raises(CameraLost, match=r"out: nothing recorded \(time is over\): /dev/video-none: No such file"):
+    with pytest.raises(CameraLost, match=r"out: nothing recorded \(duration reached\): /dev/video-none: No such file"):
         record.record(no_camera, tmp_path / "out", threading.Event(), duration_s=0.05)
     assert not (tmp_path / "out").exists()
 
@@ -158,7 +158,7 @@ def test_a_signal_closes_the_feed_whole(config_file: Path, tmp_path: Path, numbe
         errors = process.stderr.read()
         assert process.wait(20) == 0, errors
     rows = read_feed(out).rows
-    assert f"{out}: {len(rows)} frames, 0 with a position; told to stop" in errors
+    assert f"{out}: {len(rows)} frames, 0 with a position; stopped by a signal" in errors
     assert "Traceback" not in errors
     assert len(rows) == len(list((out / "frames").iterdir())) < 256
 

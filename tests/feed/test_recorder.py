@@ -9,16 +9,17 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from edge.camera import Frame
-from edge.config import CameraConfig, RecordingConfig
+from edge.config import CameraConfig
 from edge.feed import read_feed
-from edge.feed.recorder import KEPT, RunRecording
+from edge.feed.recorder import QUEUE_FRAMES, Recorder, run_folder
+from edge.geodesy import VehiclePosition
 from edge.journal.journal import read_journal
-from edge.localization import VehiclePosition
 
 PATIENCE_S = 60.0
 NOON_S = 1_700_000_000.0
@@ -34,11 +35,15 @@ def position(index: int) -> VehiclePosition:
     return VehiclePosition(index * 1000, 1.0, 2.0, 3.0, 90.0, 4.0)
 
 
-def record(folder: Path, count: int = 5, **options: object) -> RunRecording:
+def open_recorder(folder: Path, **options: Any) -> Recorder:
+    return Recorder(lambda: run_folder(folder, lambda: NOON_S), CAMERA, 5e8, **options)
+
+
+def record(folder: Path, count: int = 5, **options: Any) -> Recorder:
     """A whole run of some frames."""
-    recording = RunRecording(RecordingConfig(str(folder)), CAMERA, lambda: NOON_S, **options)  # type: ignore[arg-type]
+    recording = open_recorder(folder, **options)
     for index in range(count):
-        recording.keep(frame(index), position(index) if index else None, 2.0 * index)
+        recording.record(frame(index), position(index) if index else None, 2.0 * index)
     recording.close()
     return recording
 
@@ -58,7 +63,7 @@ def test_every_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
 
 
 def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    recording = record(tmp_path, free_bytes=lambda folder: 10**9 - 2 * 10**8 * len(list(tmp_path.glob("*/frames/*"))))
+    recording = record(tmp_path, free_bytes=lambda path: 10**9 - 2 * 10**8 * len(list(tmp_path.glob("*/frames/*"))))
     assert recording.written == 3  # 1000, 800, 600 and then 400 MB
     assert len(read_feed(tmp_path / NAME).rows) == 3
     assert "stopped after 3 frames: the disk is nearly full" in caplog.text
@@ -66,7 +71,7 @@ def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCapt
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
-    recording = record(tmp_path / "file", count=3 * KEPT)
+    recording = record(tmp_path / "file", count=3 * QUEUE_FRAMES)
     assert recording.written == 0
     assert len([line for line in caplog.messages if "recording" in line]) == 1
 
@@ -74,17 +79,17 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pyt
 def test_a_disk_that_hangs_costs_frames_of_the_recording_only(tmp_path: Path) -> None:
     test_is_done, waited_for = threading.Event(), []
 
-    def free_bytes(folder: Path) -> int:
+    def free_bytes(path: Path) -> int:
         if not test_is_done.wait(PATIENCE_S):
-            waited_for.append(folder)
+            waited_for.append(path)
         return 10**10
 
-    recording = RunRecording(RecordingConfig(str(tmp_path)), CAMERA, lambda: NOON_S, free_bytes)
+    recording = open_recorder(tmp_path, free_bytes=free_bytes)
     for index in range(100):
-        recording.keep(frame(index), None, None)
-    recording.close(patience_s=0.1)
+        recording.record(frame(index), None, None)
+    recording.close(timeout_s=0.1)
     assert not waited_for
-    assert recording.left_out >= 100 - KEPT - 2
+    assert recording.skipped >= 100 - QUEUE_FRAMES - 2
     test_is_done.set()
 
 

@@ -8,7 +8,7 @@ from edge.feed.sampling import Sampler
 
 def taken(config: SamplingConfig, frames: list[tuple[float, float | None]]) -> list[int]:
     sampler = Sampler(config)
-    return [index for index, (time_s, metres) in enumerate(frames) if sampler.take(round(time_s * 1e9), metres)]
+    return [index for index, (time_s, metres) in enumerate(frames) if sampler.is_place(round(time_s * 1e9), metres)]
 
 
 def test_by_distance_a_place_every_two_metres_and_none_while_standing() -> None:
@@ -59,9 +59,8 @@ def test_the_first_known_distance_starts_the_count() -> None:
 
 def test_places_passed_without_a_frame_are_counted() -> None:
     sampler = Sampler(SamplingConfig(spacing_m=2.0))
-    passed = {
-        metres: sampler.missed for metres in (0.0, 2.0, 3.9, 4.1, 9.9, 10.1, 12.0, 0.0, 7.0) if sampler.take(0, metres)
-    }
+    distances_m = (0.0, 2.0, 3.9, 4.1, 9.9, 10.1, 12.0, 0.0, 7.0)
+    passed = {distance_m: sampler.missed for distance_m in distances_m if sampler.is_place(0, distance_m)}
     assert passed == {2.0: 0, 4.1: 0, 9.9: 1, 10.1: 0, 12.0: 0, 0.0: 0, 7.0: 2}, (
         "at 6, and after a new count at 2 and 4"
     )

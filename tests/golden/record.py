@@ -19,10 +19,10 @@ import numpy as np
 
 from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
-from sim.autopilot import SimulatedAutopilot
-from sim.camera import open_renderer
-from sim.drive import Drive
-from sim.scenario import Scenario
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.world.camera import open_renderer
+from sim.world.drive import Drive
+from sim.world.scenario import Scenario
 from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, cases, load_case, run_daemon
 
 LENGTH_M = 340.0

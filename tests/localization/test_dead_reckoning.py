@@ -1,4 +1,4 @@
-"""Metres east and north by velocity."""
+"""Meters driven from speeds that come late, twice, or not at all; meters east and north by velocity."""
 
 from __future__ import annotations
 
@@ -6,46 +6,104 @@ import math
 
 import pytest
 
-from edge.localization.dead_reckoning import DeadReckoning
+from edge.localization import DeadReckoning
 
 S = 1_000_000_000
+GOOD, POOR = 0, 2
+
+
+def test_a_poorer_source_counts_only_when_the_better_one_is_silent() -> None:
+    motion = DeadReckoning()
+    for tenth in range(51):
+        motion.add_speed(tenth * S // 10, 10.0, GOOD)
+        motion.add_speed(tenth * S // 10 + S // 20, 30.0, POOR)
+    assert motion.distance_m(5 * S) == pytest.approx(50.0)
+    for tenth in range(51, 100):
+        motion.add_speed(tenth * S // 10, 30.0, POOR)
+    assert motion.speed_mps(10 * S) == 30.0
+
+
+def test_a_long_silence_adds_no_distance_of_its_own() -> None:
+    motion = DeadReckoning()
+    motion.add_speed(0, 10.0, GOOD)
+    motion.add_speed(1 * S, 10.0, GOOD)
+    motion.add_speed(31 * S, 10.0, GOOD)
+    motion.add_speed(32 * S, 10.0, GOOD)
+    assert motion.distance_m(32 * S) == pytest.approx(20.0)
+    assert motion.speed_mps(34 * S) is None
+
+
+def test_reports_that_come_twice_or_in_the_wrong_order_are_ignored() -> None:
+    motion = DeadReckoning()
+    for stamp_s in (0, 1, 2, 2, 1, 3):
+        motion.add_speed(stamp_s * S, 10.0, GOOD)
+    motion.add_speed(1 * S, 500.0, GOOD)
+    motion.add_speed(3 * S, 500.0, GOOD)
+    assert motion.distance_m(3 * S) == pytest.approx(30.0)
+    assert motion.distance_m(3 * S + S // 2) == pytest.approx(35.0)
+
+
+def test_a_day_of_reports_is_counted_and_not_kept() -> None:
+    motion = DeadReckoning()
+    for tenth in range(20_000):
+        motion.add_speed(tenth * S // 10, 5.0, GOOD)
+    assert motion.distance_m(1999 * S) == pytest.approx(5.0 * 1999)
+    assert motion.distance_m(10 * S) is None, "forgotten"
+
+
+@pytest.mark.parametrize("speed_mps", [math.nan, math.inf, -1.0, 1e30])
+def test_a_speed_that_is_none_is_ignored(speed_mps: float) -> None:
+    motion = DeadReckoning()
+    motion.add_speed(1_000_000_000, 10.0, source=0)
+    motion.add_speed(1_500_000_000, speed_mps, source=0)
+    motion.add_speed(2_000_000_000, 10.0, source=0)
+    assert motion.distance_m(2_000_000_000) == pytest.approx(10.0)
+    assert motion.speed_mps(2_000_000_000) == 10.0
+
+
+def test_between_two_reports_both_are_interpolated() -> None:
+    motion = driven((10, 0, 0), (11, 2, -4))
+    motion.add_speed(10 * S, 0.0, GOOD)
+    motion.add_speed(11 * S, 4.0, GOOD)
+    assert motion.distance_m(10 * S + S // 2) == pytest.approx(1.0)
+    assert moved(motion, 10.5) == pytest.approx((0.5, -1.0))
 
 
 def driven(*velocities: tuple[float, float, float]) -> DeadReckoning:
-    displacement = DeadReckoning()
+    motion = DeadReckoning()
     for time_s, east_mps, north_mps in velocities:
-        displacement.add(round(time_s * S), east_mps, north_mps)
-    return displacement
+        motion.add_velocity(round(time_s * S), east_mps, north_mps)
+    return motion
 
 
-def moved(displacement: DeadReckoning, time_s: float) -> tuple[float, float] | None:
-    reckoned = displacement.at(round(time_s * S))
-    return (reckoned.east_m, reckoned.north_m) if reckoned else None
+def moved(motion: DeadReckoning, time_s: float) -> tuple[float, float] | None:
+    found = motion.displacement(round(time_s * S))
+    return (found.east_m, found.north_m) if found else None
 
 
 def test_it_integrates_by_trapezoids_and_goes_on_with_the_last_velocity() -> None:
-    displacement = driven((10, 0, 0), (11, 2, -4), (12, 2, -4))
-    assert moved(displacement, 12) == pytest.approx((3, -6))
-    assert moved(displacement, 11) == pytest.approx((1, -2))
-    assert moved(displacement, 12.5) == pytest.approx((4, -8))
+    motion = driven((10, 0, 0), (11, 2, -4), (12, 2, -4))
+    assert moved(motion, 12) == pytest.approx((3, -6))
+    assert moved(motion, 11) == pytest.approx((1, -2))
+    assert moved(motion, 12.5) == pytest.approx((4, -8))
 
 
 def test_it_knows_nothing_of_before_and_of_long_after() -> None:
-    displacement = driven((10, 1, 0), (11, 1, 0))
-    assert moved(displacement, 9.9) is None
-    assert moved(displacement, 13.1) is None
+    motion = driven((10, 1, 0), (11, 1, 0))
+    assert moved(motion, 9.9) is None
+    assert moved(motion, 13.1) is None
 
 
 def test_a_silence_begins_a_new_leg() -> None:
-    displacement = driven((10, 1, 0), (11, 1, 0))
-    before = displacement.at(11 * S)
-    displacement.add(14 * S, 1, 0)
-    after = displacement.at(14 * S)
+    motion = driven((10, 1, 0), (11, 1, 0))
+    before = motion.displacement(11 * S)
+    motion.add_velocity(14 * S, 1, 0)
+    after = motion.displacement(14 * S)
     assert before is not None and after is not None
     assert before.leg != after.leg
-    assert displacement.at(11 * S) is None
+    assert motion.displacement(11 * S) is None
 
 
 def test_damage_and_what_is_older_are_ignored() -> None:
-    displacement = driven((10, 1, 0), (11, math.nan, 0), (11, 9999, 0), (10, 5, 0), (12, 1, 0))
-    assert moved(displacement, 12) == pytest.approx((2, 0))
+    motion = driven((10, 1, 0), (11, math.nan, 0), (11, 9999, 0), (10, 5, 0), (12, 1, 0))
+    assert moved(motion, 12) == pytest.approx((2, 0))

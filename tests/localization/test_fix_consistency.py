@@ -7,7 +7,7 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.localization import PlaceFix
-from edge.localization.dead_reckoning import Reckoned
+from edge.localization.dead_reckoning import Displacement
 from edge.localization.fix_consistency import FixConsistency
 
 METRE_DEG = 1 / 110_574  # of latitude, at the equator
@@ -26,7 +26,7 @@ def confirms(
 ) -> bool:
     """A fix so far north of the start, where the vehicle reckons to be `reckoned_m` north of it."""
     fix = msgspec.structs.replace(FIX, lat_deg=north_m * METRE_DEG, matches=matches)
-    return witnesses.confirm(fix, Reckoned(leg, 0.0, reckoned_m), reckoned_m if driven else None)
+    return witnesses.confirm(fix, Displacement(leg, 0.0, reckoned_m), reckoned_m if driven else None)
 
 
 def test_a_place_never_confirms_itself() -> None:

@@ -9,7 +9,8 @@ import msgspec
 import pytest
 
 from edge.config import GatesConfig
-from edge.localization import PlaceFix, VehiclePosition
+from edge.geodesy import VehiclePosition
+from edge.localization import PlaceFix
 from edge.localization.integrity import Refusal, Situation, Uncertainty, distance_from, refusal
 
 S = 1_000_000_000

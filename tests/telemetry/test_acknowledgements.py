@@ -1,4 +1,4 @@
-"""Pauses after refusals, and whether a position has moved as an accepted fix says."""
+"""What an acknowledgement means, and whether a position has moved as an accepted fix says."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import VehiclePosition
-from edge.telemetry.acknowledgements import VERDICTS, BackOff, Jump, result_name
+from edge.geodesy import VehiclePosition
+from edge.telemetry.acknowledgements import VERDICTS, Jump, result_name
 
 S = 1_000_000_000
 METRE_DEG = 1 / 111_195  # on the sphere that jumps are measured on
@@ -18,18 +18,6 @@ JUMP = Jump(BEFORE, east_m=0.0, north_m=40.0, sigma_m=5.0)
 
 def after(seconds: float, north_m: float) -> VehiclePosition:
     return replace(BEFORE, stamp_ns=BEFORE.stamp_ns + round(seconds * S), lat_deg=north_m * METRE_DEG)
-
-
-def test_pauses_double_up_to_half_a_minute_and_begin_anew_after_a_success() -> None:
-    back_off, now_ns, pauses_s = BackOff(), 0, []
-    for _ in range(8):
-        back_off.refused(now_ns)
-        pauses_s.append(next(s for s in range(1, 100) if not back_off.holds(now_ns + s * S)))
-        now_ns += 100 * S
-    assert pauses_s == [1, 2, 4, 8, 16, 30, 30, 30]
-    back_off.succeeded()
-    back_off.refused(now_ns)
-    assert not back_off.holds(now_ns + S)
 
 
 def test_every_result_of_the_protocol_has_a_verdict() -> None:

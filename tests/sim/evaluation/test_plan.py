@@ -40,7 +40,7 @@ def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> 
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('title = "t"', "titel = 1", "unknown field `titel`"),
+        ('title = "t"', "titel = 1", "unknown key `titel`"),
         ("length = 5", "length = 0", r"pairs\[0\].length: expected `int` >= 1"),
         ("length = 5", "length_m = 5.0", "by = .distance."),
         ("length = 5", "", "needs length"),
@@ -65,5 +65,5 @@ def test_a_wrong_plan_is_one_line(tmp_path: Path, old: str, new: str, says: str)
 def test_a_good_plan_is_read_and_a_missing_one_named(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(GOOD)
     assert load_plan(tmp_path / "plan.toml").pairs[0].tolerance == 40.0
-    with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot read the plan"):
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot read it"):
         load_plan(tmp_path / "nowhere.toml")

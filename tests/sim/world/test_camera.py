@@ -99,7 +99,7 @@ def test_the_config_opens_it_by_name_and_it_says_what_differs(tmp_path: Path) ->
     assert frame.image.shape == (48, 96, 3)
     camera.close()
     scenario.write_text("colour = 1\n")
-    with pytest.raises(ConfigError, match=r"drive\.toml: object contains unknown field `colour`"):
+    with pytest.raises(ConfigError, match=r"drive\.toml: unknown key `colour`"):
         open_camera(CameraConfig(kind="sim", device=str(scenario)))
 
 
