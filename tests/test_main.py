@@ -112,8 +112,10 @@ def test_a_model_that_is_none(
 def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bad.toml"
     config.write_text("[sequence]\nlenght = 20\n")
-    for command in ("run", "check"):
-        assert refused(capsys, command, str(config)) == f"lookback: {config}: [sequence] unknown key `lenght`\n"
+    assert refused(capsys, "run", str(config)) == f"lookback: {config}: [sequence] unknown key `lenght`\n"
+    for command in (["check"], ["doctor", "--offline"]):
+        assert main([*command, str(config)]) == 78
+        assert f"{config}: [sequence] unknown key `lenght`\n" in capsys.readouterr().out
 
 
 def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,7 +154,9 @@ def test_the_default_config_can_be_printed_and_used(
     street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", "--default"]) == 0
-    text = capsys.readouterr().out.replace("/var/lib/lookback/map", str(street_map))
+    text = (
+        capsys.readouterr().out.replace("/var/lib/lookback/map", str(street_map)).replace("length = 40", "length = 15")
+    )
     (tmp_path / "lookback.toml").write_text(text)
     assert main(["check", str(tmp_path / "lookback.toml")]) == 0
     assert "map of 30 places" in capsys.readouterr().out

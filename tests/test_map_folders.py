@@ -160,8 +160,8 @@ def test_info_verify_and_check_of_a_folder(
     assert main(["check", str(write_config(tmp_path, street / "again", damaged))]) == 0
     out = capsys.readouterr().out
     assert "map of 64 places in 1 map" in out
-    assert "damaged (its checksum does not hold); build or copy the map again; left out\n" in out
-    assert "note: 2 of its maps (0, 1): sampled by SamplingConfig(by='distance'" in out
+    assert "damaged (its checksum does not hold); build or copy the map again; excluded\n" in out
+    assert "1 of its maps (0): not sampled as [sampling] says" in out
 
 
 def test_the_doctor_names_the_damaged_tile(street: Path, damaged: Path, tmp_path: Path) -> None:
@@ -170,9 +170,7 @@ def test_the_doctor_names_the_damaged_tile(street: Path, damaged: Path, tmp_path
     assert [finding.level for finding in of_map[:2]] == ["good", "note"]
     assert "64 places in 1 map" in of_map[0].words
     assert f"{DESCRIPTORS}: damaged" in of_map[1].words
-    assert [finding.words for finding in of_map[2:]] == [
-        "1 of its maps (0): sampled otherwise than [sampling] asks for"
-    ]
+    assert [finding.words for finding in of_map[2:]] == ["1 of its maps (0): not sampled as [sampling] says"]
 
 
 def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,7 +188,7 @@ def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsy
     assert "map of 16 places in 1 map" in out
     (tmp_path / "tiles" / "1" / SIGNATURE).write_text("00" * 64)
     assert main(["check", str(config)]) == 78
-    assert "none of its 2 maps can be used" in capsys.readouterr().err
+    assert "none of its 2 maps can be used" in capsys.readouterr().out
 
 
 def test_the_page_shows_where_the_maps_are(street: Path) -> None:

@@ -1,4 +1,4 @@
-"""One thing that `lookback doctor` found, and what to do about it."""
+"""One finding of `lookback doctor`, and what to do about it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 
 class Diagnostic(msgspec.Struct, frozen=True):
-    """level: "bad" keeps `lookback run` from working, "note" does not. remedy: what to do, "" if nothing."""
+    """level: "bad" keeps `lookback run` from doing all of its work, "note" does not. remedy: "" if nothing is to do."""
 
     level: Literal["good", "note", "bad"]
     what: str
@@ -17,15 +17,15 @@ class Diagnostic(msgspec.Struct, frozen=True):
 
 
 def good(what: str, words: str) -> Diagnostic:
-    """All is well."""
+    """It works."""
     return Diagnostic("good", what, words)
 
 
 def note(what: str, words: str, remedy: str = "") -> Diagnostic:
-    """Worth knowing."""
+    """It works, but differently than one may expect."""
     return Diagnostic("note", what, words, remedy)
 
 
 def bad(what: str, words: str, remedy: str) -> Diagnostic:
-    """It will not work like this."""
+    """It does not work like this."""
     return Diagnostic("bad", what, words, remedy)

@@ -1,7 +1,9 @@
-"""The network's file: read once, hashed, and looked through before ONNX Runtime is given its bytes.
+"""The network's file: read once, hashed, and checked before ONNX Runtime is given its bytes.
 
-ONNX Runtime folds constants while it loads, so a file of 100 bytes can make it ask for a terabyte. What `lookback
-model import` writes needs few operators and holds every number that it speaks of; anything else is refused here.
+ONNX Runtime computes constants while it loads a model, and makes sparse weights dense even with all optimizations off,
+so a file of 200 bytes can fill the memory of the computer: the test
+`test_onnx_runtime_itself_fills_the_memory_for_a_small_file` shows both. What `lookback model import` writes needs few
+operators and no constants that are computed; anything else is refused here, before anything is allocated.
 The field numbers are those of onnx.proto (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
 """
 
@@ -33,10 +35,10 @@ _Value = int | memoryview
 
 
 class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network file says of itself, as JSON under the key `lookback` of ONNX's metadata_props.
+    """The description in a network file, as JSON under the key `lookback` of ONNX's metadata_props.
 
     tap: the layer whose output (after ReLU) the network gives; `categories` for a head.
-    dimensions: values a region. weights_sha256: the weights file that it was made from.
+    dimensions: values per region. weights_sha256: the weights file that it was made from.
     fc6_sha256: of a head, the network file whose fc6 it understands. sha256: the file itself, set on reading.
     """
 
@@ -59,7 +61,7 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class ModelFile:
-    """The bytes of a network file that passed the checks, and what it says of itself."""
+    """The bytes of a network file that passed the checks, and its description."""
 
     path: Path
     data: bytes
@@ -101,7 +103,7 @@ def _decode_info(path: Path, metadata: dict[str, bytes], sha256: str) -> ModelIn
 
 
 def _check_model(model: memoryview) -> dict[str, bytes]:
-    """Look through a ModelProto; returns its metadata_props."""
+    """Check a ModelProto; returns its metadata_props."""
     metadata: dict[str, bytes] = {}
     graphs = 0
     for field, value in _fields(model):
@@ -119,18 +121,24 @@ def _check_model(model: memoryview) -> dict[str, bytes]:
 
 
 def _check_graph(graph: memoryview) -> None:
+    constants: set[bytes] = set()
     for field, value in _fields(graph):
-        if field == 1:
-            _check_node(_message(value))
-        elif field == 5:
-            _check_tensor(_message(value))
+        if field == 5:
+            constants.add(_check_tensor(_message(value)))
         elif field == 15:
             raise ModelError("has sparse weights")
+    for field, value in _fields(graph):
+        if field == 1:
+            _check_node(_message(value), constants)
 
 
-def _check_node(node: memoryview) -> None:
+def _check_node(node: memoryview, constants: set[bytes]) -> None:
+    """Refuse what no network of this kind needs; `constants` are the tensors that do not depend on the image."""
+    operator, inputs, outputs = "", list[bytes](), list[bytes]()
     for field, value in _fields(node):
-        if field == 4:
+        if field in (1, 2):
+            (inputs if field == 1 else outputs).append(bytes(_message(value)))
+        elif field == 4:
             operator = bytes(_message(value)).decode()
             if operator not in OPERATORS:
                 raise ModelError(f"has the operator {operator[:40]!r}, which no network of this kind needs")
@@ -138,6 +146,10 @@ def _check_node(node: memoryview) -> None:
             _check_attribute(_message(value))
         elif field == 7 and len(_message(value)):
             raise ModelError(f"has an operator of the domain {bytes(_message(value))[:40].decode()!r}")
+    if inputs and inputs[0] in constants:
+        if operator != "DequantizeLinear":  # of weights: as many numbers come out as go in
+            raise ModelError(f"has the operator {operator!r} on constants alone")
+        constants.update(outputs)
 
 
 def _check_attribute(attribute: memoryview) -> None:
@@ -150,17 +162,20 @@ def _check_attribute(attribute: memoryview) -> None:
                 raise ModelError(f"has an operator with a number over {MAX_ATTRIBUTE}")
 
 
-def _check_tensor(tensor: memoryview) -> None:
-    """Every number of a tensor takes at least half a byte (int4) of the message that holds it."""
-    count = 1
+def _check_tensor(tensor: memoryview) -> bytes:
+    """Every number of a tensor takes at least half a byte (int4) of the message that holds it; returns its name."""
+    count, name = 1, b""
     for field, value in _fields(tensor):
-        if field == 1:
+        if field == 8:
+            name = bytes(_message(value))
+        elif field == 1:
             for size in [value] if isinstance(value, int) else _varints(value):
                 count *= size
         elif field == 13 or (field == 14 and value != 0):
             raise ModelError("keeps weights in another file")
     if count > 2 * len(tensor):
-        raise ModelError(f"speaks of {count} weights and holds {len(tensor)} bytes")
+        raise ModelError(f"claims {count} weights and holds {len(tensor)} bytes")
+    return name
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, _Value]]:

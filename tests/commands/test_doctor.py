@@ -154,7 +154,7 @@ def test_a_silent_port(write_config: Callable[..., Path], tmp_path: Path) -> Non
 def test_a_silent_network(write_config: Callable[..., Path], tmp_path: Path) -> None:
     config = write_config(telemetry={"connection": "udp:127.0.0.1:9"})
     found = told(list(examine(config, 0.1, dev=tmp_path / "dev")), "autopilot", "bad")
-    assert "no heartbeat in 0.1 s -> check that something sends MAVLink 2 there" in found
+    assert "no heartbeat in 0.1 s -> check that a program sends MAVLink 2 to this address" in found
 
 
 def test_devices_and_rights(tmp_path: Path) -> None:
@@ -163,8 +163,8 @@ def test_devices_and_rights(tmp_path: Path) -> None:
     (dev / "v4l/by-id/usb-cam-video-index0").touch()
     (dev / "v4l/by-id/usb-gone-video-index0").symlink_to(tmp_path / "unplugged")
     findings = list(examine(None, 0.0, dev))
-    assert "usb-cam-video-index0: there, and may be used" in told(findings, "camera", "good")
-    assert "usb-gone-video-index0: leads nowhere -> unplug" in told(findings, "camera", "note")
+    assert "usb-cam-video-index0: present and accessible" in told(findings, "camera", "good")
+    assert "usb-gone-video-index0: a link to a device that is gone -> unplug" in told(findings, "camera", "note")
 
 
 def test_a_wrong_config_is_a_finding_and_the_rest_is_still_looked_at(tmp_path: Path) -> None:
@@ -183,8 +183,8 @@ def test_a_recorded_feed_needs_no_camera(write_config: Callable[..., Path], tmp_
 def test_a_config_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "nowhere.toml"]) == 1
     printed = capsys.readouterr().out
-    assert "name the file that the daemon is run with" in printed
-    assert printed.endswith(" to put right before `lookback run` can do all of its work\n")
+    assert "name the config file of `lookback run`" in printed
+    assert printed.endswith(" to fix, marked BAD, before `lookback run` can do all of its work\n")
 
 
 def test_what_is_tried_again_is_not_logged_as_well(
@@ -204,4 +204,25 @@ def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytes
 
 def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     main(["doctor"])
-    assert "lookback doctor CONFIG; `lookback check --default > lookback.toml` makes one" in capsys.readouterr().out
+    assert "lookback doctor CONFIG; `lookback check --default > lookback.toml` writes one" in capsys.readouterr().out
+
+
+def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["check"])
+    assert ended.value.code == 2
+    assert "name a config file" in capsys.readouterr().err
+
+
+def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """The port and the camera of this config are not there, and only the links' own words are checked."""
+    config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
+    assert main(["check", str(config)]) == 0
+    kinds = {line[6:].split()[0] for line in capsys.readouterr().out.splitlines() if line[:4] in ("ok  ", "BAD ")}
+    assert kinds == {"config", "model", "map", "link"}
+
+
+def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
+    assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")
+    assert told(findings, "autopilot", "bad") == ""

@@ -140,7 +140,7 @@ def test_a_map_made_with_another_model_is_refused(
 NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib", "asyncio", "xmlrpc", "requests"}
 NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
 SPEAKS = {
-    "commands/doctor.py": {"serial"},  # which ports there are
+    "commands/doctor_computer.py": {"serial"},  # which ports there are
     "health/service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
     "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
     "telemetry/host_lookup.py": {"socket"},  # their names

@@ -1,0 +1,87 @@
+"""What `lookback doctor` and `lookback check` find in the files that a config names: model, maps and keys."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from edge.commands.diagnostic import Diagnostic, bad, good, note
+from edge.config import Config, LinkConfig, TelemetryConfig
+from edge.descriptor.network import Head, Network
+from edge.errors import LookbackError
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map.map_set import MapSet, open_map_set
+from edge.reference_map.signature import check_signatures
+from edge.reference_map.store import open_unverified
+from edge.telemetry.autopilot import open_port
+
+
+def check_model_and_map(config: Config) -> Iterator[Diagnostic]:
+    """Model and maps, each of them, and whether they fit each other and the config."""
+    try:
+        network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+        head = Head.load(network)
+        yield good("model", f"{network.info.name}: complete; two regions take {_describe_ms(network):.0f} ms here")
+    except LookbackError as error:
+        yield bad("model", str(error), 'set [descriptor] model = "" for the model that comes with lookback')
+        return
+    excluded: list[str] = []
+    try:
+        maps = open_map_set(Path(config.map.path), lambda name, why: excluded.append(why))
+        maps.check_every_file()
+        if config.map.require_signature_by:
+            check_signatures(maps, Path(config.map.require_signature_by))
+        PlaceRecognizer(network, head, maps, config)
+    except LookbackError as error:
+        yield bad("map", str(error), f"record a drive, then: lookback map build FEED -o {config.map.path}")
+        return
+    yield good("map", f"{config.map.path}: map of {maps}, all checksums hold")
+    for why in excluded:
+        yield note("map", f"{why}; excluded", "the others are used; build or copy this one again")
+    yield from _places(maps, config)
+
+
+def _places(maps: MapSet, config: Config) -> Iterator[Diagnostic]:
+    """How well the maps will serve, by their headers and places."""
+    places, length = maps.numbering.places, config.sequence.length
+    if places < 2 * length:
+        words = f"{places} places are too few for sequences of {length}"
+        yield bad("map", words, "record a longer drive, or lower [sequence] length")
+    used = [index for index in range(len(maps.headers)) if index not in maps.left_out]
+    otherwise = [index for index in used if maps.headers[index].sampling != config.sampling]
+    if otherwise:
+        words = f"{maps.spell(otherwise)}: not sampled as [sampling] says"
+        yield note("map", words, "set [sampling] to what `lookback map info` prints")
+    blank = [index for index in used if np.isnan(open_unverified(maps.folders[index])[0].places["lat_deg"]).any()]
+    if blank:
+        words = f"{maps.spell(blank)}: some places have no position"
+        yield note("map", words, "they can be recognized, but no position is sent for them")
+    large = [index for index in used if maps.headers[index].places > config.map.places_per_frame]
+    if large and maps.is_folder:
+        words = f"{maps.spell(large)}: so large that opening it between two frames takes long"
+        yield note("map", words, f"lookback map split MAP -o FOLDER --places {config.map.places_per_frame // 2}")
+
+
+def _describe_ms(network: Network) -> float:
+    size = network.info.input_size
+    images = np.zeros((2, size, size, 3), dtype=np.uint8)
+    network.describe(images)
+    started_s = time.perf_counter()
+    network.describe(images)
+    return (time.perf_counter() - started_s) * 1e3
+
+
+def check_links(config: TelemetryConfig) -> Iterator[Diagnostic]:
+    """The connection strings and signing keys of all links; no port is opened."""
+    links = (LinkConfig(config.connection, config.signing_key), *config.links)
+    try:
+        for number, link in enumerate(links):
+            open_port(config, link, number, time.monotonic_ns)
+    except LookbackError as error:
+        yield bad("link", str(error), "correct [telemetry]")
+        return
+    for link in links:
+        yield good("link", f"{link.connection}: a valid connection{', signed' if link.signing_key else ''}")
