@@ -24,8 +24,8 @@ from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.journal.journal import read_journal
 from sim import Pose
-from sim.autopilot import SimulatedAutopilot
-from sim.pty_link import open_pty
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
 
 EDGE = Path(edge.__file__).parent
 FRAMES, LENGTH = 80, 10
