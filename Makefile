@@ -3,15 +3,26 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test soak check lint smoke bench bench-quick clean
+PYTHON_OF_TESTS ?= $(BIN)/python
+SIDE_BY_SIDE := -n auto --dist worksteal --durations=10
+NOT_CORE := sim docs faults firmware_config hardware systemd
+
+.PHONY: demo test test-core soak check lint smoke bench bench-quick clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
+# The tests of edge/ alone, for a Python beside the one of .venv.
+test-core:
+	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(NOT_CORE:%=--ignore tests/%)
+
+# From a new seed each time, which is printed; LOOKBACK_SEED=... repeats a run.
+soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
+	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults
 
 check: lint test smoke
@@ -31,7 +42,7 @@ bench-quick: $(VENV)/.dev
 	$(BIN)/python -m sim.bench --quick
 
 clean:
-	rm -rf $(VENV) demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-3.* demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -24,6 +25,13 @@ from sim.model_tools.weights import CONVS, FC6_SHAPE, Weights
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Workers of `-n auto`: tests wait for processes and clocks more than they compute."""
+    return max(4, 2 * (os.cpu_count() or 1))
+
 
 SHARED = Path(__file__).parents[2] / "shared"
 

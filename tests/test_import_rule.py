@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +46,11 @@ DEBTS: set[tuple[str, str]] = {
     ("page.snapshot", "telemetry.autopilot"),
 }
 """Imports that the rule forbids and that are still there; none may be added, and what is gone must be struck out."""
+CIRCLE_DEBTS: set[tuple[str, str]] = {
+    ("edge.commands.completion", "edge.__main__"),
+    ("edge.reference_map.route", "edge.reference_map.map_set"),
+}
+"""Imports without which there would be no circle; none may be added, and what is gone must be struck out."""
 
 
 def imports(file: Path) -> set[str]:
@@ -129,3 +135,51 @@ def test_the_front_door_names_every_room() -> None:
     rooms = {file.stem for file in (ROOT / "edge").glob("*.py")} - {"__init__", "__main__"}
     rooms |= {folder.parent.name for folder in (ROOT / "edge").glob("*/__init__.py")}
     assert rooms <= words, f"edge/__init__.py does not say what {rooms - words} are for"
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Every module of edge and sim with those it names in an import, also for types alone or inside a function.
+
+    That Python imports `edge.camera` before `edge.camera.oak` is no import of ours, and is not counted.
+    """
+    files = [*(ROOT / "edge").rglob("*.py"), *(ROOT / "sim").rglob("*.py")]
+    return {module_name(file): {name for name in ours(file) if is_module(name)} for file in files}
+
+
+def module_name(file: Path) -> str:
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """A circle of imports, its first module again at its end; empty if there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
+def test_there_is_no_import_circle() -> None:
+    graph = import_graph()
+    assert len(graph) > 150
+    for importer, imported in CIRCLE_DEBTS:
+        assert imported in graph.get(importer, set()), f"strike out {importer} -> {imported}: it is gone"
+        graph[importer].remove(imported)
+    assert not circle(graph), " -> ".join(circle(graph))
+    for importer, imported in CIRCLE_DEBTS:
+        assert circle({**graph, importer: {*graph[importer], imported}}), f"strike out {importer} -> {imported}"
+
+
+def test_a_circle_is_found_wherever_it_hides(tmp_path: Path) -> None:
+    hidden = """
+from typing import TYPE_CHECKING
+import edge.daemon
+if TYPE_CHECKING:
+    from edge.config import Config
+def load():
+    from edge.page import server
+"""
+    (tmp_path / "module.py").write_text(hidden, encoding="utf-8")
+    assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "edge.page.server"}
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
+    assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []

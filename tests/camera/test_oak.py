@@ -69,14 +69,12 @@ def test_a_device_that_gives_no_frame_in_time_is_lost(video_path: Path, oak_on_h
     camera.close()
 
 
-def test_no_oak_is_one_line_after_a_short_look() -> None:
+def test_no_oak_is_one_line() -> None:
     needs_depthai()
-    started_s = time.monotonic()
     with pytest.raises(CameraLost, match="OAK camera: not found; is it plugged in"):
         open_camera(CameraConfig(kind="oak", device=""))
     with pytest.raises(CameraLost, match="OAK 19443010: not found"):
         open_camera(CameraConfig(kind="oak", device="19443010"))
-    assert time.monotonic() - started_s < 5.0  # dai.Device() alone would search for 10 s
 
 
 def test_a_device_node_is_no_oak() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import http.client
 import json
 import socket
@@ -25,7 +26,7 @@ from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, Mat
 
 PATIENCE_S = 0.5
 CUT_OFF_S = 20.0
-"""A machine that is busy takes its time; without a limit it would be never."""
+"""After this long the other side has not ended the connection; a busy machine takes its time."""
 THUMBNAIL = cv2.imencode(".jpg", np.full((9, 12, 3), 90, np.uint8))[1].tobytes()
 MAP = MapView(500, (((1.0, 2.0), (1.001, 2.0)), ()), lambda place: THUMBNAIL if place < 400 else b"")
 
@@ -92,7 +93,7 @@ def loop(page: StatusPage) -> Iterator[Loop]:
 
 
 def get(page: StatusPage, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, http.client.HTTPMessage]:
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=2 * CUT_OFF_S)
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=CUT_OFF_S)
     with closing(connection):
         connection.request(method, path, headers=headers)
         answer = connection.getresponse()
@@ -218,7 +219,7 @@ def test_it_is_read_only(page: StatusPage, method: str) -> None:
 
 
 def raw(page: StatusPage, data: bytes) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", page.port), timeout=2 * CUT_OFF_S)
+    connection = socket.create_connection(("127.0.0.1", page.port), timeout=CUT_OFF_S)
     connection.sendall(data)
     return connection
 
@@ -240,15 +241,11 @@ def test_a_head_without_end_is_cut_off(page: StatusPage) -> None:
         assert answer in (b"",) or answer.startswith(b"HTTP/1.1 4")
 
 
-def wait_for_end(connection: socket.socket) -> float:
-    """Seconds until the other side ends the connection."""
-    started_s = time.monotonic()
-    try:
+def wait_for_end(connection: socket.socket) -> None:
+    """Return when the other side ends the connection; TimeoutError if it does not."""
+    with contextlib.suppress(ConnectionResetError):
         while connection.recv(65536):
             pass
-    except ConnectionResetError:
-        pass
-    return time.monotonic() - started_s
 
 
 @pytest.mark.parametrize(
@@ -256,16 +253,15 @@ def wait_for_end(connection: socket.socket) -> float:
 )
 def test_a_slow_sender_is_cut_off(page: StatusPage, data: bytes) -> None:
     with closing(raw(page, data)) as connection:
-        assert wait_for_end(connection) < CUT_OFF_S
+        wait_for_end(connection)
 
 
 def test_who_trickles_bytes_is_cut_off_as_well(page: StatusPage) -> None:
     started_s = time.monotonic()
     with closing(raw(page, b"GET / HTTP/1.1\r\n")) as connection, pytest.raises(OSError):
-        while time.monotonic() - started_s < 2 * CUT_OFF_S:
+        while time.monotonic() - started_s < CUT_OFF_S:
             connection.sendall(b"X: a\r\n")
             time.sleep(0.05)
-    assert time.monotonic() - started_s < CUT_OFF_S
 
 
 def test_many_idle_connections_keep_nobody_out_for_long(page: StatusPage, loop: Loop) -> None:

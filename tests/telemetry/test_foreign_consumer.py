@@ -16,9 +16,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import mavsdk
 import pytest
 import tomli_w
+
+pytest.importorskip("mavsdk")
+
+import mavsdk
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 
 from edge.config import GatesConfig, TelemetryConfig

@@ -1,0 +1,174 @@
+"""How many files of edge/ a reader must open to follow one frame: counted by tracing the daemon on a small map."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+import edge
+from edge.camera import Frame
+from edge.camera.newest import CameraHealth
+from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig, PageConfig, SamplingConfig, SequenceConfig
+from edge.config import TelemetryConfig as Telemetry
+from edge.daemon import Daemon
+from edge.descriptor.network import Network
+from edge.feed import FeedImages, read_feed
+from edge.journal.journal import read_journal
+from sim import Pose
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
+
+EDGE = Path(edge.__file__).parent
+FRAMES, LENGTH = 80, 10
+PERIOD_NS, STEP_NS = 200_000_000, 20_000_000
+FRAME_FUNCTIONS = (Daemon._use, Daemon._tell_position)
+"""What a frame goes through once the camera has handed it over: to its match, its position and the journal.
+
+The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
+autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
+"""
+USED_FRAME_FILES_MOST = 27
+"""A file counts once, if any function of it is called. To become 25."""
+TURN_FILES_MOST = 45
+
+
+class ScriptedFrames:
+    """A camera that gives the frame that the test has put there."""
+
+    def __init__(self) -> None:
+        self.next: Frame | None = None
+        self.health = CameraHealth("running", "", 0)
+        self.ended = False
+
+    def take(self, timeout_s: float) -> Frame | None:
+        frame, self.next = self.next, None
+        return frame
+
+    def close(self) -> None:
+        self.ended = True
+
+
+class Drive:
+    """A daemon on a map of 80 places, and its autopilot at the other end of a pty; the test moves all time."""
+
+    def __init__(self, street: Path, folder: Path, network: Network, parts: ExitStack) -> None:
+        self.now_ns = 10**12
+        self.frames = ScriptedFrames()
+        link = open_pty()
+        parts.callback(link.close)
+        self.autopilot = SimulatedAutopilot(link, self._pose, self.clock_ns, gps=False)
+        self.journal = folder / "journal.jsonl"
+        config = Config(
+            sampling=SamplingConfig(by="frames"),
+            map=MapConfig(path=str(street / "map")),
+            sequence=SequenceConfig(length=LENGTH),
+            acceptance=AcceptanceConfig(uniqueness_min=1.02, window_m=10.0, hold_off_s=0.0),
+            gates=GatesConfig(far_matches=3, confirm_m=0.0),
+            telemetry=Telemetry(
+                connection=f"serial:{link.device}:921600", emit="external_position", journal=str(self.journal)
+            ),
+            page=PageConfig(port=0),
+        )
+        config = replace(config, telemetry=replace(config.telemetry, journal_frames=True))
+        self.daemon = Daemon(config, parts, self.clock_ns, frames=self.frames, network=network)
+
+    def clock_ns(self) -> int:
+        return self.now_ns
+
+    def _pose(self, time_s: float) -> Pose:
+        driven_m = 10.0 * (time_s - 1000.0)
+        return Pose(0.0, driven_m, 0.0, 10.0, driven_m)
+
+    def wait(self) -> None:
+        """Turns without a frame until the next is due."""
+        for _ in range(PERIOD_NS // STEP_NS - 1):
+            self.now_ns += STEP_NS
+            self.autopilot.step()
+            self.daemon.turn()
+
+    def journaled(self) -> Counter[str]:
+        """How many records of each kind the journal has."""
+        return Counter(record["event"] for record in read_journal(self.journal))
+
+    def show(self, image: NDArray[np.uint8], index: int) -> None:
+        """Put a frame before the camera; the next turn uses it."""
+        self.now_ns += STEP_NS
+        self.autopilot.step()
+        self.frames.next = Frame(image, self.now_ns, index)
+
+
+class Files:
+    """Counts calls into each file of edge/ while it profiles: on the path of the frame, and in all."""
+
+    def __init__(self) -> None:
+        self.turn: Counter[str] = Counter()
+        self.used_frame: Counter[str] = Counter()
+        self._carriers = {function.__code__ for function in FRAME_FUNCTIONS}
+        self._on_path = self._in_telemetry = 0
+
+    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+        if event not in ("call", "return") or not frame.f_code.co_filename.startswith(str(EDGE)):
+            return
+        name = str(Path(frame.f_code.co_filename).relative_to(EDGE))
+        step = 1 if event == "call" else -1
+        self._on_path += step * (frame.f_code in self._carriers)
+        if event == "call":
+            self.turn[name] += 1
+            if self._on_path and not self._in_telemetry:
+                self.used_frame[name] += 1
+        self._in_telemetry += step * name.startswith("telemetry/")
+
+
+def profiled(turn: Callable[[], object]) -> Files:
+    files = Files()
+    before = sys.getprofile()
+    sys.setprofile(files)
+    try:
+        turn()
+    finally:
+        sys.setprofile(before)
+    return files
+
+
+@pytest.fixture(scope="module")
+def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory: pytest.TempPathFactory) -> Files:
+    """The files of the first turn that has it all: a frame is used, a place reported, and a position sent."""
+    street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
+    images = FeedImages(read_feed(street / "feed"))
+    with ExitStack() as parts:
+        drive = Drive(street, tmp_path_factory.mktemp("drive"), network, parts)
+        for index in range(FRAMES):
+            # Not quite the map's own picture, or the network that remembers it would have nothing to do.
+            drive.show(images.read(index) ^ 1, index)
+            before = drive.journaled()
+            files = profiled(drive.daemon.turn)
+            if drive.journaled() - before >= Counter(("frame", "place", "fix_sent")):
+                return files
+            drive.wait()
+    pytest.fail("no turn used a frame, reported its place and sent a position")
+
+
+def report(what: str, files: Counter[str]) -> str:
+    lines = [f"    {name:40} {calls:5}" for name, calls in sorted(files.items())]
+    return "\n".join([f"{what}: {len(files)} files", *lines])
+
+
+def test_one_used_frame_visits_few_files(visited: Files) -> None:
+    print(report("from the frame to its match, its position and the journal", visited.used_frame))
+    assert {"recognizer.py", "descriptor/network.py", "journal/journal.py"} <= set(visited.used_frame)
+    assert len(visited.used_frame) <= USED_FRAME_FILES_MOST
+
+
+def test_a_whole_turn_visits_few_files(visited: Files) -> None:
+    print(report("a turn of the daemon's loop with a used frame", visited.turn))
+    assert set(visited.used_frame) < set(visited.turn)
+    assert len(visited.turn) <= TURN_FILES_MOST
