@@ -6,7 +6,7 @@ A frame goes through these rooms in this order, and none calls back; each hands 
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
     descriptor/     -> (R, D) float32   fc6 of R regions, D = 4096, raw and normalized (NSD)
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
-    sequence/       -> SequenceMatch    the best line through the last L cost rows, accepted or off the map
+    sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, a JSON object a line
@@ -19,6 +19,7 @@ The files beside them:
     recognizer      one frame in, one answer out: the file to read first
     daemon          opens the parts that the config names, and runs the loop
     config          the one TOML file
+    geodesy         degrees to local meters and back
     warm_start      what is kept from one run to the next
     errors          everything that can go wrong, in three kinds
     geodesy         degrees and local meters

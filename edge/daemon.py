@@ -10,7 +10,7 @@ import argparse
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Protocol
@@ -20,7 +20,7 @@ import msgspec
 from edge.camera import Frame
 from edge.camera.newest import CameraHealth, NewestFrame
 from edge.config import Config, load_config, naming
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed.recorder import Recorder, run_folder
 from edge.feed.sampling import Sampler
 from edge.health.monitor import HealthMonitor
@@ -28,12 +28,12 @@ from edge.health.service import Supervision, notify, when_told_to_stop
 from edge.health.stage_times import StageTimes
 from edge.journal.frame_record import observation
 from edge.journal.journal import Journal
-from edge.localization.place_fix import place_fix, tracked_fix
+from edge.localization.place_fix import place_fix, position_of, tracked_fix
 from edge.localization.route_tracker import RouteTracker
-from edge.page.snapshot import LiveStatus, open_page
-from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.reference_map.map_set import log_left_out, open_map_set
-from edge.reference_map.signature import check_signatures
+from edge.page.snapshot import LiveStatus, map_view, open_page
+from edge.recognizer import open_recognizer
+from edge.reference_map import ExcludedMap, MapSet, Position, Route
+from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
@@ -54,7 +54,7 @@ class Stopped(msgspec.Struct, frozen=True, tag_field="event", tag="stopped"):
     camera: dict[str, int]
 
 
-class MapLeftOut(msgspec.Struct, frozen=True, tag_field="event", tag="map_left_out"):
+class MapExcluded(msgspec.Struct, frozen=True, tag_field="event", tag="map_excluded"):
     """A map of the folder that cannot be used, and why; the others are."""
 
     map: str
@@ -107,6 +107,7 @@ class Daemon:
         self._times = StageTimes()
         self._record: Callable[[msgspec.Struct], object] = lambda record: None
         self._journal: Journal | None = None
+        self._newest: PlaceMatch | None = None
         if config.telemetry.journal:
             self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
             self._record = self._journal.write
@@ -120,22 +121,21 @@ class Daemon:
 
     def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
         config = self._config
-        network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        self._atlas = parts.enter_context(closing(open_map_set(Path(config.map.path), self._tell_left_out)))
-        if config.map.require_signature_by:
-            check_signatures(self._atlas, Path(config.map.require_signature_by))
-        self._recognizer = PlaceRecognizer(network, Head.load(network), self._atlas, config, self._times.lap)
+        self._recognizer = open_recognizer(config, network=network, stopwatch=self._times.lap)
+        maps = self._recognizer.map_set
+        for excluded in maps.excluded:
+            self._tell_excluded(excluded)
+        self._checksums = maps.checksum_schedule()
         self._memory = WarmStart(config, self._recognizer)
         self._sampler = Sampler(config.sampling)
-        self._tracker = RouteTracker(self._recognizer.route, config.tracking, config.rig, config.sequence.length)
-        self._newest: PlaceMatch | None = None
+        self._follow(maps)
         self._own_camera: NewestFrame | None = None
         if frames is None:
             frames = self._own_camera = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
         self._camera: Frames = parts.enter_context(closing(frames))
         self._watch = LiveStatus(
             config,
-            network.info.name,
+            self._recognizer.model_name,
             self._recognizer,
             self._times,
             lambda: self._camera.health,
@@ -143,7 +143,7 @@ class Daemon:
             self._journal,
             self._clock_ns,
         )
-        self._page = open_page(config.page, self._atlas)
+        self._page = open_page(config.page, maps)
         if self._page is not None:
             parts.enter_context(closing(self._page))
         self._recorder: Recorder | None = None
@@ -164,7 +164,7 @@ class Daemon:
             if self._sampler.is_place(frame.stamp_ns, distance_m):
                 self._use(frame, distance_m)
         else:
-            self._recognizer.verify(CHECK_BYTES)
+            self._check_maps(self._recognizer.matcher.search.folders_in_use)
         hang = self._own_camera.hang(self._clock_ns()) if self._own_camera else ""
         if self.condition.update(self._recognizer.state, self._camera.health, hang):
             self._forget()
@@ -177,7 +177,7 @@ class Daemon:
 
     def _forget(self) -> None:
         """Nothing is told that rests on what was seen before a blindness."""
-        self._recognizer.forget_recent()
+        self._recognizer.reset()
         self._tracker.forget()
         self._newest = None
 
@@ -194,17 +194,19 @@ class Daemon:
         if match is not None and match.accepted and not self._is_whole(match):
             match = None
         self._tracker.see(match, frame.stamp_ns, distance_m, missed)
-        self._watch.note(frame, match)
+        position = position_of(match, self._route, self._config.rig) if match is not None else None
+        self._watch.note(frame, match, position)
         if self._recorder is not None:
             self._recorder.record(frame, self._autopilot.vehicle.position(began_ns), distance_m)
         if self._journal and self._config.telemetry.journal_frames:
-            seen = observation(frame.index, frame.stamp_ns, match, self._atlas, missed)
+            map_row = int(self._recognizer.map_set.places["row"][match.place_index]) if match is not None else None
+            seen = observation(frame.index, frame.stamp_ns, match, position, map_row, missed)
             self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
         if match is not None and match.accepted:
             self._newest = match
             if match.event:
                 self._events += 1
-                self._tell_place(match, frame.stamp_ns)
+                self._tell_place(match, frame.stamp_ns, position)
         self._times.lap("telemetry")
         now_ns = self._clock_ns()
         self.condition.used((now_ns - began_ns) / 1e9)
@@ -220,23 +222,45 @@ class Daemon:
         return Near(position.lat_deg, position.lon_deg, radius_m)
 
     def _is_whole(self, match: PlaceMatch) -> bool:
-        """Nothing is told of a map before every checksum has been seen to hold; False if one had to be left out."""
-        before = len(self._atlas.left_out)
-        while not self._recognizer.verify(CHECK_BYTES, match):
+        """Nothing is told of a map before every checksum of it holds; False if one had to be excluded."""
+        behind = self._recognizer.map_set.folders_behind(match.place_index, self._config.sequence.length)
+        while not self._checksums.is_verified(behind):
+            if not self._check_maps(behind):
+                return False
             self._tell_manager()
-        return len(self._atlas.left_out) == before
+        return True
 
-    def _tell_left_out(self, name: str, why: str) -> None:
-        log_left_out(name, why)
-        self._record(MapLeftOut(name, why))
+    def _check_maps(self, first: Sequence[Path]) -> bool:
+        """Check a further piece of the maps, some of them first; False if one is damaged, and excluded from now on."""
+        damage = self._checksums.step(CHECK_BYTES, first)
+        if damage is None:
+            return True
+        maps = self._recognizer.map_set.without({damage.path: damage.why})
+        self._tell_excluded(maps.excluded[-1])
+        self._recognizer.use_maps(maps)
+        self._follow(maps)
+        if self._page is not None:
+            self._page.show_map(map_view(maps))
+        return False
 
-    def _tell_place(self, match: PlaceMatch, stamp_ns: int) -> None:
+    def _follow(self, maps: MapSet) -> None:
+        """Follow the vehicle along the drives of these maps from now on."""
+        config = self._config
+        self._route = Route(maps)
+        self._tracker = RouteTracker(self._route, config.tracking, config.rig, config.sequence.length)
+        self._newest = None
+
+    def _tell_excluded(self, excluded: ExcludedMap) -> None:
+        excluded.log()
+        self._record(MapExcluded(excluded.name, excluded.why))
+
+    def _tell_place(self, match: PlaceMatch, stamp_ns: int, position: Position | None) -> None:
         """An event, for people and the journal: with the tracked position, or with the place's own."""
         tracked = self._tracker.at_exposure()
         if tracked is not None and tracked.stamp_ns == stamp_ns:
-            fix = tracked_fix(match, tracked, self._atlas)
+            fix = tracked_fix(match, tracked, self._recognizer.map_set)
         else:
-            fix = place_fix(match, stamp_ns, self._config.rig, self._atlas)
+            fix = place_fix(match, stamp_ns, position, self._config.rig)
         self._record(fix)
         self._autopilot.tell_place(fix)
 
@@ -251,7 +275,7 @@ class Daemon:
             now_ns = self._clock_ns()
             tracked = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
         if tracked is not None:
-            self._autopilot.send_position(tracked_fix(self._newest, tracked, self._atlas))
+            self._autopilot.send_position(tracked_fix(self._newest, tracked, self._recognizer.map_set))
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""

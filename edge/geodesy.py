@@ -47,9 +47,9 @@ def east_north(
     return np.column_stack([east, north])
 
 
-def east_north_of(lat_deg: float, lon_deg: float, origin: Origin) -> tuple[float, float]:
-    """Meters east and north of an origin, of one position."""
-    east_m, north_m, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin, 0.0)
+def east_north_of(lat_deg: float, lon_deg: float, origin: Origin, alt_m: float = 0.0) -> tuple[float, float]:
+    """Meters east and north of an origin, of one position; both at the same altitude."""
+    east_m, north_m, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, alt_m, *origin, alt_m)
     return float(east_m), float(north_m)
 
 

@@ -1,12 +1,20 @@
-"""The place recogniser: one frame in, one answer out. No camera, no link, no clock; `replay` and `run` share it.
+"""The place recognizer: one frame in, one answer out. No camera, no link, no file, no clock.
 
-image -> regions -> fc6 -> online NSD -> cost row -> ring, lines -> uniqueness -> PlaceMatch
+image -> regions -> fc6 -> SequenceMatcher: online NSD -> cost row -> lines through the last L rows -> uniqueness
+
+    recognizer = open_recognizer(load_config(path))
+    match = recognizer.observe(image, stamp_ns)
+
+The same `SequenceMatcher` works on descriptors that were made before, without a network and without images:
+
+    matcher = SequenceMatcher(map_set, config)
+    matches = [matcher.push(raw) for raw in descriptors]  # each raw is (R, D) float32
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,98 +25,115 @@ from edge.config import Config
 from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
-from edge.errors import MapError
-from edge.reference_map.costs import COST_ONE
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.route import Route
-from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
-from edge.sequence import Direction, Order, SequenceMatch
+from edge.reference_map import MapSet, ModelKey, open_map_set
+from edge.sequence import PlaceMatch
 from edge.sequence.acceptance import HoldOff
 from edge.sequence.place_search import Near, PlaceSearch
 
 MOST_MISSED = 0.5
-"""Of a sequence: beyond, what was seen before says too little of where the vehicle is."""
+"""Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
 
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
+Stopwatch = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class PlaceMatch:
-    """What one used frame says.
-
-    place: row of the map that looks most like here, even where it is not believed; in a folder of maps, counted
-    through all of them (`MapSet.locate`).
-    lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
-    slope: places passed a frame. distance: mean cosine distance along the line.
-    uniqueness: 1 is ambiguous, see `edge.sequence`.
-    accepted: the place is believed; False is the answer "off the map". event: accepted, and not held off.
-    category: what kind of place the frame shows, told for events only.
-    beyond, width: places by which the line ends beyond `place`, and half of how many are nearly as good.
-    """
-
-    place: int
-    lat_deg: float | None
-    lon_deg: float | None
-    heading_deg: float | None
-    direction: Direction
-    order: Order
-    slope: float
-    distance: float
-    uniqueness: float
-    accepted: bool
-    event: bool
-    category: str | None
-    beyond: float = 0.0
-    width: float = 0.5
+def no_stopwatch(stage: str) -> None:
+    """Measure nothing."""
 
 
-class PlaceRecognizer:
-    """Recognises the places of a reference map, or of a folder of maps, frame by frame."""
+class SequenceMatcher:
+    """Raw descriptors in, matches out: online normalization, costs, sequence search, and acceptance."""
 
-    def __init__(
-        self,
-        network: Network,
-        head: Head,
-        maps: ReferenceMap | MapSet,
-        config: Config,
-        stopwatch: Callable[[str], None] = lambda stage: None,
-    ) -> None:
-        """`stopwatch(stage)` is called after each stage of a frame.
-
-        Maps that do not fit the config are left out; MapError if none does.
-        """
-        self.atlas = maps if isinstance(maps, MapSet) else MapSet.of(maps)
-        for index, (folder, header) in enumerate(zip(self.atlas.folders, self.atlas.headers, strict=True)):
-            try:
-                _check_fit(model_key(network), folder, header, config)
-            except MapError as error:
-                self.atlas.leave_out(index, error)
-        self._network = network
-        self._head = head
+    def __init__(self, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
+        """`stopwatch(stage)` is called after each stage of a frame."""
         self._config = config
         self._stopwatch = stopwatch
-        self.route = Route(self.atlas)
-        self.places = PlaceSearch(self.atlas, config, stopwatch)
-        self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._normalizer = OnlineNormalizer(
             config.sequence.length,
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
+        self.use_maps(map_set)
+
+    def use_maps(self, map_set: MapSet) -> None:
+        """Search these maps from now on, beginning a new sequence; the normalization's statistics stay."""
+        self.map_set = map_set
+        self.search = PlaceSearch(map_set, self._config, self._stopwatch)
+        self._normalizer.clear_ring()
+
+    def push(self, raw: NDArray[np.float32], near: Near | None = None, missed: int = 0) -> PlaceMatch | None:
+        """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
+
+        near: where the vehicle may be, which only maps too large to be searched whole make use of. missed: places that
+        were passed since the last frame without one.
+        """
+        self._skip(missed)
+        change = self._normalizer.push(raw)
+        self._stopwatch("normalization")
+        match = self.search.push(change, self._normalizer.rows, near)
+        self._stopwatch("search")
+        return match
+
+    def reset(self) -> None:
+        """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
+        self._normalizer.clear_ring()
+        self.search.clear()
+
+    @property
+    def is_scanning(self) -> bool:
+        """Whether there are enough frames for a sequence, and it is not known yet which part of the map to search."""
+        return self.search.part is None and self._normalizer.is_full
+
+    @property
+    def statistics(self) -> RunningStatistics | None:
+        """Of all raw descriptors so far; None before the first, and where nothing is normalized."""
+        return self._normalizer.statistics
+
+    def begin_with(self, statistics: RunningStatistics) -> None:
+        """Start with an earlier run's statistics, of this network and these regions."""
+        self._normalizer.begin_with(statistics)
+
+    def _skip(self, missed: int) -> None:
+        """Leave room in the ring for places of which there is no frame, or every line would end too far back."""
+        if missed > MOST_MISSED * self._config.sequence.length:
+            self.reset()
+            return
+        for _ in range(missed):
+            if self._normalizer.skip():
+                self.search.skip()
+
+
+class PlaceRecognizer:
+    """Recognizes the places of a reference map, or of a folder of maps, frame by frame; see `open_recognizer`."""
+
+    def __init__(
+        self, network: Network, head: Head, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch
+    ) -> None:
+        """network, map_set: that fit each other and the config."""
+        self._network = network
+        self._head = head
+        self.config = config
+        self._stopwatch = stopwatch
+        self.matcher = SequenceMatcher(map_set, config, stopwatch)
+        self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._last_raw: NDArray[np.float32] | None = None
         self._last_ns: int | None = None
         self.state: State = "warming up"
 
+    @property
+    def map_set(self) -> MapSet:
+        """The maps that are searched."""
+        return self.matcher.map_set
+
     def observe(
         self, image: NDArray[np.uint8], stamp_ns: int, near: Near | None = None, missed: int = 0
     ) -> PlaceMatch | None:
-        """Take in one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
+        """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
-        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near: where the
-        autopilot says that the vehicle is; only maps too large to be searched whole make use of it. missed: places that
-        were passed since the last frame without one (`Sampler.missed`).
+        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed:
+        see `SequenceMatcher.push`.
         """
-        descriptor = self._config.descriptor
+        descriptor = self.config.descriptor
         regions = cut_regions(image, descriptor.regions, descriptor.region_width)
         self._stopwatch("regions")
         raw = self._network.describe(regions)
@@ -116,125 +141,70 @@ class PlaceRecognizer:
         if self._stands_still(raw):
             self.state = "standing"
             return None
-        self._forget_across_gap(stamp_ns)
-        self._skip(missed)
-        normalized = self._normalizer.push(raw)
-        self._stopwatch("normalization")
-        match = self.places.push(normalized, self._normalizer.rows, near)
-        self._stopwatch("search")
+        self._reset_after_gap(stamp_ns)
+        match = self.matcher.push(raw, near, missed)
         if match is None:
-            self.state = "searching" if self.places.part is None and self._normalizer.is_full else "warming up"
+            self.state = "searching" if self.matcher.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
-        return self._report(match, raw, stamp_ns)
-
-    def verify(self, max_bytes: int, match: PlaceMatch | None = None) -> bool:
-        """Check that much more of the maps that are searched now; True when they have been seen to be whole.
-
-        With a match, of the map that it lies in, and of the tiles that its line may have come from: nothing may be told
-        of the match before, nor if a map was left out meanwhile because it is damaged. MapError if that is the only
-        one, or was the last.
-        """
-        if match is None:
-            return self.atlas.verify(max_bytes)
-        numbering = self.atlas.numbering
-        line = numbering.widened([(match.place, match.place + 1)], self._config.sequence.length)
-        return self.atlas.verify(max_bytes, numbering.maps_of(line))
+        if not (match.accepted and self._hold_off.passes(stamp_ns)):
+            return match
+        return replace(match, event=True, category=self._head.categories(raw)[0])
 
     @property
-    def statistics(self) -> RunningStatistics | None:
-        """Of all raw descriptors so far; None before the first, and where nothing is normalised."""
-        return self._normalizer.statistics
+    def model_name(self) -> str:
+        """Name of the network."""
+        return self._network.info.name
 
-    def begin_with(self, statistics: RunningStatistics) -> None:
-        """Start with an earlier run's statistics, of this network and this cut."""
-        self._normalizer.begin_with(statistics)
+    def use_maps(self, map_set: MapSet) -> None:
+        """Search these maps from now on (after one was excluded), beginning a new sequence."""
+        self.matcher.use_maps(map_set)
+        self.reset()
 
-    def forget_recent(self) -> None:
+    def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
-        self._normalizer.clear_ring()
-        self.places.clear()
+        self.matcher.reset()
         self._last_raw = self._last_ns = None
         self.state = "warming up"
 
     def _stands_still(self, raw: NDArray[np.float32]) -> bool:
-        """Whether this frame shows what the last used one did: normalised, it would be all zero, or mere noise."""
+        """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""
         last = self._last_raw
         if last is not None:
             cosine = np.vdot(raw, last) / max(float(np.linalg.norm(raw) * np.linalg.norm(last)), 1e-12)
-            if 1.0 - cosine <= self._config.descriptor.standing_change:
+            if 1.0 - cosine <= self.config.descriptor.standing_change:
                 return True
         self._last_raw = raw
         return False
 
-    def _forget_across_gap(self, stamp_ns: int) -> None:
+    def _reset_after_gap(self, stamp_ns: int) -> None:
         """A line needs frames that follow each other: start a new one after a gap, or when time went back."""
-        if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self._config.sequence.max_gap_s * 1e9:
-            self._normalizer.clear_ring()
-            self.places.clear()
+        if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self.config.sequence.max_gap_s * 1e9:
+            self.matcher.reset()
         self._last_ns = stamp_ns
 
-    def _skip(self, missed: int) -> None:
-        """Leave room in the ring for places of which there is no frame, or every line would end too far back."""
-        if missed > MOST_MISSED * self._config.sequence.length:
-            self._normalizer.clear_ring()
-            self.places.clear()
-            return
-        for _ in range(missed):
-            if self._normalizer.skip():
-                self.places.skip()
 
-    def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
-        forward = match.direction == "forward"
-        ahead_m = self._config.rig.ahead_m(match.direction, match.order)
-        # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
-        position = self.route.position(match.place, -ahead_m if forward else ahead_m)
-        event = match.accepted and self._hold_off.passes(stamp_ns)
-        return PlaceMatch(
-            place=match.place,
-            lat_deg=position.lat_deg if position else None,
-            lon_deg=position.lon_deg if position else None,
-            heading_deg=(position.heading_deg + (0 if forward else 180)) % 360 if position else None,
-            direction=match.direction,
-            order=match.order,
-            slope=match.slope,
-            distance=match.cost / COST_ONE,
-            uniqueness=match.uniqueness,
-            accepted=match.accepted,
-            event=event,
-            category=self._head.categories(raw)[0] if event else None,
-            beyond=match.beyond,
-            width=match.width,
-        )
+def open_recognizer(
+    config: Config,
+    *,
+    network: Network | None = None,
+    map_set: MapSet | None = None,
+    stopwatch: Stopwatch = no_stopwatch,
+) -> PlaceRecognizer:
+    """Open the model and the maps that the config names. SetupError names what cannot be used.
+
+    network, map_set: instead of those. Maps that do not fit the network and the config are excluded with their reason
+    in `PlaceRecognizer.map_set.excluded`; MapError if none fits.
+    """
+    network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+    if map_set is None:
+        key = config.map.require_signature_by
+        map_set = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None)
+    map_set = map_set.fitting(model_key(network), config.descriptor)
+    return PlaceRecognizer(network, Head.load(network), map_set, config, stopwatch)
 
 
 def model_key(network: Network) -> ModelKey:
     """What a map keeps of the network that described it."""
     info = network.info
     return ModelKey(info.name, info.sha256, info.tap, info.dimensions)
-
-
-def _check_fit(model: ModelKey, path: Path, header: MapHeader, config: Config) -> None:
-    """Refuse a map whose descriptors this network and this cut cannot be compared with."""
-    wanted = config.descriptor
-    if header.model.sha256 != model.sha256 or header.model.tap != model.tap:
-        raise MapError(
-            f"{path}: made with model {_spell_model(header.model)}, but the model here is"
-            f" {_spell_model(model)}; build the map again with this one"
-        )
-    normalized = "set" if wanted.normalization == "online" else "none"
-    ours = (wanted.regions, wanted.region_width if wanted.regions == "left-right" else header.regions.width, normalized)
-    theirs = (header.regions.kind, header.regions.width, header.regions.normalization)
-    if ours != theirs:
-        raise MapError(
-            f"{path}: made with regions {_spell_regions(*theirs)},"
-            f" but [descriptor] asks for {_spell_regions(*ours)}; change the one or build the map again"
-        )
-
-
-def _spell_model(model: ModelKey) -> str:
-    return f"{model.name} ({model.sha256[:12]}, {model.tap})"
-
-
-def _spell_regions(kind: str, width: float, normalization: str) -> str:
-    return f"{kind} of width {width:g}, normalization {normalization}"

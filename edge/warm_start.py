@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from edge.atomic_file import replacing
 from edge.config import Config
 from edge.descriptor.normalize import RunningStatistics
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.recognizer import PlaceRecognizer
+from edge.sequence import PlaceMatch
 
 FORMAT, VERSION = "lookback-state", 1
 MAX_HEADER_BYTES = 4096
@@ -153,17 +154,17 @@ class WarmStart:
         self._recognizer = recognizer
         self._file: StateFile | None = None
         self._written_ns = 0
-        descriptor, header, maps_sha256 = config.descriptor, recognizer.atlas.headers[0], recognizer.atlas.sha256
-        model = header.model
+        map_set = recognizer.map_set
+        descriptor, header, model = config.descriptor, map_set.headers[0], map_set.headers[0].model
         minutes = descriptor.keep_statistics_min
         if not (minutes and config.telemetry.journal and descriptor.normalization == "online"):
             return
-        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, maps_sha256)
+        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, map_set.sha256)
         path = Path(config.telemetry.journal).with_suffix(".state")
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
         kept = self._file.read(Moment.now(), 60 * minutes)
         if kept is not None:
-            recognizer.begin_with(
+            recognizer.matcher.begin_with(
                 RunningStatistics.of_another_run(kept.count, kept.mean, kept.deviation, at_most=COUNTS_AS_MOST)
             )
             log.info("starting with the statistics of a run that was here %.0f s ago, %s", kept.age_s, _spell(kept))
@@ -177,10 +178,10 @@ class WarmStart:
 
     def keep(self, state: str, newest: PlaceMatch | None) -> None:
         """Write the file, unless there are too few frames to be worth it."""
-        statistics = self._recognizer.statistics
+        statistics = self._recognizer.matcher.statistics
         if self._file is None or statistics is None or statistics.count < FEWEST:
             return
-        place = None if newest is None else newest.place
+        place = None if newest is None else newest.place_index
         self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, state, place), Moment.now())
 
 

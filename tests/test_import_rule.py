@@ -17,21 +17,6 @@ Feeds come first, since one of the cameras plays a feed.
 SHARED_TOOLS = ("errors", "config", "geodesy", "atomic_file", "backoff", "toml_file", "journal")
 """Below everything."""
 DEBTS: set[tuple[str, str]] = {
-    ("sequence.global_search", "reference_map.map_set"),
-    ("sequence.global_search", "reference_map.spatial_index"),
-    ("sequence.place_search", "descriptor.normalize"),
-    ("sequence.place_search", "reference_map.map_set"),
-    ("sequence.place_search", "reference_map.spatial_index"),
-    ("sequence.submap", "reference_map.costs"),
-    ("sequence.submap", "reference_map.map_set"),
-    ("sequence.submap", "reference_map.spatial_index"),
-    ("localization.line_refinement", "recognizer"),
-    ("localization.line_refinement", "reference_map.route"),
-    ("localization.place_fix", "localization.route_tracker"),
-    ("localization.place_fix", "recognizer"),
-    ("localization.place_fix", "reference_map.map_set"),
-    ("localization.route_tracker", "recognizer"),
-    ("localization.route_tracker", "reference_map.route"),
     ("telemetry.position_sender", "localization.fix_consistency"),
     ("telemetry.position_sender", "localization.integrity"),
     ("health.monitor", "camera.frozen_picture"),
@@ -40,9 +25,6 @@ DEBTS: set[tuple[str, str]] = {
     ("page.snapshot", "camera.newest"),
     ("page.snapshot", "health.stage_times"),
     ("page.snapshot", "recognizer"),
-    ("page.snapshot", "reference_map.costs"),
-    ("page.snapshot", "reference_map.extent"),
-    ("page.snapshot", "reference_map.map_set"),
     ("page.snapshot", "telemetry.autopilot"),
 }
 """Imports that the rule forbids and that are still there; none may be added, and what is gone must be struck out."""

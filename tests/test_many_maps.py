@@ -14,14 +14,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
-from edge.descriptor.normalize import NormalizedRows, normalize
+from edge.descriptor import NormalizedRows
+from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import SPARE, MapSet, open_map_set
 from edge.reference_map.route import Route
 from edge.reference_map.store import DESCRIPTORS, PLACES, ModelKey, RegionsKey, open_map
 from edge.reference_map.tiles import split_map
-from edge.sequence import SequenceMatch
+from edge.sequence import PlaceMatch
 from edge.sequence.place_search import MOST_MAPS, OPENED_A_FRAME, Near, PlaceSearch
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
@@ -99,14 +100,14 @@ class Drive:
         self._ring: list[np.ndarray] = []
         self.most_open = 0
 
-    def see(self, place: int, near: Near | None = None) -> SequenceMatch | None:
+    def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
         match = self.search.push(change, lambda: np.stack(self._ring), near)
         self.most_open = max(self.most_open, self.atlas.open_count)
         return match
 
-    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[SequenceMatch | None]:
+    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
         return [self.see(place, near(place)) for place in places]
 
 

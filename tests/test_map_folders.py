@@ -20,13 +20,13 @@ from edge.camera.newest import CameraHealth
 from edge.commands.doctor import examine
 from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.feed.traverse import traverse
 from edge.health.stage_times import StageTimes
 from edge.journal.journal import read_journal
 from edge.page.snapshot import LiveStatus, map_view
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import open_map_set
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
@@ -115,7 +115,7 @@ def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     feed = read_feed(street / "last")
 
     def told(path: Path) -> list[str]:
-        recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(path), config)
+        recognizer = open_recognizer(config, network=network, map_set=open_map_set(path))
         lines = replay(recognizer, feed, SamplingConfig(by="frames"))
         return [str(line.map) for line in lines if line.accepted]
 
@@ -210,7 +210,7 @@ def test_the_page_says_which_map(street: Path, network: Network, tmp_path: Path)
     config = msgspec.structs.replace(
         config, telemetry=telemetry, map=MapConfig(path="city"), sampling=SamplingConfig(by="frames")
     )
-    recognizer = PlaceRecognizer(network, Head.load(network), open_map_set(street / "tiles"), config)
+    recognizer = open_recognizer(config, network=network, map_set=open_map_set(street / "tiles"))
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         camera = CameraHealth("running", "", 0)
         status = LiveStatus(config, "a model", recognizer, StageTimes(), lambda: camera, autopilot, None, lambda: 0)

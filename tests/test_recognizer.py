@@ -20,10 +20,11 @@ from edge.config import (
     SamplingConfig,
     SequenceConfig,
 )
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.recognizer import PlaceMatch, PlaceRecognizer, open_recognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
 
 LENGTH = 8
@@ -56,7 +57,7 @@ def frames(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
 
 
 def recognizer(network: Network, reference_map: ReferenceMap, config: Config = CONFIG) -> PlaceRecognizer:
-    return PlaceRecognizer(network, Head.load(network), reference_map, config)
+    return open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
 
 
 def drive(recognizer: PlaceRecognizer, images: list[np.ndarray], start_ns: int = 0) -> list[PlaceMatch | None]:

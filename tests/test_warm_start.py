@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.warm_start import COUNTS_AS_MOST, WarmStart
 
@@ -39,7 +40,7 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
     images = FeedImages(feed)
 
     def start() -> tuple[PlaceRecognizer, WarmStart]:
-        recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
+        recognizer = open_recognizer(config(tmp_path), network=network, map_set=MapSet.of(places))
         return recognizer, WarmStart(config(tmp_path), recognizer)
 
     first, memory = start()
@@ -66,7 +67,7 @@ def test_nothing_is_kept_where_it_is_not_asked_for(
 ) -> None:
     feed, places = read_feed(street[0]), street[1]
     wanted = config(tmp_path, **changes)  # type: ignore[arg-type]
-    recognizer = PlaceRecognizer(network, Head.load(network), places, wanted)
+    recognizer = open_recognizer(wanted, network=network, map_set=MapSet.of(places))
     memory = WarmStart(wanted, recognizer)
     images = FeedImages(feed)
     for row in range(25):
@@ -79,7 +80,7 @@ def test_a_first_minute_is_not_worth_a_write(
     street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path
 ) -> None:
     feed, places = read_feed(street[0]), street[1]
-    recognizer = PlaceRecognizer(network, Head.load(network), places, config(tmp_path))
+    recognizer = open_recognizer(config(tmp_path), network=network, map_set=MapSet.of(places))
     memory = WarmStart(config(tmp_path), recognizer)
     images = FeedImages(feed)
     for row in range(25):

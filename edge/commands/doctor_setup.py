@@ -12,10 +12,8 @@ from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import Config, LinkConfig, TelemetryConfig
 from edge.descriptor.network import Head, Network
 from edge.errors import LookbackError
-from edge.recognizer import PlaceRecognizer
-from edge.reference_map.map_set import MapSet, open_map_set
-from edge.reference_map.signature import check_signatures
-from edge.reference_map.store import open_unverified
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 
 
@@ -23,46 +21,38 @@ def check_model_and_map(config: Config) -> Iterator[Diagnostic]:
     """Model and maps, each of them, and whether they fit each other and the config."""
     try:
         network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-        head = Head.load(network)
+        Head.load(network)
         yield good("model", f"{network.info.name}: complete; two regions take {_describe_ms(network):.0f} ms here")
     except LookbackError as error:
         yield bad("model", str(error), 'set [descriptor] model = "" for the model that comes with lookback')
         return
-    excluded: list[str] = []
+    key = config.map.require_signature_by
     try:
-        maps = open_map_set(Path(config.map.path), lambda name, why: excluded.append(why))
-        maps.check_every_file()
-        if config.map.require_signature_by:
-            check_signatures(maps, Path(config.map.require_signature_by))
-        PlaceRecognizer(network, head, maps, config)
+        maps = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, every_file=True)
+        maps = open_recognizer(config, network=network, map_set=maps).map_set
     except LookbackError as error:
         yield bad("map", str(error), f"record a drive, then: lookback map build FEED -o {config.map.path}")
         return
     yield good("map", f"{config.map.path}: map of {maps}, all checksums hold")
-    for why in excluded:
-        yield note("map", f"{why}; excluded", "the others are used; build or copy this one again")
+    for excluded in maps.excluded:
+        yield note("map", f"{excluded.why}; excluded", "the others are used; build or copy this one again")
     yield from _places(maps, config)
 
 
 def _places(maps: MapSet, config: Config) -> Iterator[Diagnostic]:
     """How well the maps will serve, by their headers and places."""
-    places, length = maps.numbering.places, config.sequence.length
+    places, length = maps.index.places, config.sequence.length
     if places < 2 * length:
         words = f"{places} places are too few for sequences of {length}"
         yield bad("map", words, "record a longer drive, or lower [sequence] length")
-    used = [index for index in range(len(maps.headers)) if index not in maps.left_out]
-    otherwise = [index for index in used if maps.headers[index].sampling != config.sampling]
+    otherwise = [index for index, one in enumerate(maps.maps) if one.header.sampling != config.sampling]
     if otherwise:
         words = f"{maps.spell(otherwise)}: not sampled as [sampling] says"
         yield note("map", words, "set [sampling] to what `lookback map info` prints")
-    blank = [index for index in used if np.isnan(open_unverified(maps.folders[index])[0].places["lat_deg"]).any()]
+    blank = [index for index, one in enumerate(maps.maps) if np.isnan(one.places["lat_deg"]).any()]
     if blank:
         words = f"{maps.spell(blank)}: some places have no position"
         yield note("map", words, "they can be recognized, but no position is sent for them")
-    large = [index for index in used if maps.headers[index].places > config.map.places_per_frame]
-    if large and maps.is_folder:
-        words = f"{maps.spell(large)}: so large that opening it between two frames takes long"
-        yield note("map", words, f"lookback map split MAP -o FOLDER --places {config.map.places_per_frame // 2}")
 
 
 def _describe_ms(network: Network) -> float:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import MapError
-from edge.reference_map.map_set import open_map_set
-from edge.reference_map.store import MapHeader, ReferenceMap, open_map
+from edge.reference_map import ReferenceMap, open_map, open_map_set
+from edge.reference_map.store import MapHeader
 from edge.reference_map.tiles import split_map
 
 
@@ -31,16 +31,15 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _info(args: argparse.Namespace) -> int:
-    damaged: list[str] = []
-    atlas = open_map_set(args.map, lambda name, why: damaged.append(why))
-    if not atlas.is_folder:
+    maps = open_map_set(args.map)
+    if not maps.is_folder:
         _tell_of_map(open_map(args.map))
         return 0
-    print(f"maps      {atlas}, in {args.map}")
-    for name, header in zip(atlas.names, atlas.headers, strict=True):
+    print(f"maps      {maps}, in {args.map}")
+    for name, header in zip(maps.names, maps.headers, strict=True):
         print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
-    for why in damaged:
-        print(f"left out  {why}")
+    for excluded in maps.excluded:
+        print(f"excluded  {excluded.why}")
     return 0
 
 
@@ -82,17 +81,13 @@ def _spell_bounds(header: MapHeader) -> str:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    damaged = []
-
-    def tell(name: str, why: str) -> None:
-        damaged.append(name)
-        print(why)
-
-    atlas = open_map_set(args.map, tell)
-    atlas.check_every_file()
-    if damaged:
-        raise MapError(f"{args.map}: {len(damaged)} of its maps would be left out: {', '.join(damaged)}")
-    count = sum(len(header.files) for header in atlas.headers)
+    maps = open_map_set(args.map, every_file=True)
+    for excluded in maps.excluded:
+        print(excluded.why)
+    if maps.excluded:
+        names = ", ".join(excluded.name for excluded in maps.excluded)
+        raise MapError(f"{args.map}: {len(maps.excluded)} of its maps would be excluded: {names}")
+    count = sum(len(header.files) for header in maps.headers)
     print(f"{args.map}: whole; all {count} checksums hold")
     return 0
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from edge.errors import MapError
-from edge.reference_map.map_set import open_map_set
+from edge.reference_map import open_map_set
 from edge.reference_map.signature import make_key, sign_map
 
 
@@ -28,12 +28,11 @@ def _keygen(args: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse(name: str, why: str) -> None:
-    raise MapError(why)
-
-
 def _sign(args: argparse.Namespace) -> int:
-    for folder in open_map_set(args.map, _refuse).folders:
-        sign_map(folder, args.key)
+    maps = open_map_set(args.map)
+    if maps.excluded:
+        raise MapError(maps.excluded[0].why)
+    for one in maps.maps:
+        sign_map(one.path, args.key)
     print(f"{args.map}: signed")
     return 0

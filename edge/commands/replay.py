@@ -12,12 +12,14 @@ import msgspec
 
 from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
 from edge.journal.frame_record import Observation, observation
-from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.reference_map.map_set import open_map_set
+from edge.localization.place_fix import position_of
+from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.reference_map import Route, open_map_set
+from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 
 CHECK_BYTES = 64 << 20
@@ -43,20 +45,31 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
-    _is_whole(recognizer)
+    checksums = recognizer.map_set.checksum_schedule()
+    while _exclude_damaged(recognizer, checksums, recognizer.matcher.search.folders_in_use):
+        pass
+    route = Route(recognizer.map_set)
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
-        if match is not None and match.accepted and not _is_whole(recognizer, match):
-            match = None
-        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas, item.missed)
+        if match is not None and match.accepted:
+            behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence.length)
+            if _exclude_damaged(recognizer, checksums, behind):
+                match, route = None, Route(recognizer.map_set)
+        position = position_of(match, route, recognizer.config.rig) if match else None
+        map_row = int(recognizer.map_set.places["row"][match.place_index]) if match else None
+        yield observation(item.frame.index, item.frame.stamp_ns, match, position, map_row, item.missed)
 
 
-def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> bool:
-    """Check what a match rests on, or all that is searched now; False if a map had to be left out."""
-    before = len(recognizer.atlas.left_out)
-    while not recognizer.verify(CHECK_BYTES, match):
-        pass
-    return len(recognizer.atlas.left_out) == before
+def _exclude_damaged(recognizer: PlaceRecognizer, checksums: ChecksumSchedule, folders: list[Path]) -> bool:
+    """Check the maps in some folders now; True if one is damaged, and excluded from now on."""
+    while not checksums.is_verified(folders):
+        damage = checksums.step(CHECK_BYTES, folders)
+        if damage is not None:
+            maps = recognizer.map_set.without({damage.path: damage.why})
+            maps.excluded[-1].log()
+            recognizer.use_maps(maps)
+            return True
+    return False
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
@@ -85,16 +98,18 @@ def with_options(config: Config, length: int | None, uniqueness_min: float | Non
 
 def _run(args: argparse.Namespace) -> int:
     feed = read_feed(args.feed, feed_options(args))
-    atlas = open_map_set(args.map)
+    maps = open_map_set(args.map)
     if args.config:
         config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)
     else:
-        config = config_for_map(atlas.headers[0], args.sequence_length, args.uniqueness_min)
+        config = config_for_map(maps.headers[0], args.sequence_length, args.uniqueness_min)
     sampling = sampling_from(args, config.sampling)
     # The feed knows where its camera looked.
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
-    network = Network.load(args.model or (Path(config.descriptor.model) if config.descriptor.model else None))
-    recognizer = PlaceRecognizer(network, Head.load(network), atlas, config)
+    network = Network.load(args.model) if args.model else None
+    recognizer = open_recognizer(config, network=network, map_set=maps)
+    for excluded in recognizer.map_set.excluded:
+        excluded.log()
     lines = replay(recognizer, feed, sampling)
     if args.output:
         with args.output.open("w", encoding="utf-8") as stream:

@@ -5,3 +5,18 @@
 `model_import` and `quantize` make the network's file at a desk; the vehicle never loads them. A further descriptor
 is a class with `describe(images) -> (R, D) float32` that `recognizer.py` can be given in place of `Network`.
 """
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class NormalizedRows:
+    """What one frame changes: rows (n, R, D), oldest first; they replace the whole ring, or add one row to it."""
+
+    rows: NDArray[np.float32]
+    replaces_ring: bool

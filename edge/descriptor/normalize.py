@@ -7,10 +7,10 @@ that the online form loses against the whole set is its first frames, which were
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from edge.descriptor import NormalizedRows
 
 DEAD_DEVIATION = 1e-4
 """A dimension that varies less than this share of the mean deviation is dead after ReLU, and counts for nothing."""
@@ -60,14 +60,6 @@ class RunningStatistics:
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation (R, D) over the frames so far; 0 everywhere after one frame."""
         return np.sqrt(self._squares / max(self.count, 1))
-
-
-@dataclass(frozen=True)
-class NormalizedRows:
-    """What one frame changes: rows (n, R, D), oldest first; they replace the whole ring, or add one row to it."""
-
-    rows: NDArray[np.float32]
-    replaces_ring: bool
 
 
 class OnlineNormalizer:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from edge.recognizer import PlaceMatch
-from edge.reference_map.map_set import MapSet
-from edge.sequence import Direction, Order
+from edge.reference_map import Position
+from edge.sequence import Direction, Order, PlaceMatch
 
 
 class Observation(msgspec.Struct, frozen=True):
@@ -36,26 +35,32 @@ class Observation(msgspec.Struct, frozen=True):
     category: str | None = None
 
 
-def observation(frame: int, stamp_ns: int, match: PlaceMatch | None, atlas: MapSet, missed: int = 0) -> Observation:
-    """The record of one frame, and of its match on the maps of an atlas."""
+def observation(
+    frame: int,
+    stamp_ns: int,
+    match: PlaceMatch | None,
+    position: Position | None,
+    map_row: int | None,
+    missed: int = 0,
+) -> Observation:
+    """The record of one frame and of its match. position: where that puts the vehicle. map_row: see `Observation`."""
     if match is None:
         return Observation(frame, stamp_ns, missed=missed or UNSET)
-    name, row = atlas.locate(match.place)
     return Observation(
         frame=frame,
         stamp_ns=stamp_ns,
         accepted=match.accepted,
         emitted=match.event,
         missed=missed or UNSET,
-        map=name if name is not None else UNSET,
-        place=row,
-        map_row=atlas.feed_row(match.place),
+        map=match.map if match.map is not None else UNSET,
+        place=match.place,
+        map_row=map_row,
         uniqueness=round(match.uniqueness, 6),
         distance=round(match.distance, 6),
         direction=match.direction,
         order=match.order,
-        lat_deg=match.lat_deg,
-        lon_deg=match.lon_deg,
-        heading_deg=match.heading_deg,
+        lat_deg=position.lat_deg if position else None,
+        lon_deg=position.lon_deg if position else None,
+        heading_deg=position.heading_deg if position else None,
         category=match.category,
     )

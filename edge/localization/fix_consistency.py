@@ -11,9 +11,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-import pymap3d
-
 from edge.config import GatesConfig
+from edge.geodesy import east_north_of
 from edge.localization import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 
@@ -64,7 +63,7 @@ class FixConsistency:
         driven_m = now.driven_m - before.driven_m
         if before.displacement.leg != now.displacement.leg or not self._gates.confirm_m <= driven_m <= TOO_FAR_M:
             return False
-        east_m, north_m, _ = pymap3d.geodetic2enu(now.lat_deg, now.lon_deg, 0.0, before.lat_deg, before.lon_deg, 0.0)
+        east_m, north_m = east_north_of(now.lat_deg, now.lon_deg, (before.lat_deg, before.lon_deg))
         off_m = math.hypot(
             east_m - (now.displacement.east_m - before.displacement.east_m),
             north_m - (now.displacement.north_m - before.displacement.north_m),

@@ -12,10 +12,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-import pymap3d
-
 from edge.config import GatesConfig
-from edge.geodesy import VehiclePosition
+from edge.geodesy import VehiclePosition, east_north_of
 from edge.localization import PlaceFix
 
 Reason: TypeAlias = Literal[
@@ -101,8 +99,8 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
     """
     apart_s = (fix.stamp_ns - position.stamp_ns) / 1e9
     assert fix.lat_deg is not None and fix.lon_deg is not None
-    east_m, north_m, _ = pymap3d.geodetic2enu(fix.lat_deg, fix.lon_deg, 0.0, position.lat_deg, position.lon_deg, 0.0)
-    return float(east_m) - position.east_mps * apart_s, float(north_m) - position.north_mps * apart_s
+    east_m, north_m = east_north_of(fix.lat_deg, fix.lon_deg, (position.lat_deg, position.lon_deg))
+    return east_m - position.east_mps * apart_s, north_m - position.north_mps * apart_s
 
 
 def distance_from(position: VehiclePosition, fix: PlaceFix) -> float:

@@ -14,13 +14,12 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-import pymap3d
 
 from edge.config import RigConfig, TrackingConfig
+from edge.geodesy import moved_left
 from edge.localization.line_refinement import LineRefinement
-from edge.recognizer import PlaceMatch
-from edge.reference_map.route import Position, Route
-from edge.sequence import Direction
+from edge.reference_map import Route
+from edge.sequence import Direction, PlaceMatch
 
 AGREE_SIGMAS = 3.0
 TAKEN_OVER_BY = 3
@@ -31,15 +30,16 @@ TAKEN_OVER_BY = 3
 class TrackedPosition:
     """Where the vehicle was at `stamp_ns`: degrees (WGS 84), heading of travel clockwise from north.
 
+    place_index: the last place that was recognized, counted through all maps. heading_deg: None where it is not known.
     sigma_along_m, sigma_across_m: one standard deviation along and across the drive. matches: how many in a row agree.
     """
 
     stamp_ns: int
-    place: int
+    place_index: int
     direction: Direction
     lat_deg: float
     lon_deg: float
-    heading_deg: float
+    heading_deg: float | None
     sigma_along_m: float
     sigma_across_m: float
     matches: int
@@ -107,15 +107,15 @@ class RouteTracker:
         if sighting is None:
             return
         if self._track is None:
-            self._follow(sighting, stamp_ns, match.place)
+            self._follow(sighting, stamp_ns, match.place_index)
         elif self._track.agrees(
             sighting, self._config.drift_percent / 100 * (self._ends.odometer_m - self._matched[1])
         ):
             self._track.take_in(sighting)
             self._rival = None
-            self._matched = stamp_ns, self._ends.odometer_m, match.place
+            self._matched = stamp_ns, self._ends.odometer_m, match.place_index
         else:
-            self._dispute(sighting, stamp_ns, match.place)
+            self._dispute(sighting, stamp_ns, match.place_index)
 
     def forget(self) -> None:
         """Nothing that was seen so far counts any more (after a blindness)."""
@@ -177,9 +177,11 @@ class RouteTracker:
         if found is None or not self._route.reaches(place, along_m):
             return None
         reverse = track.direction == "reverse"
-        heading_deg = (found.heading_deg + 180 * reverse) % 360
-        left_m = self._rig.left_reverse_m if reverse else self._rig.left_forward_m
-        lat_deg, lon_deg = _to_the_left(found, heading_deg, left_m)
+        heading_deg = None if found.heading_deg is None else (found.heading_deg + 180 * reverse) % 360
+        lat_deg, lon_deg = found.lat_deg, found.lon_deg
+        if heading_deg is not None:
+            left_m = self._rig.left_reverse_m if reverse else self._rig.left_forward_m
+            lat_deg, lon_deg = moved_left(lat_deg, lon_deg, heading_deg, left_m)
         return TrackedPosition(
             stamp_ns,
             place,
@@ -191,12 +193,3 @@ class RouteTracker:
             self._rig.sigma_across_m,
             track.matches,
         )
-
-
-def _to_the_left(position: Position, heading_deg: float, left_m: float) -> tuple[float, float]:
-    """Latitude and longitude `left_m` to the left of a position, as somebody looking along the heading has it."""
-    heading_rad = math.radians(heading_deg)
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(
-        -left_m * math.cos(heading_rad), left_m * math.sin(heading_rad), 0.0, position.lat_deg, position.lon_deg, 0.0
-    )
-    return float(lat_deg), float(lon_deg)

@@ -80,6 +80,10 @@ class StatusPage:
         self.wanted = False
         self._loop.call_soon_threadsafe(self._take, snapshot)
 
+    def show_map(self, map_view: MapView) -> None:
+        """Show other maps from now on, after one was excluded."""
+        self._map = map_view
+
     def close(self) -> None:
         """Stop serving, at once; more than once is harmless."""
         self._server.should_exit = self._server.force_exit = True

@@ -20,10 +20,9 @@ from edge.config import Config, PageConfig
 from edge.health.stage_times import StageTimes
 from edge.journal.journal import Journal
 from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, MatchStatus, Snapshot, Status
-from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.reference_map.costs import COST_ONE
-from edge.reference_map.extent import Bounds
-from edge.reference_map.map_set import MapSet
+from edge.recognizer import PlaceRecognizer
+from edge.reference_map import COST_ONE, Bounds, MapSet, Position
+from edge.sequence import PlaceMatch
 from edge.telemetry.autopilot import AutopilotConnection
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ DRIVE_POINTS = 2000
 log = logging.getLogger(__name__)
 
 
-def open_page(config: PageConfig, atlas: MapSet) -> StatusPage | None:
+def open_page(config: PageConfig, map_set: MapSet) -> StatusPage | None:
     """The live page, or None and a line in the log: without it places are recognised just as well."""
     if config.port == 0:
         return None
@@ -45,7 +44,7 @@ def open_page(config: PageConfig, atlas: MapSet) -> StatusPage | None:
         # Imported here: a vehicle without the page never loads a web server.
         from edge.page.server import StatusPage
 
-        page = StatusPage(config, map_view(atlas))
+        page = StatusPage(config, map_view(map_set))
     except ModuleNotFoundError as error:
         log.info("no live page: it needs %s: pip install 'lookback[page]'", error.name)
         return None
@@ -56,15 +55,15 @@ def open_page(config: PageConfig, atlas: MapSet) -> StatusPage | None:
     return page
 
 
-def map_view(atlas: MapSet) -> MapView:
+def map_view(map_set: MapSet) -> MapView:
     """The map's drives as lines, thinned out where they are long; of maps in a folder, the bounds."""
-    numbering = atlas.numbering
-    if atlas.is_folder:
-        drives = [_outline(header.bounds) for header in atlas.headers if header.bounds]
+    index = map_set.index
+    if map_set.is_folder:
+        drives = [_outline(header.bounds) for header in map_set.headers if header.bounds]
     else:
-        pieces = [atlas.records(start, end) for _, start, end in numbering.by_segment([(0, numbering.places)])]
+        pieces = [map_set.places[start:end] for _, start, end in index.by_segment([(0, index.places)])]
         drives = [_line(drive[:: max(1, len(drive) // DRIVE_POINTS)]) for drive in pieces]
-    return MapView(numbering.places, tuple(drives), atlas.thumbnail)
+    return MapView(index.places, tuple(drives), map_set.thumbnail)
 
 
 def _line(drive: NDArray[np.void]) -> tuple[tuple[float, float], ...]:
@@ -96,34 +95,34 @@ class LiveStatus:
         self._camera_health, self._autopilot = camera_health, autopilot
         self._journal, self._clock_ns = journal, clock_ns
         self._model_name = model_name
-        self._map_name = f"{Path(config.map.path).name}, {recognizer.atlas}"
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[FrameSample] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
         self._match: PlaceMatch | None = None
+        self._position: Position | None = None
         self._category = ""
         self._frames_used = self._events = 0
 
-    def note(self, frame: Frame, match: PlaceMatch | None) -> None:
-        """A frame was used, and `match` is what it gave."""
-        self._frame, self._match = frame, match
+    def note(self, frame: Frame, match: PlaceMatch | None, found: Position | None) -> None:
+        """A frame was used, `match` is what it gave, and `found` where that puts the vehicle."""
+        self._frame, self._match, self._position = frame, match, found
         self._frames_used += 1
         position = self._autopilot.vehicle.position(self._clock_ns())
-        lat_deg = position.lat_deg if position else match.lat_deg if match and match.accepted else None
-        lon_deg = position.lon_deg if position else match.lon_deg if match and match.accepted else None
+        lat_deg = position.lat_deg if position else found.lat_deg if found and match and match.accepted else None
+        lon_deg = position.lon_deg if position else found.lon_deg if found and match and match.accepted else None
         event = match is not None and match.event
         self._events += event
         if match is not None and match.category:
             self._category = match.category
         uniqueness = round(match.uniqueness, 4) if match else None
-        place = match.place if match else None
+        place = match.place_index if match else None
         state = self._recognizer.state
-        fix = (match.lat_deg, match.lon_deg) if match and match.event else (None, None)
+        fix = (found.lat_deg, found.lon_deg) if found and event else (None, None)
         self._history.append(FrameSample(frame.stamp_ns, state, uniqueness, place, event, lat_deg, lon_deg, *fix))
 
     def snapshot(self, state: str, why: str) -> Snapshot:
         """What is to be shown now; `state` is the daemon's, and why it is so."""
-        frame, match, search = self._frame, self._match, self._recognizer.places
+        frame, match, search = self._frame, self._match, self._recognizer.matcher.search
         window, window_start = self._window(match)
         places = search.part.places if search.part is not None else np.zeros(0, dtype=np.intp)
         costs = search.newest_costs if search.newest_costs.shape[1] == len(places) else np.zeros((0, 0), np.int32)
@@ -144,7 +143,7 @@ class LiveStatus:
             stamp_ns=now_ns,
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
-            map_name=self._map_name,
+            map_name=f"{Path(self._config.map.path).name}, {self._recognizer.map_set}",
             model=self._model_name,
             state=state,
             why=why,
@@ -163,30 +162,29 @@ class LiveStatus:
         )
 
     def _match_status(self) -> MatchStatus | None:
-        match = self._match
+        match, position = self._match, self._position
         if match is None:
             return None
-        name, row = self._recognizer.atlas.locate(match.place)
         return MatchStatus(
-            place=match.place,
+            place=match.place_index,
             direction=match.direction,
             order=match.order,
             slope=round(match.slope, 4),
             distance=round(match.distance, 4),
             uniqueness=round(match.uniqueness, 4),
             accepted=match.accepted,
-            lat_deg=match.lat_deg,
-            lon_deg=match.lon_deg,
-            map=name,
-            row=row,
+            lat_deg=position.lat_deg if position else None,
+            lon_deg=position.lon_deg if position else None,
+            map=match.map,
+            row=match.place,
         )
 
     def _window(self, match: PlaceMatch | None) -> tuple[np.ndarray, int]:
         """The cost rows of the line of the newest match, around its place."""
-        part = self._recognizer.places.part
+        part = self._recognizer.matcher.search.part
         if match is None or part is None:
             return np.zeros((0, 0), dtype=np.int32), 0
-        at = int(np.searchsorted(part.places, match.place))
+        at = int(np.searchsorted(part.places, match.place_index))
         first = max(0, at - WINDOW_PLACES)
         rows = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
         return rows, int(part.places[min(first, len(part.places) - 1)])

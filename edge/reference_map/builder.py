@@ -23,8 +23,8 @@ from edge.reference_map import store
 from edge.reference_map.atomic_folder import AtomicFolder
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import encode, squared_norms
-from edge.reference_map.extent import Bounds, bounds_of
 from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.spatial_index import Bounds, bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
 
 BLOCK = 256

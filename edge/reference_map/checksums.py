@@ -1,9 +1,10 @@
-"""Checksums of a map's files, a piece at a time, so that a daemon can see to them while no frame waits."""
+"""Checksums of maps' files, a piece at a time, so that a daemon can compute them while no frame waits."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
@@ -77,6 +78,42 @@ class Checksums:
         name = self._names.pop(0)
         if self._digest.hexdigest() != self._files[name].sha256:
             raise MapError(f"{self._path / name}: damaged (its checksum does not hold); build or copy the map again")
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A map that is damaged, and what is wrong with it."""
+
+    path: Path
+    why: str
+
+
+class ChecksumSchedule:
+    """What is left to be checked of some maps, those in use first."""
+
+    def __init__(self, maps: Mapping[Path, tuple[dict[str, FileKey], Sequence[str]]]) -> None:
+        """maps: of each map's folder, the files of its header and the names of those to check."""
+        self._left = {path: Checksums(path, files, names) for path, (files, names) in maps.items()}
+        self._damaged: set[Path] = set()
+
+    def is_verified(self, maps: Collection[Path]) -> bool:
+        """Whether every checksum of these maps holds."""
+        return not any(path in self._left or path in self._damaged for path in maps)
+
+    def step(self, max_bytes: int, first: Sequence[Path] = ()) -> Damage | None:
+        """Read on by at most that much, of the maps in `first` before others. A damaged map is not checked again."""
+        path = next((path for path in first if path in self._left), None) or next(iter(self._left), None)
+        if path is None:
+            return None
+        try:
+            is_done = self._left[path].step(max_bytes)
+        except MapError as error:
+            del self._left[path]
+            self._damaged.add(path)
+            return Damage(path, str(error))
+        if is_done:
+            del self._left[path]
+        return None
 
 
 def sha256_of(file: Path) -> str:

@@ -1,82 +1,107 @@
-"""A map, or a folder of maps, as one: only the headers are read at the start, and a map is opened where it is searched.
+"""A map, or a folder of maps, as one: all of them opened at the start, and never changed afterwards.
 
-Maps of a folder are taken in the order of their names, and their places are counted through (`numbering`). One that
-cannot be used is left out, and told of once; a single map that cannot be used is an error.
+Maps of a folder are taken in the order of their names, and their places are counted through (`PlaceIndex`). One that
+cannot be used is excluded with the reason; a single map that cannot be used is an error.
 """
 
 from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+import resource
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config import DescriptorConfig
 from edge.errors import MapError
-from edge.reference_map.checksums import Checksums
-from edge.reference_map.loaded_map import LoadedMap, Origin
+from edge.geodesy import east_north, first_known
+from edge.reference_map.checksums import ChecksumSchedule
+from edge.reference_map.costs import CostMatcher
 from edge.reference_map.place_index import PlaceIndex
-from edge.reference_map.route import east_north_of
-from edge.reference_map.spatial_index import MapBounds, Ranges, SpatialIndex
+from edge.reference_map.signature import check_signature
+from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
     HEADER,
     PROJECTION,
     MapHeader,
+    ModelKey,
     ReferenceMap,
+    matching_files,
     open_map,
     open_unverified,
-    read_header,
     read_thumbnail,
 )
 
-SPARE = 2
-"""So many maps stay open beyond those in use: a vehicle may come back to where it has just been."""
-
+OTHER_FILES = 256
+"""Files that the rest of the program may open besides one of each map."""
 log = logging.getLogger(__name__)
-Tell = Callable[[str, str], object]
-"""Is called with the name of a map that is left out, and why."""
 
 
-def log_left_out(name: str, why: str) -> None:
-    """A line in the log."""
-    log.warning("%s; left out", why)
+@dataclass(frozen=True)
+class ExcludedMap:
+    """A map of the folder that is not used, and why."""
+
+    name: str
+    why: str
+
+    def log(self) -> None:
+        """A line in the log."""
+        log.warning("%s; excluded", self.why)
 
 
+@dataclass(frozen=True)
 class MapSet:
-    """Some maps, and those of them that are open."""
+    """Some open maps, their places counted through.
 
-    def __init__(self, path: Path, folders: Sequence[Path], headers: Sequence[MapHeader], tell: Tell | None) -> None:
-        """folders, headers: of the maps at `path`. tell: None for a single map, which is not left out."""
-        self.path, self.folders, self.headers = path, tuple(folders), tuple(headers)
-        self.names = tuple(map(_name_of, folders))
-        self.numbering = PlaceIndex(headers)
-        self.areas = MapBounds([header.bounds for header in headers])
-        self.left_out: dict[int, str] = {}
-        self._tell = tell
-        self._open: dict[int, LoadedMap] = {}  # the one used longest ago first
-        self._areas: dict[int, tuple[Origin, SpatialIndex]] = {}
-        self._in_use: set[int] = set()
+    is_folder: whether these are the maps of a folder, even if there is but one. maps: each with its own rows of
+    `places`. places: (N,) records of PLACE. index: which map, row and segment a place belongs to. blocks: where the
+    places lie. excluded: maps of the folder that cannot be used.
+    """
+
+    path: Path
+    is_folder: bool
+    maps: tuple[ReferenceMap, ...]
+    matchers: tuple[CostMatcher, ...]
+    places: NDArray[np.void]
+    index: PlaceIndex
+    blocks: SpatialIndex
+    excluded: tuple[ExcludedMap, ...] = ()
 
     @classmethod
-    def of(cls, reference_map: ReferenceMap, verification: Checksums | None = None) -> MapSet:
-        """One open map, of which that is left to be verified."""
-        atlas = cls(reference_map.path, [reference_map.path], [reference_map.header], None)
-        atlas._open[0] = LoadedMap(reference_map, verification or Checksums(reference_map.path, {}, []))
-        atlas._in_use = {0}
-        return atlas
+    def of(
+        cls,
+        maps: ReferenceMap | Sequence[ReferenceMap],
+        folder: Path | None = None,
+        excluded: Iterable[ExcludedMap] = (),
+    ) -> MapSet:
+        """One open map, or those of a folder."""
+        several = [maps] if isinstance(maps, ReferenceMap) else maps
+        index = PlaceIndex([one.header for one in several])
+        places = several[0].places
+        if len(several) > 1:
+            # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
+            places = np.concatenate([one.places for one in several])
+            several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(several, index.rows, strict=True)]
+        bounds = [(*rows, one.header.bounds) for one, rows in zip(several, index.rows, strict=True)]
+        matchers = tuple(map(CostMatcher.of, several))
+        blocks = SpatialIndex(places, bounds)
+        path = several[0].path if folder is None else folder
+        return cls(path, folder is not None, tuple(several), matchers, places, index, blocks, tuple(excluded))
 
     @property
-    def is_folder(self) -> bool:
-        """Whether these are the maps of a folder, even if there is but one."""
-        return self._tell is not None
+    def headers(self) -> tuple[MapHeader, ...]:
+        """Of all maps."""
+        return tuple(one.header for one in self.maps)
 
     @property
-    def open_count(self) -> int:
-        """How many maps are open."""
-        return len(self._open)
+    def names(self) -> tuple[str, ...]:
+        """Of all maps."""
+        return tuple(_name_of(one.path) for one in self.maps)
 
     @property
     def sha256(self) -> str:
@@ -85,197 +110,146 @@ class MapSet:
         return digests[0] if not self.is_folder else hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def __str__(self) -> str:
-        """For people: how much there is that can be used."""
-        used = [header.places for index, header in enumerate(self.headers) if index not in self.left_out]
-        return f"{sum(used)} places" + (f" in {len(used)} map{'s' * (len(used) > 1)}" if self.is_folder else "")
+        """For people: how much there is."""
+        count = len(self.maps)
+        return f"{self.index.places} places" + (f" in {count} map{'s' * (count > 1)}" if self.is_folder else "")
 
     def spell(self, maps: Sequence[int]) -> str:
         """Some maps, for people; the names of the first."""
         names = ", ".join(self.names[index] for index in maps[:3])
         return f"{len(maps)} of its maps ({names}{', ...' if len(maps) > 3 else ''})" if self.is_folder else "the map"
 
-    def locate(self, place: int) -> tuple[str | None, int]:
+    def locate(self, place_index: int) -> tuple[str | None, int]:
         """The name of a place's map, None if there is only that, and its row there."""
-        index = self.numbering.map_of(place)
-        return self.names[index] if self.is_folder else None, place - self.numbering.starts[index]
+        index = self.index.map_of(place_index)
+        name = _name_of(self.maps[index].path) if self.is_folder else None
+        return name, place_index - self.index.starts[index]
 
-    def feed_row(self, place: int) -> int | None:
-        """The row of the feed that a place was made of; None where its map cannot be opened."""
-        return int(self.records(place, place + 1)[0]["row"]) if self.opened([(place, place + 1)]) else None
+    def folders_of(self, ranges: Ranges) -> list[Path]:
+        """The folders of the maps that some places lie in."""
+        return [self.maps[index].path for index in self.index.maps_of(ranges)]
 
-    def leave_out(self, index: int, error: MapError) -> None:
-        """Go on without a map. MapError if it is the only one, or was the last."""
-        if self._tell is None:
-            raise error
-        self._close(index)
-        self.left_out[index] = _printable(str(error))
-        self._tell(self.names[index], self.left_out[index])
-        if len(self.left_out) == len(self.headers):
-            raise MapError(f"{self.path}: none of its {len(self.headers)} maps can be used; build or copy them again")
+    def folders_behind(self, place_index: int, sequence_length: int) -> list[Path]:
+        """Of the maps that a match rests on: that of its place, and the tiles that its line may have come from."""
+        return self.folders_of(self.index.widened([(place_index, place_index + 1)], sequence_length))
 
-    def opened(self, ranges: Ranges, at_most: int | None = None) -> Ranges | None:
-        """Open what the ranges touch; the ranges without maps that cannot be used. None if `at_most` did not suffice.
-
-        Then those many have been opened, so that it gets further with the next call.
-        """
-        touched = self.numbering.maps_of(ranges)
-        missing = [index for index in touched if not self._has(index)]
-        for index in [one for one in touched if self._has(one)] + missing[:at_most]:
-            self._sheet(index)
-        if at_most is not None and len(missing) > at_most:
-            return None
-        return self.numbering.without(ranges, self.left_out)
-
-    def within(self, lat_deg: float, lon_deg: float, radius_m: float, *, limit: int, at_most: int) -> Ranges | None:
-        """Ranges that hold all places within `radius_m` of a position, and some more; None while that is not known.
-
-        At most so many maps are opened to find out. Of a radius that holds more than `limit` places, some ranges that
-        are too many come at once.
-        """
-        starts = self.numbering.starts
-        inside = self.areas.inside(lat_deg, lon_deg, radius_m).tolist()
-        if sum(self.headers[index].places for index in inside) > limit:
-            return [(starts[index], starts[index + 1]) for index in inside]
-        out: Ranges = []
-        for index in self.areas.within(lat_deg, lon_deg, radius_m).tolist():
-            if index not in self._areas and index not in self.left_out:
-                if at_most == 0:
-                    return None
-                at_most -= not self._has(index)
-                self._sheet(index)
-            if index in self._areas:
-                origin, areas = self._areas[index]
-                found = areas.within(east_north_of(lat_deg, lon_deg, origin), radius_m)
-                out += [(start + starts[index], end + starts[index]) for start, end in found]
-        return out
-
-    def records(self, start: int, end: int) -> NDArray[np.void]:
-        """Records of PLACE of some places that are `opened`."""
-        pieces = [sheet.map.places[rows] for sheet, rows in self._pieces([(start, end)])]
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-
-    def route_m(self, ranges: Ranges) -> NDArray[np.float64]:
-        """Metres along their drives (n,) of places that are `opened`."""
-        return np.concatenate([sheet.route_m[rows] for sheet, rows in self._pieces(ranges)])
-
-    def east_north_m(self, ranges: Ranges) -> NDArray[np.float64]:
-        """Metres (n, 2) of places that are `opened`, from an origin close to them all; NaN where unknown."""
-        pieces = list(self._pieces(ranges))
-        origin = next((sheet.origin for sheet, _ in pieces if sheet.origin is not None), None)
-        return np.concatenate([sheet.east_north_m(origin)[rows] for sheet, rows in pieces])
+    def checksum_schedule(self) -> ChecksumSchedule:
+        """What must be checked before anything that rests on a map is published."""
+        return ChecksumSchedule({one.path: (one.header.files, matching_files(one.header)) for one in self.maps})
 
     def costs(self, query: NDArray[np.float32], ranges: Ranges) -> NDArray[np.int32]:
-        """Normalised rows (n, R, D) against places that are `opened`: (n, orders, places), see `CostMatcher.costs`."""
+        """Normalized rows (n, R, D) against some places: (n, orders, places), see `CostMatcher.costs`."""
         encoded: dict[str, NDArray[np.int8]] = {}
         costs = []
-        for index, pieces in groupby(self.numbering.by_map(ranges), key=lambda piece: piece[0]):
-            matcher = self._open[index].matcher
-            shrinking = self.headers[index].files.get(PROJECTION)
-            alike = shrinking.sha256 if shrinking else ""  # tiles of one map were shrunk alike
+        for index, pieces in groupby(self.index.by_map(ranges), key=lambda piece: piece[0]):
+            matcher, files = self.matchers[index], self.maps[index].header.files
+            alike = files[PROJECTION].sha256 if PROJECTION in files else ""  # tiles of one map were shrunk alike
             if alike not in encoded:
                 encoded[alike] = matcher.encoded(query)
             costs.append(matcher.costs_of_encoded(encoded[alike], [(start, end) for _, start, end in pieces]))
         return costs[0] if len(costs) == 1 else np.concatenate(costs, axis=2)
 
-    def thumbnail(self, place: int) -> bytes:
-        """The place's small JPEG, for people; b"" where there is none. Any thread may ask."""
-        index = self.numbering.map_of(place)
+    def east_north_m(self, ranges: Ranges) -> NDArray[np.float64]:
+        """Meters (n, 2) of some places, from an origin close to them all; NaN where unknown."""
+        origins = (self._origin(index) for index in self.index.maps_of(ranges))
+        origin = next((origin for origin in origins if origin is not None), None)
+        places = self.places_in(ranges)
+        return east_north(places["lat_deg"], places["lon_deg"], origin)
+
+    def places_in(self, ranges: Ranges) -> NDArray[np.void]:
+        """Records of PLACE of some places."""
+        pieces = [self.places[start:end] for start, end in ranges]
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+    def thumbnail(self, place_index: int) -> bytes:
+        """The place's small JPEG, for people; b"" where there is none. Read from the disk; any thread may ask."""
+        index = self.index.map_of(place_index)
         try:
-            return read_thumbnail(self.folders[index], place - self.numbering.starts[index])
+            return read_thumbnail(self.maps[index].path, place_index - self.index.starts[index])
         except MapError:
             return b""
 
-    def use(self, maps: Iterable[int]) -> None:
-        """From now on these are in use: they stay open and are verified. Others are closed, but for a few.
+    def without(self, damaged: Mapping[Path, str]) -> MapSet:
+        """A new set without the maps in some folders, each with the reason. MapError for the only one, or the last."""
+        if not damaged:
+            return self
+        if not self.is_folder:
+            raise MapError(next(iter(damaged.values())))
+        kept = [one for one in self.maps if one.path not in damaged]
+        reasons = [ExcludedMap(_name_of(path), printable(why)) for path, why in damaged.items()]
+        return _of_folder(self.path, kept, [*self.excluded, *reasons])
 
-        A single map is always in use.
-        """
-        if self._tell is None:
-            return
-        self._in_use = set(maps) - self.left_out.keys()
-        idle = [index for index in self._open if index not in self._in_use]
-        for index in idle[: max(0, len(idle) - SPARE)]:
-            self._close(index)
+    def fitting(self, model: ModelKey, descriptor: DescriptorConfig) -> MapSet:
+        """A set without the maps whose descriptors this model and these regions cannot be compared with; MapError."""
+        unfit = ((one.path, _misfit(one, model, descriptor)) for one in self.maps)
+        return self.without({path: why for path, why in unfit if why})
 
-    def verify(self, max_bytes: int, maps: Collection[int] | None = None) -> bool:
-        """Read on by that much of what is in use, or of some `maps`; True when all checksums of it were seen to hold.
-
-        A map of which one does not is left out. MapError if that is the only one, or was the last.
-        """
-        wanted = self._in_use if maps is None else maps
-        for index in sorted(self._open.keys() & wanted):
-            try:
-                if not self._open[index].verification.step(max_bytes):
-                    return False
-            except MapError as error:
-                self.leave_out(index, error)
-                return False
-        return True
-
-    def check_every_file(self) -> None:
-        """Check every byte of every map now, those that only people see included; see `leave_out`."""
-        for index, folder in enumerate(self.folders):
-            if index not in self.left_out:
-                try:
-                    open_map(folder, every_file=True)
-                except MapError as error:
-                    self.leave_out(index, error)
-
-    def close(self) -> None:
-        """Close all maps."""
-        for index in list(self._open):
-            self._close(index)
-
-    def _pieces(self, ranges: Ranges) -> Iterator[tuple[LoadedMap, slice]]:
-        for index, start, end in self.numbering.by_map(ranges):
-            yield self._open[index], slice(start, end)
-
-    def _has(self, index: int) -> bool:
-        return index in self._open or index in self.left_out
-
-    def _sheet(self, index: int) -> None:
-        """Open a map, or leave it out; one that is open is now the one used last."""
-        if index in self.left_out:
-            return
-        try:
-            sheet = self._open.pop(index, None) or self._opened_anew(index)
-        except MapError as error:
-            self.leave_out(index, error)
-            return
-        self._open[index] = sheet
-        if index not in self._areas and sheet.origin is not None:
-            self._areas[index] = sheet.origin, sheet.areas()
-
-    def _opened_anew(self, index: int) -> LoadedMap:
-        """Open a map, if it is still the one whose header was read and agreed to at the start."""
-        sheet = LoadedMap.open(self.folders[index])
-        if sheet.map.header != self.headers[index]:
-            raise MapError(f"{self.folders[index]}: another map than at the start; start again to use it")
-        return sheet
-
-    def _close(self, index: int) -> None:
-        sheet = self._open.pop(index, None)
-        if sheet is not None:
-            sheet.verification.close()
+    def _origin(self, index: int) -> tuple[float, float] | None:
+        one = self.maps[index]
+        tile = one.header.tile
+        return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
 
 
-def open_map_set(path: Path, tell: Tell = log_left_out) -> MapSet:
-    """Open the map at a path, or a folder of maps, of which nothing but the headers is read. MapError.
+def open_map_set(path: Path, *, require_signature_by: Path | None = None, every_file: bool = False) -> MapSet:
+    """Open the map at a path, or all maps of a folder.
 
-    Where there is more than a single map, `tell` is called with each that cannot be used, and why.
+    Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
+    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
+    Raises MapError, and ConfigError for the key.
     """
     folders = _maps_in(path)
+    _allow_open_files(path, len(folders))
+    projections: dict[str, NDArray[np.float32]] = {}
+
+    def open_one(folder: Path) -> ReferenceMap:
+        one = open_map(folder, every_file=True) if every_file else open_unverified(folder, projections)
+        if require_signature_by is not None:
+            check_signature(folder, one.header, require_signature_by)
+        return one
+
     if not folders:
-        return MapSet.of(*open_unverified(path))
-    known: list[tuple[Path, MapHeader]] = []
+        return MapSet.of(open_one(path))
+    maps, excluded = [], []
     for folder in folders:
         try:
-            known.append((folder, read_header(folder)))
+            maps.append(open_one(folder))
         except MapError as error:
-            tell(_name_of(folder), _printable(str(error)))
-    if not known:
-        raise MapError(f"{path}: none of its {len(folders)} maps can be used; build or copy them again")
-    return MapSet(path, [folder for folder, _ in known], [header for _, header in known], tell)
+            excluded.append(ExcludedMap(_name_of(folder), printable(str(error))))
+    return _of_folder(path, maps, excluded)
+
+
+def _of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
+    if not maps:
+        first = next(iter(excluded)).why
+        raise MapError(f"{path}: none of its {len(excluded)} maps can be used; the first: {first}")
+    return MapSet.of(maps, path, excluded)
+
+
+def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str:
+    """Why a map's descriptors cannot be compared with this model's of these regions; "" if they can."""
+    made = one.header
+    if made.model.sha256 != model.sha256 or made.model.tap != model.tap:
+        return (
+            f"{one.path}: made with model {_spell_model(made.model)}, but the model here is"
+            f" {_spell_model(model)}; build the map again with this one"
+        )
+    normalized = "set" if wanted.normalization == "online" else "none"
+    ours = (wanted.regions, wanted.region_width if wanted.regions == "left-right" else made.regions.width, normalized)
+    theirs = (made.regions.kind, made.regions.width, made.regions.normalization)
+    if ours != theirs:
+        return (
+            f"{one.path}: made with regions {_spell_regions(*theirs)},"
+            f" but [descriptor] asks for {_spell_regions(*ours)}; change the one or build the map again"
+        )
+    return ""
+
+
+def _spell_model(model: ModelKey) -> str:
+    return f"{model.name} ({model.sha256[:12]}, {model.tap})"
+
+
+def _spell_regions(kind: str, width: float, normalization: str) -> str:
+    return f"{kind} of width {width:g}, normalization {normalization}"
 
 
 def _maps_in(path: Path) -> list[Path]:
@@ -289,10 +263,24 @@ def _maps_in(path: Path) -> list[Path]:
         raise MapError(f"{error.filename}: cannot read it: {error.strerror}") from None
 
 
+def _allow_open_files(path: Path, maps: int) -> None:
+    """Each map is one open file for as long as the program runs. MapError if that is not allowed."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = maps + OTHER_FILES
+    if soft == resource.RLIM_INFINITY or needed <= soft:
+        return
+    if hard != resource.RLIM_INFINITY and needed > hard:
+        raise MapError(
+            f"{path}: {maps} maps need {needed} open files, and this process may have {hard};"
+            " raise the limit (LimitNOFILE= of the service, or `ulimit -Hn`), or make larger tiles"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+
+
 def _name_of(folder: Path) -> str:
-    return _printable(folder.name)
+    return printable(folder.name)
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """A text with names of files that are not UTF-8, as journal and page can have it."""
     return text.encode("utf-8", "replace").decode()

@@ -7,7 +7,7 @@ the next is one segment.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import accumulate, pairwise
 
 from edge.reference_map.spatial_index import Ranges, widened
@@ -22,6 +22,8 @@ class PlaceIndex:
         self.starts: list[int] = list(accumulate((header.places for header in headers), initial=0))
         """The first place of each map, and one more at the end."""
         self.places = self.starts[-1]
+        self.rows = list(pairwise(self.starts))
+        """Places [start, end) of each map."""
         follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
         self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
         begins, self._views = [], []
@@ -66,23 +68,8 @@ class PlaceIndex:
         """The maps that the ranges touch, in order."""
         return sorted({index for index, _, _ in self.by_map(ranges)})
 
-    def without(self, ranges: Ranges, maps: Collection[int]) -> Ranges:
-        """The ranges less some maps."""
-        if not maps:
-            return ranges
-        out: Ranges = []
-        for start, end in ranges:
-            at = start
-            for index in range(self.map_of(start), self.map_of(end - 1) + 1):
-                if index in maps:
-                    first, last = self.starts[index : index + 2]
-                    out.append((at, first))
-                    at = last
-            out.append((at, end))
-        return [(start, end) for start, end in out if start < end]
-
     def widened(self, ranges: Ranges, sequence_length: int) -> Ranges:
-        """The ranges with the places that a sequence ending in them may have passed before, see `areas.widened`."""
+        """The ranges with the places that a sequence ending in them may have passed before."""
         return widened(ranges, sequence_length, self._breaks)
 
     def whole(self, place: int) -> tuple[int, int]:

@@ -15,7 +15,6 @@ import msgspec
 
 from edge.atomic_file import replacing
 from edge.errors import ConfigError, MapError
-from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
@@ -47,15 +46,6 @@ def sign_map(path: Path, key_file: Path) -> None:
             stream.write(f"{key.sign(_signed_bytes(header)).hex()}\n".encode("ascii"))
     except OSError as error:
         raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
-
-
-def check_signatures(atlas: MapSet, key_file: Path) -> None:
-    """Leave out the maps that the owner of the public key has not signed. MapError, ConfigError for the key."""
-    for index, (folder, header) in enumerate(zip(atlas.folders, atlas.headers, strict=True)):
-        try:
-            check_signature(folder, header, key_file)
-        except MapError as error:
-            atlas.leave_out(index, error)
 
 
 def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:

@@ -1,4 +1,4 @@
-"""Which places a known position allows, without looking at every place: blocks of neighbours, and maps, by bounds."""
+"""Which places a known position allows, without looking at every place: blocks of neighbors, by their bounds."""
 
 from __future__ import annotations
 
@@ -6,84 +6,106 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
-from edge.reference_map.extent import Bounds
+from edge.geodesy import apart_m, unwrapped
 
 BLOCK = 64
-STEEPEST = 2.0  # places a frame, above the steepest slope of the default limits
+STEEPEST = 2.0  # places per frame, above the steepest slope of the default limits
 MARGIN_SHARE, MARGIN_M = 1e-3, 1.0
-"""So much nearer than it seems may a map be: its bounds are no straight lines on the ground."""
+"""By how much the bounds of a block may look farther away than they are: they are no straight lines on the ground."""
+LEAST_M_PER_DEG = 110_000.0
+"""Meters in a degree of latitude; nowhere on Earth are there fewer."""
 Ranges = list[tuple[int, int]]
 
 
+class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Degrees between which the places lie whose position is known; `east` is over 180 across the date line."""
+
+    south: float
+    west: float
+    north: float
+    east: float
+
+
+def bounds_of(places: NDArray[np.void]) -> Bounds | None:
+    """The bounds of records of PLACE, None where no position is known."""
+    known = places[~np.isnan(places["lat_deg"])]
+    if not known.size:
+        return None
+    lat_deg, lon_deg = known["lat_deg"], unwrapped(known["lon_deg"])
+    return Bounds(float(lat_deg.min()), float(lon_deg.min()), float(lat_deg.max()), float(lon_deg.max()))
+
+
 class SpatialIndex:
-    """The map in blocks of BLOCK places, each with the rectangle that its places lie in."""
+    """The maps of a set in blocks of at most BLOCK places, each with the bounds of its places."""
 
-    def __init__(self, east_north_m: NDArray[np.float64]) -> None:
-        """east_north_m: (N, 2); NaN where unknown. A block with unknown places is allowed everywhere."""
-        self._places = len(east_north_m)
-        starts = np.arange(0, self._places, BLOCK)
-        # A comparison with NaN is False below, so bounds that are NaN exclude nothing.
-        self._low_m = np.minimum.reduceat(east_north_m, starts, axis=0)
-        self._high_m = np.maximum.reduceat(east_north_m, starts, axis=0)
+    def __init__(self, places: NDArray[np.void], maps: Sequence[tuple[int, int, Bounds | None]]) -> None:
+        """places: (N,) records of PLACE. maps: places [start, end) of each map, and its bounds.
 
-    def within(self, east_north_m: NDArray[np.float64], radius_m: float) -> Ranges:
-        """[start, end) ranges of places that hold all places within `radius_m` of a point (2,), and some more."""
-        outside_m = np.maximum(self._low_m - east_north_m, east_north_m - self._high_m).clip(min=0)
-        far = np.square(outside_m).sum(axis=1) > radius_m**2
-        return self._merged(~far)
+        A block with unknown positions is allowed wherever its map is; a map without any is allowed nowhere.
+        """
+        starts = [np.arange(start, end, BLOCK) for start, end, _ in maps]
+        self._starts = np.concatenate(starts)
+        self._ends = np.append(self._starts[1:], maps[-1][1])
+        self._edges = _block_bounds(places, self._starts)
+        of_maps = np.repeat([_edges(bounds) for _, _, bounds in maps], [len(blocks) for blocks in starts], axis=0).T
+        unknown = np.isnan(self._edges).any(axis=0) | np.isnan(of_maps).any(axis=0)
+        self._edges[:, unknown] = of_maps[:, unknown]
+        self.is_known = not np.isnan(self._edges).all()
+        """Whether any place has a position."""
 
-    def _merged(self, wanted: NDArray[np.bool_]) -> Ranges:
-        """Runs of wanted blocks as ranges of places."""
-        edges = np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0, append=0))
-        return [
-            (int(start) * BLOCK, min(int(end) * BLOCK, self._places))
-            for start, end in zip(edges[::2], edges[1::2], strict=True)
-        ]
+    def within(self, lat_deg: float, lon_deg: float, radius_m: float) -> Ranges:
+        """[start, end) ranges of places that hold all places within `radius_m` of a position, and some more."""
+        reach_m = radius_m * (1 + MARGIN_SHARE) + MARGIN_M
+        south, _, north, _ = self._edges
+        reach_deg = reach_m / LEAST_M_PER_DEG
+        # A comparison with NaN is False. This one is much cheaper than the next, and excludes nearly all.
+        band = np.flatnonzero((south <= lat_deg + reach_deg) & (north >= lat_deg - reach_deg))
+        south, west, north, east = self._edges[:, band]
+        lon_near_deg = lon_deg + 360 * np.round(((west + east) / 2 - lon_deg) / 360)
+        nearest = np.clip(lat_deg, south, north), np.clip(lon_near_deg, west, east)
+        near = band[apart_m(lat_deg, lon_near_deg, *nearest) <= reach_m]
+        return self._merged(near)
 
-
-class MapBounds:
-    """The bounds of many maps, from their headers."""
-
-    def __init__(self, bounds: Sequence[Bounds | None]) -> None:
-        """None of a map without positions, which no position allows."""
-        nowhere = (math.nan,) * 4
-        edges = [(one.south, one.west, one.north, one.east) if one else nowhere for one in bounds]
-        self._south, self._west, self._north, self._east = np.array(edges).T
-        self.are_known = any(one is not None for one in bounds)
-
-    def within(self, lat_deg: float, lon_deg: float, radius_m: float) -> NDArray[np.intp]:
-        """The maps of which some place may lie within `radius_m`."""
-        middle_deg = (self._west + self._east) / 2
-        lon_deg = lon_deg + 360 * np.round((middle_deg - lon_deg) / 360)
-        nearest = np.clip(lat_deg, self._south, self._north), np.clip(lon_deg, self._west, self._east)
-        near = apart_m(lat_deg, lon_deg, *nearest) <= radius_m * (1 + MARGIN_SHARE) + MARGIN_M
-        return np.flatnonzero(near)
-
-    def inside(self, lat_deg: float, lon_deg: float, radius_m: float) -> NDArray[np.intp]:
-        """The maps all places of which lie within `radius_m`, as far as their bounds show it."""
-        corners = [(lat, lon) for lat in (self._south, self._north) for lon in (self._west, self._east)]
-        furthest_m = np.max([apart_m(lat_deg, lon_deg, *corner) for corner in corners], axis=0)
-        return np.flatnonzero(furthest_m <= radius_m)
+    def _merged(self, blocks: NDArray[np.intp]) -> Ranges:
+        """Runs of blocks as ranges of places."""
+        out: Ranges = []
+        for start, end in zip(self._starts[blocks].tolist(), self._ends[blocks].tolist(), strict=True):
+            if out and out[-1][1] == start:
+                out[-1] = (out[-1][0], end)
+            else:
+                out.append((start, end))
+        return out
 
 
-def apart_m(
-    lat_deg: float, lon_deg: float | NDArray[np.float64], lats_deg: NDArray[np.float64], lons_deg: NDArray[np.float64]
+def _block_bounds(places: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.float64]:
+    """South, west, north and east (4, blocks) in degrees; NaN where a place of the block has no position."""
+    lat_deg, lon_deg = np.ascontiguousarray(places["lat_deg"]), np.ascontiguousarray(places["lon_deg"])
+    edges = _extremes(lat_deg, lon_deg, starts)
+    across = edges[3] - edges[1] > 180
+    if across.any():
+        edges[:, across] = _extremes(lat_deg, np.where(lon_deg < 0, lon_deg + 360, lon_deg), starts)[:, across]
+    return edges
+
+
+def _extremes(
+    lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64], starts: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Metres from a position to others (n,), in a straight line."""
-    east, north, up = pymap3d.geodetic2enu(lats_deg, lons_deg, 0.0, lat_deg, lon_deg, 0.0)
-    # With `up`, since on the other side of the earth the other two are small again.
-    metres: NDArray[np.float64] = np.sqrt(np.square(east) + np.square(north) + np.square(up))
-    return metres
+    lowest = [np.minimum.reduceat(degrees, starts) for degrees in (lat_deg, lon_deg)]
+    return np.stack([*lowest, *(np.maximum.reduceat(degrees, starts) for degrees in (lat_deg, lon_deg))])
+
+
+def _edges(bounds: Bounds | None) -> tuple[float, float, float, float]:
+    return (bounds.south, bounds.west, bounds.north, bounds.east) if bounds else (math.nan,) * 4
 
 
 def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Ranges:
     """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
 
-    breaks: 0, the number of places, and in between what no sequence runs across.
+    breaks: 0, the number of places, and in between the places that no sequence crosses.
     """
     margin = math.ceil(STEEPEST * sequence_length)
     out: Ranges = []

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.geodesy import Origin
 from edge.reference_map.checksums import Checksums, FileKey
-from edge.reference_map.extent import Bounds, TileOf, check_extent
+from edge.reference_map.spatial_index import Bounds
 
 FORMAT = "lookback-map"
 VERSION = 3
@@ -42,9 +43,6 @@ RAW = "raw.f16"
 THUMBNAILS = "thumbnails.jpgs"
 MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION)
 """What recognition reads; the other files are for growing the map and for people."""
-
-LARGE_FILES = (DESCRIPTORS, RAW, THUMBNAILS)
-"""Their checksums take seconds, so that a daemon computes them between frames."""
 
 MAX_HEADER_BYTES = 16 << 20
 
@@ -92,6 +90,19 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     end: int
     view: Literal["front", "rear"]
     source: str
+
+
+class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The larger map that a tile was cut from: its header's checksum, and where in it the tile begins.
+
+    continues: the tile's first segment goes on with the drive that the tile before it ends with. origin: latitude and
+    longitude of the larger map's local meters, which its tiles share; null where it knows no position.
+    """
+
+    map_sha256: str
+    start: int
+    continues: bool
+    origin: Origin | None
 
 
 class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -151,9 +162,15 @@ def open_map(path: Path, *, every_file: bool = False) -> ReferenceMap:
 
     By default the checksums of the files that matching reads are checked, with `every_file` those of all.
     """
-    reference_map, verification = open_unverified(path, every_file=every_file)
-    verification.finish()
+    reference_map = open_unverified(path)
+    files = reference_map.header.files
+    Checksums(path, files, sorted(files) if every_file else matching_files(reference_map.header)).finish()
     return reference_map
+
+
+def matching_files(header: MapHeader) -> list[str]:
+    """Names of the files that a match rests on, of this map."""
+    return [name for name in sorted(header.files) if name in MATCHING_FILES]
 
 
 def read_thumbnail(path: Path, row: int) -> bytes:
@@ -171,26 +188,49 @@ def read_thumbnail(path: Path, row: int) -> bytes:
         raise MapError(f"{path / PLACES}: too short; build or copy the map again") from None
 
 
-def open_unverified(path: Path, *, every_file: bool = False) -> tuple[ReferenceMap, Checksums]:
-    """Open a map of which header, sizes and small files hold; the large files are left to `Checksums`.
+def open_unverified(path: Path, projections: dict[str, NDArray[np.float32]] | None = None) -> ReferenceMap:
+    """Open a map of which the header and the sizes hold; nothing that rests on its other files may be published yet.
 
-    Until that is done, nothing that the map says may be told to anyone. Raises MapError.
+    projections: those of other maps by their checksum, since tiles of one map share it; one that is read here is
+    checked and added. Raises MapError.
     """
     header = read_header(path)
     _check_sizes(path, header)
-    wanted = [name for name in sorted(header.files) if every_file or name in MATCHING_FILES]
-    Checksums(path, header.files, [name for name in wanted if name not in LARGE_FILES]).finish()
     regions, kept = header.regions.count, header.dimensions
-    projection = None
     try:
         places = np.fromfile(path / PLACES, dtype=PLACE)
         descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
-        if PROJECTION in header.files:
-            projection = np.fromfile(path / PROJECTION, dtype="<f4").reshape(kept, header.model.dimensions)
+        projection = _read_projection(path, header, {} if projections is None else projections)
     except OSError as error:  # too many open files, or no memory to map it
         raise MapError(f"{path}: cannot open it: {error.strerror}") from None
-    later = Checksums(path, header.files, [name for name in wanted if name in LARGE_FILES])
-    return ReferenceMap(path, header, descriptors, places, projection), later
+    _check_places(path / PLACES, places)
+    return ReferenceMap(path, header, descriptors, places, projection)
+
+
+def _read_projection(
+    path: Path, header: MapHeader, known: dict[str, NDArray[np.float32]]
+) -> NDArray[np.float32] | None:
+    if PROJECTION not in header.files:
+        return None
+    sha256 = header.files[PROJECTION].sha256
+    if sha256 not in known:
+        # Other maps may rest on it as well, so that it cannot be checked later with this one.
+        Checksums(path, header.files, [PROJECTION]).finish()
+        projection = np.fromfile(path / PROJECTION, dtype="<f4")
+        known[sha256] = projection.reshape(header.dimensions, header.model.dimensions)
+    return known[sha256]
+
+
+def _check_places(file: Path, places: NDArray[np.void]) -> None:
+    """What is known of a place must be possible, whatever its checksum says: positions are computed with it."""
+    limits = {"lat_deg": 90.0, "lon_deg": 360.0, "heading_deg": 720.0, "route_m": 1e9}
+    for name, most in limits.items():
+        bad = np.flatnonzero(np.abs(places[name]) > most)  # of NaN, which is not known, this is False
+        if bad.size:
+            raise MapError(f"{file}: place {bad[0]} has {name} {places[name][bad[0]]:g}; build or copy the map again")
+    half = np.flatnonzero(np.isnan(places["lat_deg"]) != np.isnan(places["lon_deg"]))
+    if half.size:
+        raise MapError(f"{file}: place {half[0]} has half a position; build or copy the map again")
 
 
 def read_header(path: Path) -> MapHeader:
@@ -264,7 +304,7 @@ def _check_header(file: Path, header: MapHeader) -> None:
     starts = [segment.start for segment in header.segments]
     if header.places < 1 or starts != bounds[:-1] or bounds[-1] != header.places or sorted(set(bounds)) != bounds:
         raise MapError(f"{file}: segments: they do not cover the {header.places} places one after another")
-    check_extent(file, header.bounds, header.tile)
+    _check_extent(file, header.bounds, header.tile)
     if not (math.isfinite(header.regions.width) and 0 < header.regions.width <= 1):
         raise MapError(f"{file}: regions: width {header.regions.width} is not between 0 and 1")
 
@@ -274,3 +314,14 @@ def _check_sizes(path: Path, header: MapHeader) -> None:
         size = plain_size(path / name)
         if size != key.bytes:
             raise MapError(f"{path / name}: {size} bytes where the header says {key.bytes}; build or copy it again")
+
+
+def _check_extent(file: Path, bounds: Bounds | None, tile: TileOf | None) -> None:
+    # A comparison with what is no number is False.
+    if bounds is not None and not (
+        -90 <= bounds.south <= bounds.north <= 90 and -180 <= bounds.west <= bounds.east <= bounds.west + 360 <= 720
+    ):
+        raise MapError(f"{file}: bounds: not south to north and west to east in degrees")
+    lat_deg, lon_deg = (tile.origin if tile else None) or (0.0, 0.0)
+    if tile is not None and not (tile.start >= 0 and abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
+        raise MapError(f"{file}: tile: no map has such a place, or such an origin")

@@ -17,13 +17,12 @@ import msgspec
 import numpy as np
 
 from edge.errors import ConfigError, MapError
+from edge.geodesy import first_known
 from edge.reference_map import store
 from edge.reference_map.atomic_folder import AtomicFolder
 from edge.reference_map.checksums import FileKey, sha256_of
-from edge.reference_map.extent import TileOf, bounds_of
-from edge.reference_map.route import first_known
-from edge.reference_map.spatial_index import BLOCK
-from edge.reference_map.store import MapHeader, ReferenceMap, Segment
+from edge.reference_map.spatial_index import BLOCK, bounds_of
+from edge.reference_map.store import MapHeader, ReferenceMap, Segment, TileOf
 
 COPIED = (store.STATISTICS, store.PROJECTION)
 ROWS = 256

@@ -1,6 +1,6 @@
 """From cost rows to a match: lines through the last L rows (eq. 2 and 3), and whether the best one is believed.
 
-costs (orders, N) --search--> best line that ends at each place --acceptance--> SequenceMatch
+costs (orders, N) --search--> best line that ends at each place --acceptance--> PlaceMatch
 """
 
 from __future__ import annotations
@@ -24,26 +24,31 @@ VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "sam
 
 
 @dataclass(frozen=True)
-class SequenceMatch:
-    """The best line through the ring, believed or not.
+class PlaceMatch:
+    """The best line through the last frames: which place of the map the newest frame shows, believed or not.
 
-    place: where the line ends, that is, what the newest frame shows (I_min of eq. 3).
+    place_index: of the place where the line ends (I_min of eq. 3), counted through all maps that are open.
+    map, place: name of the map that it lies in, None where there is only one, and its row there.
     direction: "forward" if places were passed in the map's order, "reverse" if backwards.
     order: "swapped" if the query's left region matched the map's right.
-    slope: how many places the line passes a frame, without sign.
-    cost: mean cost along the line, in the units of the cost rows.
-    uniqueness: lowest cost outside the window around `place` over the lowest cost; 1 is ambiguous.
-    accepted: whether this is a place fix; False means that the vehicle is off the map, or cannot be told apart.
-    beyond: places by which the line ends beyond `place` in the map's order, between places.
-    width: half the number of places around it that are nearly as good.
+    slope: places passed per frame, without sign. distance: mean cosine distance along the line.
+    uniqueness: lowest cost outside the window around the place over the lowest cost; 1 is ambiguous.
+    accepted: whether the place is believed; False means off the map, or one of several that look alike.
+    offset_places: how far the line ends beyond the place in the map's order, between places.
+    half_width_places: half the number of places around it that are nearly as good.
+    event: accepted, and not held off. category: what kind of place the frame shows, of events only.
     """
 
+    place_index: int
     place: int
     direction: Direction
     order: Order
     slope: float
-    cost: float
+    distance: float
     uniqueness: float
     accepted: bool
-    beyond: float = 0.0
-    width: float = 0.5
+    offset_places: float = 0.0
+    half_width_places: float = 0.5
+    map: str | None = None
+    event: bool = False
+    category: str | None = None

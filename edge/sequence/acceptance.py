@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
-from edge.sequence import SequenceMatch
+from edge.reference_map import COST_ONE
+from edge.sequence import PlaceMatch
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 
@@ -55,7 +56,7 @@ class Neighbourhood:
 
 def best_match(
     search: SequenceSearch, lines: Lines, neighbourhood: Neighbourhood, config: AcceptanceConfig
-) -> SequenceMatch | None:
+) -> PlaceMatch | None:
     """Equation 3 and the uniqueness test; None where no whole line ends anywhere (a map shorter than a sequence)."""
     place = int(lines.costs.argmin())
     best = int(lines.costs[place])
@@ -68,16 +69,17 @@ def best_match(
     direction, order = search.planes[plane]
     segment = neighbourhood.segment(place)
     along, at = lines.costs[segment], place - segment.start
-    return SequenceMatch(
+    return PlaceMatch(
+        place_index=place,
         place=place,
         direction=direction,
         order=order,
         slope=search.slope(plane, place),
-        cost=best / lines.length,
+        distance=best / lines.length / COST_ONE,
         uniqueness=uniqueness,
         accepted=uniqueness >= config.uniqueness_min,
-        beyond=end_between_places(along, at),
-        width=places_nearly_as_good(along, at, min(second, 2 * best)),
+        offset_places=end_between_places(along, at),
+        half_width_places=places_nearly_as_good(along, at, min(second, 2 * best)),
     )
 
 

@@ -1,21 +1,19 @@
-"""Going through a map that is too large for one frame: each frame matches one slice of it with the whole ring.
+"""Scanning maps that are too large for one frame: each frame matches one slice of them with the whole ring.
 
-When all slices have been seen, their best lines are held against each other as if they had been searched at once.
-The lines of the first slices are then older than those of the last by as many frames as there are slices.
+When all slices have been matched, their best lines are compared as if they had been searched at once. The lines of the
+first slices are then older than those of the last by as many frames as there are slices.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.spatial_index import Ranges
-from edge.sequence import SequenceMatch
+from edge.reference_map import COST_ONE, MapSet
+from edge.sequence import PlaceMatch
 from edge.sequence.submap import Submap
 
 SLICE_SHARE = 8
@@ -25,42 +23,43 @@ SLICE_SHARE = 8
 class GlobalSearch:
     """One pass after another through all places."""
 
-    def __init__(self, atlas: MapSet, config: Config, open_part: Callable[[Ranges], Submap]) -> None:
-        """open_part: makes a part of ranges that are open."""
-        self._atlas, self._config, self._open_part = atlas, config, open_part
-        self._places = atlas.numbering.places
+    def __init__(self, map_set: MapSet, config: Config) -> None:
+        self._map_set, self._config = map_set, config
         self._slice = max(1, config.map.places_per_frame // SLICE_SHARE)
-        self._at = 0
-        self._found: list[SequenceMatch] = []
+        self.restart()
 
-    def begin(self) -> None:
+    def restart(self) -> None:
         """Start at the first place again."""
-        self._at, self._found = 0, []
+        self._next = 0
+        self._found: list[PlaceMatch] = []
 
-    def step(self, ring: NDArray[np.float32]) -> SequenceMatch | None:
-        """Match one slice with the ring (n, R, D); the best match of the whole map at the end of a pass, else None."""
+    def step(self, ring: NDArray[np.float32], frame: int) -> PlaceMatch | None:
+        """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
+
+        frame: how many frames there were.
+        """
         if len(ring) < self._config.sequence.length:
             return None
-        end = min(self._at + self._slice, self._places)
+        end = min(self._next + self._slice, self._map_set.index.places)
         # Lines that end in the slice may begin before it, or after it on the way back.
-        ranges = self._atlas.opened(self._atlas.numbering.widened([(self._at, end)], self._config.sequence.length))
-        if ranges:
-            match = self._open_part(ranges).advance(self._atlas.costs(ring, ranges), replaces_ring=True)
-            self._found += [match] if match else []
-        self._at = end
-        if end < self._places:
+        ranges = self._map_set.index.widened([(self._next, end)], self._config.sequence.length)
+        slice_of_maps = Submap(ranges, self._map_set, self._config, frame)
+        match = slice_of_maps.advance(self._map_set.costs(ring, ranges), replaces_ring=True)
+        self._found += [match] if match else []
+        self._next = end
+        if end < self._map_set.index.places:
             return None
         best = self._best()
-        self.begin()
+        self.restart()
         return best
 
-    def _best(self) -> SequenceMatch | None:
+    def _best(self) -> PlaceMatch | None:
         """The best of all slices; what is best elsewhere may lie in its own slice or in another."""
         if not self._found:
             return None
-        best = min(self._found, key=lambda match: match.cost)
-        # Neighbouring slices overlap, and the same place is not elsewhere.
+        best = min(self._found, key=lambda match: match.distance)
+        # Neighboring slices overlap, and the same place is not elsewhere.
         overlap = 2 * self._config.sequence.length
-        others = [match.cost for match in self._found if abs(match.place - best.place) > overlap]
-        uniqueness = min([best.uniqueness, *(cost / max(best.cost, 1.0) for cost in others)])
+        others = [match.distance for match in self._found if abs(match.place_index - best.place_index) > overlap]
+        uniqueness = min([best.uniqueness, *(other / max(best.distance, 1 / COST_ONE) for other in others)])
         return replace(best, uniqueness=uniqueness, accepted=uniqueness >= self._config.acceptance.uniqueness_min)

@@ -1,4 +1,4 @@
-"""Some ranges of a map, or all of it, searched by sequences and judged: equations 2 and 3, and the uniqueness test."""
+"""Some ranges of places, or all of them, searched by sequences: equations 2 and 3, and the uniqueness test."""
 
 from __future__ import annotations
 
@@ -9,39 +9,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map.costs import COST_ONE
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.spatial_index import Ranges
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, SequenceMatch
+from edge.reference_map import COST_ONE, MapSet, Ranges
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
 from edge.sequence.acceptance import Neighbourhood, best_match
 from edge.sequence.search import SequenceSearch, slopes_around_diagonal
 
 
 class Submap:
-    """Some ranges of the map, searched as if they were the whole; places are numbered anew within it."""
+    """Some ranges of places, searched as if there were no others; within it they are counted from 0."""
 
-    def __init__(self, ranges: Ranges, atlas: MapSet, config: Config, frame: int = 0) -> None:
-        """ranges: of places that are open. frame: how many frames came before the first that this part will see."""
+    def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, frame: int = 0) -> None:
+        """frame: how many frames came before the first that this part will match."""
         self.ranges = ranges
+        self._map_set = map_set
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._per_frame_order = config.sequence.region_order == "frame"
         self._acceptance = config.acceptance
-        pieces = list(atlas.numbering.by_segment(ranges))
+        pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
-        views = [atlas.numbering.view(number) for number, _, _ in pieces]
+        views = [map_set.index.view(number) for number, _, _ in pieces]
         bounds = list(pairwise(np.cumsum([0, *lengths]).tolist()))
-        planes, possible = _planes(bounds, views, atlas.headers[0].regions.count, config)
+        planes, possible = _planes(bounds, views, map_set.headers[0].regions.count, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self.search = SequenceSearch(bounds, planes, config.sequence.length, slopes, possible, frame)
         self.neighbourhood = Neighbourhood(
-            atlas.east_north_m(ranges),
-            atlas.route_m(ranges),
+            map_set.east_north_m(ranges),
+            np.ascontiguousarray(map_set.places_in(ranges)["route_m"]),
             np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
             config.acceptance,
         )
 
-    def advance(self, costs: NDArray[np.int32], *, replaces_ring: bool) -> SequenceMatch | None:
-        """Take in cost rows (n, orders, places of the part); the best match now, its place numbered as in the map."""
+    def advance(self, costs: NDArray[np.int32], *, replaces_ring: bool) -> PlaceMatch | None:
+        """Add cost rows (n, orders, places of the part); the best match now."""
         searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
         if replaces_ring:
             self.search.refill(searched)
@@ -53,10 +52,12 @@ class Submap:
             return None
         # Where every frame took its better order, the line is said to have that of the newest.
         order = ORDERS[int(costs[-1][:, match.place].argmin())] if self._per_frame_order else match.order
-        return replace(match, place=int(self.places[match.place]), order=order)
+        place_index = int(self.places[match.place])
+        name, row = self._map_set.locate(place_index)
+        return replace(match, place_index=place_index, map=name, place=row, order=order)
 
     def skip(self) -> None:
-        """Take in a row of which nothing is known: every place is as far as one with nothing in common."""
+        """Add a row of which nothing is known: every place is as far as one with nothing in common."""
         self.search.push(np.full((len(ORDERS), len(self.places)), COST_ONE, dtype=np.int32))
 
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:

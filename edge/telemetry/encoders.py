@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import pymap3d
 from msgspec import UNSET
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.geodesy import east_north_of
 from edge.localization import PlaceFix
 from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Origin
@@ -101,17 +101,15 @@ def vision_position(fix: PlaceFix, sending: Sending) -> Message:
     if sending.origin is None:
         raise ValueError("a local position needs the origin of the autopilot's filter")
     origin = sending.origin
-    east_m, north_m, _ = pymap3d.geodetic2enu(
-        lat_deg, lon_deg, origin.alt_m, origin.lat_deg, origin.lon_deg, origin.alt_m
-    )
+    east_m, north_m = east_north_of(lat_deg, lon_deg, (origin.lat_deg, origin.lon_deg), origin.alt_m)
     covariance = [0.0] * 21  # the upper triangle, row by row
     # ArduPilot takes the cube root of the sum of these variances' squares for its deviation: never less than ours.
     covariance[0] = covariance[6] = covariance[11] = fix.sigma_m**2
     covariance[15] = covariance[18] = covariance[20] = math.pi**2
     return mavlink.MAVLink_vision_position_estimate_message(
         usec=round(sending.boot_s * 1e6),
-        x=float(north_m),
-        y=float(east_m),
+        x=north_m,
+        y=east_m,
         z=sending.down_m,
         roll=0.0,
         pitch=0.0,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import Config, MapConfig
-from edge.descriptor.network import Head, Network
-from edge.recognizer import PlaceRecognizer, model_key
-from edge.reference_map.store import open_map
+from edge.descriptor.network import Network
+from edge.recognizer import model_key, open_recognizer
+from edge.reference_map import open_map_set
 from sim.bench.machine import Machine
 from sim.bench.network_rows import FC6_BYTES, MACS, smooth_picture
 from sim.bench.rows import Row, Section, Target
@@ -48,7 +48,7 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
     write_simulated_map(path, places, model_key(network))
     laps = Laps()
     config = Config(map=MapConfig(places_per_frame=max(100, places)))
-    recognizer = PlaceRecognizer(network, Head.load(network), open_map(path), config, laps.lap)
+    recognizer = open_recognizer(config, network=network, map_set=open_map_set(path), stopwatch=laps.lap)
     rng = np.random.default_rng(1)
     for frame in range(LENGTH + frames):
         picture = smooth_picture(rng, SIZE_PX)

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.descriptor.normalize import NormalizedRows
-from edge.reference_map.map_set import MapSet, open_map_set
-from edge.reference_map.store import ModelKey, open_unverified
-from edge.sequence import SequenceMatch
+from edge.descriptor import NormalizedRows
+from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
+from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near, PlaceSearch
 from sim.bench.rows import Row, Section, Target
 from sim.bench.simulated_map import map_bytes, position_of, seen_at, write_simulated_map, write_simulated_tiles
@@ -26,21 +25,20 @@ SHARE_OF_MEMORY = 0.8
 
 
 class Drive:
-    """A vehicle that drives along the maps of an atlas, a place a frame, and sees it as they have it."""
+    """A vehicle that drives along the maps of a set, a place a frame, and sees it as they have it."""
 
-    def __init__(self, atlas: MapSet, start: int, *, known: bool) -> None:
-        self.atlas = atlas
+    def __init__(self, map_set: MapSet, start: int, *, known: bool) -> None:
+        self.map_set = map_set
         config = Config()
-        self.search = PlaceSearch(atlas, config)
+        self.search = PlaceSearch(map_set, config)
         self._length = config.sequence.length
         self._known = known
         self._place = start
         self._ring: list[np.ndarray] = []
-        self._seen: tuple[int, NDArray[np.int8]] | None = None
         for _ in range(self._length):
             self.step()
 
-    def step(self) -> SequenceMatch | None:
+    def step(self) -> PlaceMatch | None:
         """One frame."""
         self._ring = [*self._ring, self._look()][-self._length :]
         near = Near(*position_of(self._place), RADIUS_M) if self._known else None
@@ -49,12 +47,9 @@ class Drive:
         return self.search.push(change, lambda: np.stack(self._ring), near)
 
     def _look(self) -> NDArray[np.float32]:
-        """From a map that is opened here for this alone: what the search opens is its own affair."""
-        numbering = self.atlas.numbering
-        index = numbering.map_of(self._place)
-        if self._seen is None or self._seen[0] != index:
-            self._seen = index, open_unverified(self.atlas.folders[index])[0].descriptors
-        return seen_at(self._seen[1], self._place - numbering.starts[index])
+        index = self.map_set.index
+        number = index.map_of(self._place)
+        return seen_at(self.map_set.maps[number].descriptors, self._place - index.starts[number])
 
 
 def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Section:
@@ -96,7 +91,7 @@ def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> lis
 
     opening = race({"open": open_it}, max(2, rounds // 3), wall_ns)["open"]
     start = wall_ns()
-    open_unverified(path)[1].finish()
+    open_map(path)
     verifying = Times(((wall_ns() - start) / 1e6,))
     if places == 100_000:
         value = f"{opening.median_ms / 1e3:.2f} s, then {verifying.median_ms / 1e3:.1f} s between frames"
@@ -124,8 +119,6 @@ def _frames(path: Path, small: Path, told: str, places: int, rounds: int, target
     ratio = times["known"].ratio(times["whole"])
     part = around.search.part
     note = f"{len(part.places):,} places of it" if part else "gone through in slices: too many places for a frame"
-    if around.atlas.is_folder:
-        note += f"; {around.atlas.open_count} of {len(around.atlas.folders)} maps open"
     rows = [Row(f"{told}, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
     if "lost" in times:
         lost = times["lost"]

@@ -15,7 +15,7 @@ from edge.config import SamplingConfig
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import squared_norms
-from edge.reference_map.extent import bounds_of
+from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 

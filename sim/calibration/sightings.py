@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.feed.traverse import traverse
+from edge.geodesy import east_north
 from edge.localization.line_refinement import LineRefinement
-from edge.recognizer import PlaceRecognizer
-from edge.reference_map.route import east_north
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order
 
@@ -56,9 +57,9 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     # Measured without any offset, and each feed knows where its camera looked.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
-    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
-    ends = LineRefinement(recognizer.route, config.sequence.length)
+    ends = LineRefinement(Route(recognizer.map_set), config.sequence.length)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
         ends.move(match, item.distance_m, item.missed)

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.errors import LookbackError
-from edge.reference_map.costs import CostMatcher
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.store import ReferenceMap
+from edge.reference_map import COST_ONE, MapSet, ReferenceMap
 from edge.sequence.search import NO_LINE
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
@@ -82,19 +80,20 @@ def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
 def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
     """Uniqueness of the best match of each place where its own surroundings are missing."""
     header = reference_map.header
-    matcher, atlas = CostMatcher.of(reference_map), MapSet.of(reference_map)
+    map_set = MapSet.of(reference_map)
+    (matcher,) = map_set.matchers
     missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum runs over
     for segment in header.segments:
         # The camera that made the drive: with another's region orders its own reflection would be searched for.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
-        part = Submap([(0, header.places)], atlas, config)
+        part = Submap([(0, header.places)], map_set, config)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only among the ends of lines: one on the way back would cross the truth in its middle.
             costs[..., part.neighbourhood.around(place)] = missing
             match = part.advance(costs, replaces_ring=False)
-            if match is None or match.cost * config.sequence.length >= missing:
+            if match is None or match.distance * COST_ONE * config.sequence.length >= missing:
                 continue
-            alone = match.uniqueness * match.cost * config.sequence.length >= missing
+            alone = match.uniqueness * match.distance * COST_ONE * config.sequence.length >= missing
             yield 1.0 if alone else match.uniqueness

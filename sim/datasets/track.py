@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedRow
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 from sim.datasets import TruthKind
 
 Floats = NDArray[np.float64]

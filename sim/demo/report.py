@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import edge
 from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
 from edge.feed import FeedImages, read_feed
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.review import TOLERANCE_M, Review, stages_ms
 from sim.evaluation import report

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.journal.frame_record import Observation
 from edge.journal.journal import read_journal
-from edge.recognizer import PlaceMatch, PlaceRecognizer
-from edge.reference_map.costs import COST_ONE
-from edge.reference_map.store import ReferenceMap
+from edge.recognizer import open_recognizer
+from edge.reference_map import COST_ONE, MapSet, ReferenceMap
+from edge.sequence import PlaceMatch
 from sim.evaluation.metrics import Answers
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.world.camera import open_renderer
@@ -88,14 +88,14 @@ def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) 
     network = Network.load()
     config = config_for_map(reference_map.header)
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=live.scenario.view))
-    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     renderer = open_renderer(live.scenario, live.drive)
     costs, matches, kept = [], [], {}
     try:
         for row, (item, time_s) in enumerate(zip(seen, times_s, strict=True)):
             image = renderer.render(live.drive.pose(time_s), time_s)
             matches.append(recognizer.observe(image, item.stamp_ns, missed=item.missed or 0))
-            costs.append(recognizer.places.newest_costs.min(axis=0) / np.float32(COST_ONE))
+            costs.append(recognizer.matcher.search.newest_costs.min(axis=0) / np.float32(COST_ONE))
             if row in shown:
                 kept[row] = image
     finally:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from edge.commands.map_build import build_map
 from edge.commands.replay import replay
 from edge.config import Config, SamplingConfig
-from edge.descriptor.network import Head
 from edge.feed import FeedImages
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 from sim.evaluation import figures
 from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
@@ -220,7 +220,7 @@ def _halting(bench: Bench, pair: Pair, sampling: SamplingConfig, gate: float) ->
         path = Path(folder) / "map"
         build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
         reference_map = open_map(path)
-        recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
         lines = list(replay(recognizer, query.feed, sampling))
     errors = true_errors(reference, query, pair)
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]

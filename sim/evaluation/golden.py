@@ -21,10 +21,11 @@ import tomli_w
 from edge.commands.map_build import add_spacing_options, build_map, sampling_from
 from edge.commands.replay import config_for_map, replay
 from edge.config import DescriptorConfig, SamplingConfig, SequenceConfig, checked_option
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from edge.feed import read_feed
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 from edge.toml_file import read_toml
 
@@ -70,7 +71,7 @@ def replay_golden(folder: Path, golden: Golden) -> str:
         config = config_for_map(reference_map.header, golden.length)
         config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=query.header.view))
         network = Network.load()
-        recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
         seen = replay(recognizer, query, golden.sampling)
         return "".join(msgspec.json.encode(line).decode() + "\n" for line in seen)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, SequenceConfig
-from edge.descriptor.normalize import NormalizedRows
+from edge.descriptor import NormalizedRows
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction
 from edge.sequence.acceptance import Neighbourhood, best_match

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.normalize import NormalizedRows, OnlineNormalizer, RunningStatistics, normalize
+from edge.descriptor import NormalizedRows
+from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics, normalize
 from edge.descriptor.regions import Regions
 from edge.errors import ConfigError
 

@@ -19,7 +19,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import FeedError, FrameError, ModelError
 from edge.feed import Feed, FeedImages, read_feed
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 from sim.model_tools import fidelity, onnx_graph, quantize
 from sim.model_tools.weights import has_head, read_labels, read_weights
 

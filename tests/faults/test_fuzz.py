@@ -25,6 +25,7 @@ from edge.descriptor.network import Head, Network
 from edge.errors import FrameError, LookbackError
 from edge.feed import FeedImages, read_feed
 from edge.recognizer import PlaceRecognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 
 CASES = [100, pytest.param(10_000, marks=pytest.mark.soak)]
@@ -167,7 +168,7 @@ def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
             return descriptors
 
     config = msgspec.convert({"sequence": {"length": 3}}, Config)
-    recognizer = PlaceRecognizer(Flat(), Head.load(network), open_map(street / "map"), config)  # type: ignore[arg-type]
+    recognizer = PlaceRecognizer(Flat(), Head.load(network), MapSet.of(open_map(street / "map")), config)  # type: ignore[arg-type]
     numbers = count()
 
     def check(case: tuple[int, int, int, int]) -> None:

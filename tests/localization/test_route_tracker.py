@@ -49,10 +49,8 @@ def open_tracker(route: Route) -> Callable[..., RouteTracker]:
 
 def match(place: int, direction: Any = "forward", **changes: Any) -> PlaceMatch:
     fields: dict[str, Any] = {
+        "place_index": place,
         "place": place,
-        "lat_deg": None,
-        "lon_deg": None,
-        "heading_deg": None,
         "direction": direction,
         "order": "swapped",
         "slope": 1.0,

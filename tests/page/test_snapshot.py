@@ -17,12 +17,12 @@ pytest.importorskip("starlette")
 
 from edge.camera.newest import CameraHealth
 from edge.config import Config, PageConfig, SamplingConfig, SequenceConfig
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.feed.traverse import traverse
 from edge.health.stage_times import StageTimes
 from edge.page.snapshot import LiveStatus, map_view, open_page
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
@@ -41,7 +41,7 @@ def watched(street: ReferenceMap, network: Network, tmp_path: Path) -> LiveStatu
     """The status after a drive along the map."""
     config = Config(sequence=SequenceConfig(length=LENGTH))
     config = replace(config, telemetry=replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600"))
-    recognizer = PlaceRecognizer(network, Head.load(network), street, config)
+    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(street))
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         status = LiveStatus(
             config,

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import SamplingConfig
-from edge.reference_map.extent import TileOf
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.spatial_index import Ranges
-from edge.reference_map.store import FORMAT, VERSION, MapHeader, ModelKey, RegionsKey, Segment
+from edge.reference_map.store import FORMAT, VERSION, MapHeader, ModelKey, RegionsKey, Segment, TileOf
 
 
 def header(lengths: list[int], tile: TileOf | None = None) -> MapHeader:

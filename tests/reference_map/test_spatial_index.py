@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.reference_map.extent import bounds_of
-from edge.reference_map.spatial_index import MapBounds, SpatialIndex, apart_m, widened
+from edge.reference_map.spatial_index import MapBounds, SpatialIndex, apart_m, bounds_of, widened
 from edge.reference_map.store import PLACE
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
-from edge.descriptor.normalize import NormalizedRows, normalize
+from edge.descriptor import NormalizedRows
+from edge.descriptor.normalize import normalize
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
-from edge.sequence import SequenceMatch
+from edge.sequence import PlaceMatch
 from edge.sequence.global_search import SLICE_SHARE
 from edge.sequence.place_search import Near, PlaceSearch
 
@@ -63,12 +64,12 @@ class Drive:
         self._look = look
         self._ring: list[np.ndarray] = []
 
-    def see(self, place: int, near: Near | None = None) -> SequenceMatch | None:
+    def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
         return self.search.push(change, lambda: np.stack(self._ring), near)
 
-    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[SequenceMatch | None]:
+    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
         return [self.see(place, near(place)) for place in places]
 
 

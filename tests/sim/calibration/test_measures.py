@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
-from edge.descriptor.normalize import NormalizedRows, normalize
+from edge.descriptor import NormalizedRows
+from edge.descriptor.normalize import normalize
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.builder import MapBuilder, Place

@@ -15,12 +15,12 @@ pytest.importorskip("panda3d")
 
 from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import FeedError
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
 from edge.localization.route_tracker import RouteTracker
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
@@ -94,7 +94,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG)
     dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
     tracker = RouteTracker(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
-    recognizer = PlaceRecognizer(network, Head.load(network), maps["rear"], CONFIG)
+    recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))
     in_sigmas = []
     for item in traverse(dusk, CONFIG.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)

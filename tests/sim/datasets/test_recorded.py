@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.__main__ import main
 from edge.errors import FeedError
 from edge.feed import FeedImages, FeedOptions, read_feed
-from edge.reference_map.route import east_north
+from edge.geodesy import east_north
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.flight_logs import read_log
 

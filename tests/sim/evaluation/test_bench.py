@@ -12,9 +12,10 @@ import numpy as np
 from edge.commands.map_build import build_map
 from edge.commands.replay import replay
 from edge.config import AcceptanceConfig, Config, SamplingConfig
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.feed import read_feed
-from edge.recognizer import PlaceRecognizer
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 from sim.evaluation.comparison import median_ahead
 from sim.evaluation.matching import judge
@@ -50,7 +51,7 @@ def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, network: Ne
     )
     build_map([reference], tmp_path / "map", config.descriptor, plan.sampling, network=network)
     reference_map = open_map(tmp_path / "map")
-    recognizer = PlaceRecognizer(network, Head.load(network), reference_map, config)
+    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     lines = list(replay(recognizer, query, plan.sampling))
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
