@@ -197,11 +197,12 @@ def open_recognizer(
     in `PlaceRecognizer.map_set.excluded`; MapError if none fits.
     """
     network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+    head = Head.load(network)
     if map_set is None:
         key = config.map.require_signature_by
         map_set = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None)
     map_set = map_set.fitting(model_key(network), config.descriptor)
-    return PlaceRecognizer(network, Head.load(network), map_set, config, stopwatch)
+    return PlaceRecognizer(network, head, map_set, config, stopwatch)
 
 
 def model_key(network: Network) -> ModelKey:

@@ -100,7 +100,7 @@ def test_nothing_is_told_of_a_damaged_tile(
     lines = replayed(street, damaged, capsys)
     assert {line.get("map") for line in lines} == {None, "0"}
     assert [record.message for record in caplog.records] == [
-        f"{damaged / '1' / DESCRIPTORS}: damaged (its checksum does not hold); build or copy the map again; left out"
+        f"{damaged / '1' / DESCRIPTORS}: damaged (its checksum does not hold); build or copy the map again; excluded"
     ]
     assert sum(line["accepted"] for line in lines) > 30
 
@@ -132,10 +132,10 @@ def test_the_daemon_goes_on_without_a_damaged_tile(street: Path, damaged: Path) 
     )
     assert process.returncode == 0, process.stderr
     records = list(read_journal(damaged.parent / "events.jsonl"))
-    left_out = [record for record in records if record["event"] == "map_left_out"]
-    assert [record["map"] for record in left_out] == ["1"]
-    assert f"{DESCRIPTORS}: damaged" in left_out[0]["why"]
-    assert process.stderr.count("left out") == 1
+    excluded = [record for record in records if record["event"] == "map_excluded"]
+    assert [record["map"] for record in excluded] == ["1"]
+    assert f"{DESCRIPTORS}: damaged" in excluded[0]["why"]
+    assert process.stderr.count("excluded") == 1
     places = [record for record in records if record["event"] == "place"]
     assert places
     assert {record["map"] for record in places} == {"0"}
@@ -156,7 +156,7 @@ def test_info_verify_and_check_of_a_folder(
     assert main(["map", "verify", str(damaged)]) == 78
     out, err = capsys.readouterr()
     assert f"{DESCRIPTORS}: damaged" in out
-    assert err.endswith("1 of its maps would be left out: 1\n")
+    assert err.endswith("1 of its maps would be excluded: 1\n")
     assert main(["check", str(write_config(tmp_path, street / "again", damaged))]) == 0
     out = capsys.readouterr().out
     assert "map of 64 places in 1 map" in out
@@ -192,9 +192,7 @@ def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsy
 
 
 def test_the_page_shows_where_the_maps_are(street: Path) -> None:
-    atlas = open_map_set(street / "tiles")
-    view = map_view(atlas)
-    assert atlas.open_count == 0
+    view = map_view(open_map_set(street / "tiles"))
     assert view.places == FRAMES
     (south, west), (_, east), (north, _), *_ = view.drives[1]
     assert south == pytest.approx(-27 + BORDER * 2 / 110_800)
@@ -215,7 +213,7 @@ def test_the_page_says_which_map(street: Path, network: Network, tmp_path: Path)
         camera = CameraHealth("running", "", 0)
         status = LiveStatus(config, "a model", recognizer, StageTimes(), lambda: camera, autopilot, None, lambda: 0)
         for item in traverse(read_feed(street / "last"), config.sampling):
-            status.note(item.frame, recognizer.observe(item.frame.image, item.frame.stamp_ns))
+            status.note(item.frame, recognizer.observe(item.frame.image, item.frame.stamp_ns), None)
         shown = status.snapshot("on the map", "").status
     assert shown.map_name == "city, 80 places in 2 maps"
     assert shown.match is not None
@@ -238,7 +236,6 @@ def test_a_tile_of_a_tile_follows_on(street: Path, tmp_path: Path) -> None:
     assert main(["map", "split", str(street / "tiles" / "0"), "-o", str(tmp_path / "x"), "--places", "63"]) == 0
     (tmp_path / "x" / "0").rename(tmp_path / "x" / "0again")
     shutil.copytree(street / "tiles" / "1", tmp_path / "x" / "1")
-    atlas = open_map_set(tmp_path / "x")
-    assert atlas.numbering.segment(0) == (0, FRAMES)
+    assert open_map_set(tmp_path / "x").index.segment(0) == (0, FRAMES)
     shutil.copytree(street / "map", tmp_path / "x" / "0between")
-    assert open_map_set(tmp_path / "x").numbering.whole(0) == (0, BORDER)
+    assert open_map_set(tmp_path / "x").index.whole(0) == (0, BORDER)

@@ -23,8 +23,9 @@ from edge.config import (
 from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
+from edge.localization.place_fix import position_of
 from edge.recognizer import PlaceMatch, PlaceRecognizer, open_recognizer
-from edge.reference_map import MapSet
+from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 
 LENGTH = 8
@@ -72,8 +73,11 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
     assert all(match.direction == "forward" and match.order == "same" for match in matches if match)
     last = matches[-1]
     assert last and last.accepted and last.event and last.category
-    assert last.lat_deg == pytest.approx(-27.0 + last.place * 2 / 110_800)
-    assert last.heading_deg == 0.0
+    assert (last.map, last.place_index) == (None, last.place)
+    position = position_of(last, Route(MapSet.of(street_map)), CONFIG.rig)
+    assert position is not None
+    assert position.lat_deg == pytest.approx(-27.0 + last.place * 2 / 110_800)
+    assert position.heading_deg == 0.0
 
 
 def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
@@ -82,10 +86,12 @@ def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, fra
     matches = drive(recognizer(network, street_map, rear), frames[59:0:-1])
     last = matches[-1]
     assert last and last.accepted
-    assert (last.direction, last.order, last.heading_deg) == ("reverse", "same", 180.0)
+    position = position_of(last, Route(MapSet.of(street_map)), rear.rig)
+    assert position is not None
+    assert (last.direction, last.order, position.heading_deg) == ("reverse", "same", 180.0)
     assert abs(last.place - 1) <= 1
     # The place lies 4 m ahead, which is towards the start: the vehicle is 2 places further along.
-    assert last.lat_deg == pytest.approx(-27.0 + (last.place + 2) * 2 / 110_800)
+    assert position.lat_deg == pytest.approx(-27.0 + (last.place + 2) * 2 / 110_800)
 
 
 def test_beyond_the_end_of_the_map_nothing_is_believed(

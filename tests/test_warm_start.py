@@ -44,21 +44,21 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
         return recognizer, WarmStart(config(tmp_path), recognizer)
 
     first, memory = start()
-    assert first.statistics is None
+    assert first.matcher.statistics is None
     for row in range(40):
         first.observe(images.read(row), feed.rows[row].stamp_ns)
     memory.keep("on the map", None)
     second, _ = start()
-    assert first.statistics is not None
-    assert second.statistics is not None
-    assert second.statistics.count == first.statistics.count == 40 <= COUNTS_AS_MOST
-    np.testing.assert_array_equal(second.statistics.mean, first.statistics.mean)
+    assert first.matcher.statistics is not None
+    assert second.matcher.statistics is not None
+    assert second.matcher.statistics.count == first.statistics.count == 40 <= COUNTS_AS_MOST
+    np.testing.assert_array_equal(second.matcher.statistics.mean, first.statistics.mean)
     for row in range(40, 60):
         stamp_ns = feed.rows[row].stamp_ns
         first.observe(images.read(row), stamp_ns)
         second.observe(images.read(row), stamp_ns)
-    np.testing.assert_allclose(second.statistics.mean, first.statistics.mean, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(second.statistics.deviation, first.statistics.deviation, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.matcher.statistics.mean, first.statistics.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.matcher.statistics.deviation, first.statistics.deviation, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("changes", [{"minutes": 0.0}, {"journal": ""}], ids=["not asked for", "no journal"])

@@ -179,7 +179,7 @@ def test_without_an_odometer_the_lines_end_between_places_and_their_slope_counts
 ) -> None:
     tracker = open_tracker()
     drive = Drive(tracker, 60, odometer=False)
-    drive.go(30, lambda place: match(place, beyond=0.4))
+    drive.go(30, lambda place: match(place, offset_places=0.4))
     tracked = tracker.at_exposure()
     assert drive.north_m(tracked) == pytest.approx((drive.place + 0.4) * SPACING_M, abs=0.05)
     assert tracked is not None
@@ -192,7 +192,7 @@ def test_a_wide_match_is_less_certain(open_tracker: Callable[..., RouteTracker])
     for width in (1.0, 10.0):
         tracker = open_tracker()
         drive = Drive(tracker, 60, odometer=False)
-        drive.go(30, lambda place, width=width: match(place, width=width))  # type: ignore[misc]  # bound now
+        drive.go(30, lambda place, width=width: match(place, half_width_places=width))  # type: ignore[misc]  # bound now
         tracked = tracker.at_exposure()
         assert tracked is not None
         sigmas_m.append(tracked.sigma_along_m)

@@ -21,11 +21,10 @@ from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.feed.traverse import traverse
 from edge.health.stage_times import StageTimes
+from edge.localization.place_fix import position_of
 from edge.page.snapshot import LiveStatus, map_view, open_page
 from edge.recognizer import open_recognizer
-from edge.reference_map.costs import COST_ONE
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.store import ReferenceMap, open_map
+from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry.autopilot import AutopilotConnection
 
 FRAMES, LENGTH = 30, 10
@@ -42,6 +41,7 @@ def watched(street: ReferenceMap, network: Network, tmp_path: Path) -> LiveStatu
     config = Config(sequence=SequenceConfig(length=LENGTH))
     config = replace(config, telemetry=replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600"))
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(street))
+    route = Route(recognizer.map_set)
     with closing(AutopilotConnection(config.telemetry)) as autopilot:
         status = LiveStatus(
             config,
@@ -54,7 +54,8 @@ def watched(street: ReferenceMap, network: Network, tmp_path: Path) -> LiveStatu
             lambda: 10**9 * FRAMES,
         )
         for item in traverse(read_feed(street.path.with_name("feed")), config.sampling):
-            status.note(item.frame, recognizer.observe(item.frame.image, item.frame.stamp_ns))
+            match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+            status.note(item.frame, match, position_of(match, route, config.rig) if match else None)
         return status
 
 
@@ -81,7 +82,7 @@ def test_a_snapshot_is_not_changed_by_later_frames(watched: LiveStatus, street: 
     before = watched.snapshot("on the map", "")
     window, costs, history = before.window.copy(), before.costs.copy(), before.status.history
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
-    watched.note(item.frame, watched._recognizer.observe(item.frame.image[:, ::-1], 60 * 10**9))
+    watched.note(item.frame, watched._recognizer.observe(item.frame.image[:, ::-1], 60 * 10**9), None)
     assert (before.window == window).all()
     assert (before.costs == costs).all()
     assert before.status.history == history
@@ -92,7 +93,7 @@ def test_a_note_keeps_the_picture_and_copies_nothing(watched: LiveStatus, street
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
     tracemalloc.start()
     for _ in range(100):
-        watched.note(item.frame, None)
+        watched.note(item.frame, None, None)
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert watched.snapshot("on the map", "").image is item.frame.image

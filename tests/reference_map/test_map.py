@@ -15,11 +15,19 @@ import pytest
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
+from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.checksums import Checksums
 from edge.reference_map.costs import encode
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.route import Route
-from edge.reference_map.store import DESCRIPTORS, ModelKey, RegionsKey, open_map, open_unverified
+from edge.reference_map.store import (
+    DESCRIPTORS,
+    PLACE,
+    PLACES,
+    ModelKey,
+    RegionsKey,
+    open_unverified,
+    read_header,
+)
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 16)
 REGIONS = RegionsKey("left-right", 0.4, "set")
@@ -122,31 +130,65 @@ def test_every_truncation_is_noticed(small_map: Path) -> None:
         (small_map / "gone").rename(small_map / name)
 
 
-def test_a_large_file_may_be_checked_in_pieces_after_opening(small_map: Path) -> None:
-    reference_map, verification = open_unverified(small_map)
-    assert not verification.is_done
+def test_a_large_file_is_checked_in_pieces_after_opening(small_map: Path) -> None:
+    size = open_unverified(small_map).descriptors.size
+    files = read_header(small_map).files
+    checksums = Checksums(small_map, files, [DESCRIPTORS])
     steps = 1
-    while not verification.step(100):
+    while not checksums.step(100):
         steps += 1
-    assert steps == -(-reference_map.descriptors.size // 100) + (reference_map.descriptors.size % 100 == 0)
-    verification.finish()
+    assert steps == -(-size // 100) + (size % 100 == 0)
     good = (small_map / DESCRIPTORS).read_bytes()
     (small_map / DESCRIPTORS).write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
-    _, verification = open_unverified(small_map)  # nothing is noticed yet
+    open_unverified(small_map)  # nothing is noticed yet
     with pytest.raises(MapError, match=f"{DESCRIPTORS}: damaged"):
-        verification.finish()
-    _, verification = open_unverified(small_map)
-    verification.step(10)
-    verification.close()
-    (small_map / DESCRIPTORS).write_bytes(good)
-    verification.finish()  # from the start again
-
-
-def test_a_large_file_that_goes_away_is_one_line(small_map: Path) -> None:
-    _, verification = open_unverified(small_map)
+        Checksums(small_map, files, [DESCRIPTORS]).finish()
     (small_map / DESCRIPTORS).unlink()
     with pytest.raises(MapError, match=rf"{DESCRIPTORS}: cannot read it"):
-        verification.step(1)
+        Checksums(small_map, files, [DESCRIPTORS]).step(1)
+
+
+def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Path, tmp_path: Path) -> None:
+    for name in "abc":
+        shutil.copytree(small_map, tmp_path / "maps" / name)
+    (tmp_path / "maps" / "c" / DESCRIPTORS).write_bytes(bytes((small_map / DESCRIPTORS).stat().st_size))
+    maps = open_map_set(tmp_path / "maps")
+    a, b, c = [one.path for one in maps.maps]
+    schedule = maps.checksum_schedule()
+    assert not schedule.is_verified([b])
+    while not schedule.is_verified([b]):
+        assert schedule.step(100, [b]) is None
+    assert not schedule.is_verified([a, b])
+    damages = [damage for damage in (schedule.step(1 << 20) for _ in range(10)) if damage]
+    assert [damage.path for damage in damages] == [c]
+    assert schedule.is_verified([a, b])
+    assert not schedule.is_verified([c])
+    left = maps.without({damages[0].path: damages[0].why})
+    assert (left.names, [one.name for one in left.excluded]) == (("a", "b"), ["c"])
+    assert len(left.places) == left.index.places == 2 * len(maps.maps[0].places)
+    with pytest.raises(MapError, match="none of its 3 maps can be used"):
+        left.without({a: "gone", b: "gone"})
+    with pytest.raises(MapError, match=r"^gone$"):
+        open_map_set(a).without({a: "gone"})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("lat_deg", 91.0, "place 1 has lat_deg 91"),
+        ("lon_deg", np.inf, "place 1 has lon_deg inf"),
+        ("heading_deg", -np.inf, "place 1 has heading_deg -inf"),
+        ("route_m", 1e300, "place 1 has route_m 1e"),
+        ("lat_deg", np.nan, "place 1 has half a position"),
+    ],
+)
+def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: str, value: float, told: str) -> None:
+    places = np.fromfile(small_map / PLACES, dtype=PLACE)
+    places["lat_deg"], places["lon_deg"] = 1.0, 2.0
+    places[field][1] = value
+    places.tofile(small_map / PLACES)
+    with pytest.raises(MapError, match=told):
+        open_unverified(small_map)
 
 
 @pytest.mark.parametrize(

@@ -2,68 +2,80 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.reference_map.spatial_index import MapBounds, SpatialIndex, apart_m, bounds_of, widened
+from edge.geodesy import apart_m
+from edge.reference_map.spatial_index import SpatialIndex, bounds_of, widened
 from edge.reference_map.store import PLACE
 
 
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), places=st.integers(1, 700), radius_m=st.floats(0, 300))
-def test_every_place_within_the_radius_is_in_the_ranges(seed: int, places: int, radius_m: float) -> None:
-    rng = np.random.default_rng(seed)
-    east_north_m = rng.normal(size=(places, 2)).cumsum(axis=0) * 3
-    east_north_m[rng.random(places) < 0.01] = np.nan
-    centre = rng.normal(size=2) * 50
-    ranges = SpatialIndex(east_north_m).within(centre, radius_m)
+def in_ranges(index: SpatialIndex, lat_deg: float, lon_deg: float, radius_m: float, places: int) -> np.ndarray:
     inside = np.zeros(places, dtype=bool)
-    for start, end in ranges:
+    for start, end in index.within(lat_deg, lon_deg, radius_m):
         assert not inside[start:end].any()
         inside[start:end] = True
-    with np.errstate(invalid="ignore"):
-        must = ~(np.hypot(*(east_north_m - centre).T) > radius_m)
-    assert inside[must].all()
+    return inside
+
+
+def some_places(rng: np.random.Generator, lat_deg: float, lon_deg: float, step_deg: float, count: int) -> np.ndarray:
+    """A drive that wanders about, some of it without positions."""
+    places = np.zeros(count, dtype=PLACE)
+    places["lat_deg"] = lat_deg + rng.normal(size=count).cumsum() * step_deg
+    places["lon_deg"] = (lon_deg + rng.normal(size=count).cumsum() * step_deg + 180) % 360 - 180
+    unknown = rng.random(count) < 0.01
+    places["lat_deg"][unknown] = places["lon_deg"][unknown] = np.nan
+    return places
 
 
 @settings(max_examples=200, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    lat_deg=st.floats(-85, 85),
-    lon_deg=st.sampled_from([0.0, 179.99, -179.995, 180.0, 77.7]),
-    spread_deg=st.sampled_from([1e-4, 0.01, 0.3]),
-    radius_m=st.floats(1, 50_000),
+    counts=st.lists(st.integers(1, 300), min_size=1, max_size=3),
+    lat_deg=st.floats(-80, 80),
+    lon_deg=st.sampled_from([0.0, 179.9999, -179.9995, 180.0, 77.7]),
+    step_deg=st.sampled_from([1e-5, 1e-3]),
+    radius_m=st.floats(0, 5_000),
     around=st.sampled_from([-360, 0, 360]),
 )
-def test_a_map_is_near_if_any_of_its_places_is(
-    seed: int, lat_deg: float, lon_deg: float, spread_deg: float, radius_m: float, around: int
+def test_every_place_within_the_radius_is_in_the_ranges(
+    seed: int, counts: list[int], lat_deg: float, lon_deg: float, step_deg: float, radius_m: float, around: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    places = np.zeros(20, dtype=PLACE)
-    places["lat_deg"] = lat_deg + rng.uniform(-spread_deg, spread_deg, 20)
-    places["lon_deg"] = (lon_deg + rng.uniform(-spread_deg, spread_deg, 20) + 180) % 360 - 180
-    places["lat_deg"][:3] = np.nan
-    lat, lon = lat_deg + rng.normal(0, 2 * spread_deg), lon_deg + rng.normal(0, 2 * spread_deg) + around
-    known = places[3:]
-    away_m = apart_m(lat, lon, known["lat_deg"], known["lon_deg"])
-    nowhere = places[:3]
-    areas = MapBounds([bounds_of(nowhere), bounds_of(places)])
-    assert areas.are_known
-    near, inside = areas.within(lat, lon, radius_m).tolist(), areas.inside(lat, lon, radius_m).tolist()
-    assert near in ([], [1])
-    assert inside in ([], [1])
-    assert near or away_m.min() > radius_m
-    assert not inside or away_m.max() <= radius_m + 1e-6
-    assert near or not inside
-    assert areas.within(lat, lon, 0.5 * away_m.min() - 50_000).tolist() == []
-    assert not MapBounds([None]).are_known
+    of_maps = [some_places(rng, lat_deg, lon_deg, step_deg, count) for count in counts]
+    places = np.concatenate(of_maps)
+    starts = np.cumsum([0, *counts]).tolist()
+    index = SpatialIndex(places, [(*rows, bounds_of(one)) for rows, one in zip(pairwise(starts), of_maps, strict=True)])
+    lat, lon = lat_deg + rng.normal() * 10 * step_deg, lon_deg + rng.normal() * 10 * step_deg + around
+    inside = in_ranges(index, lat, lon, radius_m, len(places))
+    known = ~np.isnan(places["lat_deg"])
+    away_m = apart_m(lat, lon, places["lat_deg"][known], places["lon_deg"][known])
+    assert inside[known][away_m <= radius_m].all()
+    assert index.is_known == known.any()
+    if known.any():
+        assert not in_ranges(index, lat, lon + 90, 1000.0, len(places)).any()
 
 
-def test_far_blocks_are_left_out() -> None:
-    route = np.column_stack([np.arange(1000) * 2.0, np.zeros(1000)])
-    assert SpatialIndex(route).within(np.array([1000.0, 5.0]), 50.0) == [(448, 576)]
-    assert SpatialIndex(route).within(np.array([1000.0, 500.0]), 50.0) == []
+def test_far_blocks_are_excluded() -> None:
+    places = np.zeros(1000, dtype=PLACE)
+    places["lat_deg"] = np.arange(1000) * 2.0 / 110_600
+    index = SpatialIndex(places, [(0, 1000, bounds_of(places))])
+    assert index.within(1000.0 / 110_600, 0.0, 50.0) == [(448, 576)]
+    assert index.within(1000.0 / 110_600, 500.0 / 111_320, 50.0) == []
+
+
+def test_a_map_without_positions_is_allowed_nowhere_and_unknown_places_where_their_map_is() -> None:
+    places = np.zeros(300, dtype=PLACE)
+    places["lat_deg"][100:] = np.arange(200) * 2.0 / 110_600
+    places["lat_deg"][:100] = places["lon_deg"][:100] = np.nan
+    places["lat_deg"][290:] = places["lon_deg"][290:] = np.nan
+    index = SpatialIndex(places, [(0, 100, None), (100, 300, bounds_of(places[100:]))])
+    assert index.within(0.0, 0.0, 5.0) == [(100, 164), (228, 300)]
+    assert index.within(1.0, 0.0, 5.0) == []
+    assert not SpatialIndex(places[:100], [(0, 100, None)]).is_known
 
 
 def test_widening_merges_what_touches() -> None:

@@ -90,11 +90,11 @@ def test_around_a_position_the_answers_are_those_of_the_whole_map(
         found, expected = part.see(place, close_to(place)), whole.see(place)
         assert (found is None) == (expected is None)
         if found and expected:
-            assert (found.place, found.direction, found.order, found.cost, found.slope) == (
+            assert (found.place, found.direction, found.order, found.distance, found.slope) == (
                 expected.place,
                 expected.direction,
                 expected.order,
-                expected.cost,
+                expected.distance,
                 expected.slope,
             )
             # With fewer places elsewhere, the best of them can only be worse.

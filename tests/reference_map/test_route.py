@@ -1,0 +1,70 @@
+"""Positions along a drive where longitudes jump, and where the map knows no heading."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.config import SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.geodesy import apart_m, east_north_of, moved
+from edge.reference_map import MapSet, Route, open_map
+from edge.reference_map.builder import NAN, MapBuilder, Place
+from edge.reference_map.store import ModelKey, RegionsKey
+
+SPACING_M = 20.0
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")
+
+
+def drive_east(path: Path, lat_deg: float, lon_deg: float, *, heading_deg: float = 90.0, places: int = 11) -> Route:
+    """The route of a map of one drive going east, of which that longitude is the middle."""
+    with MapBuilder(
+        path, ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set"), SamplingConfig()
+    ) as new:
+        new.begin_segment("east", "front")
+        for index in range(places):
+            lat, lon = moved(lat_deg, lon_deg, (index - places // 2) * SPACING_M, 0.0)
+            lon = (lon + 180) % 360 - 180
+            place = Place(index, lat, lon, heading_deg=heading_deg, route_m=index * SPACING_M)
+            new.add(np.random.default_rng(index).random((1, 4), dtype=np.float32), place)
+        new.finish(normalize, "test")
+    return Route(MapSet.of(open_map(path)))
+
+
+@pytest.mark.parametrize("lon_deg", [180.0, -179.9999, 179.9999, 0.0, 12.0])
+def test_positions_across_the_antimeridian(tmp_path: Path, lon_deg: float) -> None:
+    route = drive_east(tmp_path / "map", -17.0, lon_deg)
+    for offset_m in np.linspace(-100, 100, 41):
+        position = route.position(5, float(offset_m))
+        assert position is not None
+        assert -180 <= position.lon_deg <= 180
+        east_m, north_m = east_north_of(position.lat_deg, position.lon_deg, (-17.0, lon_deg))
+        assert (east_m, north_m) == pytest.approx((offset_m, 0.0), abs=0.01)
+
+
+def test_the_heading_of_a_map_without_any_is_the_course_of_its_drive(tmp_path: Path) -> None:
+    route = drive_east(tmp_path / "map", -17.0, 180.0, heading_deg=NAN)
+    for place in range(11):
+        for offset_m in (0.0, 3.0, -500.0):
+            position = route.position(place, offset_m)
+            assert position is not None
+            assert position.heading_deg == pytest.approx(90.0, abs=0.1)
+
+
+def test_a_heading_that_nobody_knows_is_none(tmp_path: Path) -> None:
+    """All places at one spot, as where a vehicle stood, or no meters along the drive: no course."""
+    with MapBuilder(tmp_path / "map", MODEL, REGIONS, SamplingConfig()) as new:
+        for route_m in (0.0, NAN):
+            new.begin_segment("spot", "front")
+            for index in range(2):
+                raw = np.random.default_rng(index).random((1, 4), dtype=np.float32)
+                new.add(raw, Place(index, 1.0, 2.0, route_m=route_m + index))
+        new.finish(normalize, "test")
+    route = Route(MapSet.of(open_map(tmp_path / "map")))
+    for place in range(4):
+        position = route.position(place, 0.5)
+        assert position is not None
+        assert apart_m(1.0, 2.0, np.array([position.lat_deg]), np.array([position.lon_deg]))[0] < 1e-6
+        assert position.heading_deg is None
