@@ -51,14 +51,14 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
     second, _ = start()
     assert first.matcher.statistics is not None
     assert second.matcher.statistics is not None
-    assert second.matcher.statistics.count == first.statistics.count == 40 <= COUNTS_AS_MOST
-    np.testing.assert_array_equal(second.matcher.statistics.mean, first.statistics.mean)
+    assert second.matcher.statistics.count == first.matcher.statistics.count == 40 <= COUNTS_AS_MOST
+    np.testing.assert_array_equal(second.matcher.statistics.mean, first.matcher.statistics.mean)
     for row in range(40, 60):
         stamp_ns = feed.rows[row].stamp_ns
         first.observe(images.read(row), stamp_ns)
         second.observe(images.read(row), stamp_ns)
-    np.testing.assert_allclose(second.matcher.statistics.mean, first.statistics.mean, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(second.matcher.statistics.deviation, first.statistics.deviation, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.matcher.statistics.mean, first.matcher.statistics.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.matcher.statistics.deviation, first.matcher.statistics.deviation, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("changes", [{"minutes": 0.0}, {"journal": ""}], ids=["not asked for", "no journal"])
