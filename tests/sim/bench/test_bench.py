@@ -46,22 +46,20 @@ def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
     assert match is not None
     assert match.accepted
     assert match.place == 3040
-    assert match.cost < 1.0
+    assert match.distance < 1e-4
     assert seen_at(reference_map.descriptors, 7).shape == (2, 64)
 
 
 def test_simulated_tiles_are_a_folder_of_maps(tmp_path: Path) -> None:
     write_simulated_tiles(tmp_path / "tiles", 12_000, 4, KEY)
-    atlas = open_map_set(tmp_path / "tiles")
-    atlas.check_every_file()
-    assert not atlas.left_out
-    assert [len(header.segments) for header in atlas.headers] == [1, 2, 1, 2]
-    atlas.opened([(0, 12_000)])
-    north, south = atlas.records(2999, 3001)["lat_deg"]
+    maps = open_map_set(tmp_path / "tiles", every_file=True)
+    assert not maps.excluded
+    assert [len(header.segments) for header in maps.headers] == [1, 2, 1, 2]
+    north, south = maps.places["lat_deg"][2999:3001]
     assert south - north == pytest.approx(2 / 110_800, rel=0.01)  # the street goes on from one tile to the next
-    match = map_rows.Drive(atlas, 4000, known=True).step()
+    match = map_rows.Drive(maps, 4000, known=True).step()
     assert match is not None
-    assert (match.accepted, match.place) == (True, 4040)
+    assert (match.accepted, match.place_index) == (True, 4040)
 
 
 def test_a_floor_is_bytes_and_products() -> None:
