@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
-from edge.descriptor.network import Network
 from edge.journal.frame_record import Observation
 from edge.journal.journal import read_journal
 from edge.recognizer import open_recognizer
@@ -85,10 +84,9 @@ def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) 
     ]
     emitted = [row for row, item in enumerate(seen) if item.emitted]
     shown = {emitted[at] for at in np.linspace(0, len(emitted) - 1, pictures).round().astype(int)} if emitted else set()
-    network = Network.load()
     config = config_for_map(reference_map.header)
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=live.scenario.view))
-    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
+    recognizer = open_recognizer(config, map_set=MapSet.of(reference_map))
     renderer = open_renderer(live.scenario, live.drive)
     costs, matches, kept = [], [], {}
     try:
