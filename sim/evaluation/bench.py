@@ -23,8 +23,7 @@ from sim.evaluation.matching import (
     judged_queries,
     match,
     match_seqslam,
-    neighbourhood_of,
-    planes_of,
+    open_matcher,
 )
 from sim.evaluation.methods import Method, find_method, needs_segments, query_rows, reference_rows
 from sim.evaluation.metrics import Answers
@@ -146,7 +145,7 @@ class Bench:
             places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
             return match_seqslam(reference.pixels, query.pixels, length, places, centred=method.centred)
         described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
-        matcher = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
+        costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
         earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None
         rows = query_rows(
             method,
@@ -155,10 +154,10 @@ class Bench:
             segments=self._segments(method, query),
             earlier=self._raw(method, earlier, precision) if earlier else None,
         )
-        views_alike = reference.feed.header.view == query.feed.header.view
-        planes = planes_of(method.order, regions=described.shape[1], views_alike=views_alike)
+        views = (reference.feed.header.view, query.feed.header.view)
         sequence = SequenceConfig(length=length, region_order=method.order)
-        return match(rows, matcher, neighbourhood_of(ground, along, window), planes, sequence)
+        search = open_matcher(ground, along, window, sequence, regions=described.shape[1], views=views)
+        return match(rows, costs.costs, search)
 
     def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
         if method.layer == "external":

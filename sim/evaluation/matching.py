@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, SequenceConfig
+from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
+from edge.feed import View
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction
-from edge.sequence.acceptance import Neighbourhood, best_match
-from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
+from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.row_matcher import RowMatcher
+from edge.sequence.search import NO_LINE
 from sim.evaluation import seqslam
 from sim.evaluation.metrics import Answers
 
 CANDIDATES = 10
-DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
 
 
@@ -39,12 +38,8 @@ class Matches:
     costs: NDArray[np.float32]
 
 
-class Matcher(Protocol):
-    """What `match` needs of `CostMatcher`, `FloatMatcher` and costs given: the rows' costs (n, orders, N) int32."""
-
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Costs of query rows (n, R, D), or of whatever the rows are."""
-        ...
+CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
+"""Costs (n, orders, N) int32 of query rows (n, R, D), or of whatever the rows are."""
 
 
 class FloatMatcher:
@@ -68,37 +63,41 @@ def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
     return CostMatcher(encoded, squared_norms(encoded))
 
 
-def match(
-    rows: Iterable[NormalizedRows],
-    matcher: Matcher,
-    neighbourhood: Neighbourhood,
-    planes: Sequence[Alignment],
-    sequence: SequenceConfig,
-) -> Matches:
-    """Search every frame of a query as `PlaceRecognizer` does."""
-    places = len(neighbourhood.around(0))
-    per_frame = sequence.region_order == "frame"
-    slopes = slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes)
-    search = SequenceSearch([(0, places)], planes, sequence.length, slopes)
+def match(rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher) -> Matches:
+    """Match every frame of a query with the recognizer's own search."""
     found = []
     for change in rows:
-        costs = matcher.costs(change.rows)
-        searched = costs.min(axis=1, keepdims=True) if per_frame else costs
-        if change.replaces_ring:
-            search.refill(searched)
+        costs = costs_of(change.rows)
+        best = matcher.push(costs, replaces_ring=change.replaces_ring)
+        newest = costs[-1].min(axis=0).astype(np.float32)
+        if best is None or matcher.lines is None:
+            found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
         else:
-            search.push(searched[-1])
-        found.append((*_answer(search, neighbourhood), costs[-1].min(axis=0).astype(np.float32)))
-    return _gather(found)
+            candidates = _lowest(matcher.lines.costs, NO_LINE)
+            found.append((best.place, best.uniqueness, best.direction == "reverse", candidates, newest))
+    place, confidence, reverse, all_candidates, all_costs = zip(*found, strict=True)
+    return Matches(
+        np.array(place), np.array(confidence), np.array(reverse), np.stack(all_candidates), np.stack(all_costs)
+    )
 
 
-def planes_of(order: str, *, regions: int, views_alike: bool) -> tuple[Alignment, ...]:
-    """Directions and region orders that a method searches in; whole images and `frame` have no order to tell."""
-    if regions == 1 or order == "frame":
-        return tuple((direction, "same") for direction in DIRECTIONS)
-    if order == "rig":
-        return VIEWS_ALIKE if views_alike else VIEWS_OPPOSED
-    return tuple((direction, one) for direction in DIRECTIONS for one in ORDERS)
+def open_matcher(
+    ground: NDArray[np.float64],
+    along: NDArray[np.float64],
+    window: float,
+    sequence: SequenceConfig,
+    *,
+    regions: int = 1,
+    views: tuple[View, View] = ("front", "front"),
+) -> RowMatcher:
+    """A matcher of one drive, whose places are where `place_coordinates` says.
+
+    window: places within it of each other, in the same unit, are the same place. views: of reference and query.
+    """
+    acceptance = AcceptanceConfig(window_m=window)
+    config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
+    near = Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
+    return RowMatcher([(0, len(along))], [views[0]], regions, near, config)
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
@@ -108,13 +107,8 @@ def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_pl
     scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
     rows = (NormalizedRows(row[np.newaxis, np.newaxis], replaces_ring=False) for row in scaled)
     places = np.arange(len(costs), dtype=np.float64)
-    near = neighbourhood_of(np.full((len(costs), 2), np.nan), places, window_places)
-    return match(rows, _Given(), near, planes_of("frame", regions=1, views_alike=True), sequence)
-
-
-def neighbourhood_of(ground: NDArray[np.float64], along: NDArray[np.float64], window: float) -> Neighbourhood:
-    """Places of one drive that are within `window` of each other, in the unit of `place_coordinates`."""
-    return Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), AcceptanceConfig(window_m=window))
+    matcher = open_matcher(np.full((len(costs), 2), np.nan), places, window_places, sequence)
+    return match(rows, lambda row: row.astype(np.int32), matcher)
 
 
 def match_seqslam(
@@ -137,35 +131,12 @@ def match_seqslam(
     return _better_way(forward, mirrored, len(reference))
 
 
-class _Given:
-    """A matcher of rows that are costs already."""
-
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
-        return query.astype(np.int32)
-
-
-_Answer = tuple[int, float, bool, NDArray[np.intp]]
-
-
-def _answer(search: SequenceSearch, neighbourhood: Neighbourhood) -> _Answer:
-    lines = search.lines()
-    best = best_match(search, lines, neighbourhood, AcceptanceConfig()) if lines else None
-    if lines is None or best is None:
-        return -1, float("nan"), False, np.full(CANDIDATES, -1)
-    return best.place, best.uniqueness, best.direction == "reverse", _lowest(lines.costs, NO_LINE)
-
-
 def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
     """The CANDIDATES places of lowest cost, -1 where there are no more."""
     order = np.argsort(costs, kind="stable")[:CANDIDATES]
     out = np.full(CANDIDATES, -1)
     out[: len(order)] = np.where(costs[order] == none, -1, order)
     return out
-
-
-def _gather(found: list[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
-    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
-    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
 
 
 def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
