@@ -11,7 +11,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
@@ -22,7 +21,7 @@ from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
 from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
 from sim.vehicle.daemon_drive import AutopilotSetup, DaemonDrive, ReceivedFix, start_daemon_drive
-from sim.world.recording import times_by_distance, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 SEED = 7
@@ -92,7 +91,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _make_map(folder: Path) -> ReferenceMap:
-    _record(MAP_DRIVE, folder / "rear_day", LENGTH_M)
+    record_drive(MAP_DRIVE, folder / "rear_day", show_progress=True)
     build_map([read_feed(folder / "rear_day")], folder / "rear_day.map", DescriptorConfig(), SamplingConfig())
     return open_map(folder / "rear_day.map")
 
@@ -101,16 +100,10 @@ def _measure_rig(folder: Path, reference_map: ReferenceMap) -> RigConfig:
     drives = []
     for scenario in WITH_GPS:
         path = folder / f"gps_{scenario.direction}"
-        _record(scenario, path, MEASURED_M)
+        record_drive(scenario, path, up_to_m=MEASURED_M, show_progress=True)
         drives.append(read_feed(path))
     offsets, _ = measure_rig(reference_map, drives)
     return rig_config(offsets)
-
-
-def _record(scenario: Scenario, path: Path, distance_m: float) -> None:
-    drive = scenario.drive()
-    times_s = [t for t in times_by_distance(drive, SamplingConfig().spacing_m) if drive.distance_m(t) <= distance_m]
-    write_feed(scenario, drive, path, tqdm(times_s, unit="frame", desc=path.name, disable=None))
 
 
 def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[DaemonDrive]:

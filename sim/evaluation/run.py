@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import platform
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from sim.evaluation.plan import Plan, TraversePlan, load_plan
 from sim.evaluation.report import Section, write_report
 from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
-from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import load_scenario
 
 SHIPPED = Path(__file__).with_name("plans")
@@ -160,17 +161,7 @@ def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, samplin
     if path.is_dir():
         return path
     part = path.with_suffix(".part")
-    _remove(part)
-    drive = scenario.drive()
-    times_s = times_by_rate(drive, plan.fps) if plan.fps else times_by_distance(drive, spacing_m)
-    write_feed(scenario, drive, part, tqdm(times_s, desc=f"rendering {name}", unit="frame", leave=False))
+    shutil.rmtree(part, ignore_errors=True)
+    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, show_progress=True)
     part.rename(path)
     return path
-
-
-def _remove(folder: Path) -> None:
-    """Take away what a broken-off rendering left."""
-    for file in sorted(folder.rglob("*"), reverse=True):
-        file.rmdir() if file.is_dir() else file.unlink()
-    if folder.is_dir():
-        folder.rmdir()

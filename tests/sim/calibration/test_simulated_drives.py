@@ -26,7 +26,7 @@ from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
-from sim.world.recording import times_by_distance, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
@@ -34,8 +34,7 @@ CONFIG = Config(sequence=SequenceConfig(length=20))
 
 
 def record(scenario: Scenario, path: Path) -> Feed:
-    drive = scenario.drive()
-    write_feed(scenario, drive, path, times_by_distance(drive, SamplingConfig().spacing_m))
+    record_drive(scenario, path)
     return read_feed(path)
 
 
