@@ -1,4 +1,4 @@
-"""A whole frame after the camera, stage by stage, through the recogniser that the daemon runs."""
+"""A whole frame after the camera, stage by stage, through the recognizer that the daemon runs."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def _digest_of_zeros(size: int) -> str:
 
 
 def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
-    """What a normalised query (R, D) shows at a place: exactly what the map has there."""
+    """What a normalized query (R, D) shows at a place: exactly what the map has there."""
     half_sum, half_difference = descriptors[:, place].astype(np.float32)
     return np.stack([half_sum + half_difference, half_sum - half_difference])
 

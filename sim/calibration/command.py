@@ -37,7 +37,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, required=True)
-    parser.add_argument("--config", type=Path, help="take the recogniser's settings from this file")
+    parser.add_argument("--config", type=Path, help="take the recognizer's settings from this file")
     parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='such as 0.99 or "99 %%" (default)')
     parser.add_argument(
         "--tolerance-m", type=float, default=TOLERANCE_M, metavar="M", help="a match within it is right (default 40)"

@@ -1,7 +1,7 @@
 """The rig's along-route offset, robustly: the median, and what the median absolute deviation leaves in.
 
 A front and a rear camera see the same thing at different times, so the matched place lies ahead of the vehicle by tens
-of metres, the same on the whole route but for what stands beside it. Some matches are plainly wrong; a median does not
+of meters, the same on the whole route but for what stands beside it. Some matches are plainly wrong; a median does not
 follow them, and those beyond OUTLIER deviations of it are set aside and counted.
 """
 
@@ -58,7 +58,7 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     if len(placed) < FEWEST:
         return None
     ahead_m = np.array([one.ahead_m for one in placed])
-    # A metre at least: places are that far apart, and a perfect drive must not lose half of its matches.
+    # A meter at least: places are that far apart, and a perfect drive must not lose half of its matches.
     used = np.abs(ahead_m - np.median(ahead_m)) <= OUTLIER * max(1.0, _deviation(ahead_m))
     error_m = ahead_m - np.median(ahead_m[used])
     line_sigma_m = np.array([one.line_sigma_m for one in placed])
@@ -85,7 +85,7 @@ def _deviation(values: NDArray[np.float64]) -> float:
 
 
 def rig_config(offsets: Sequence[Offset]) -> RigConfig:
-    """The [rig] section, to the decimetre; 0 for what no drive has measured.
+    """The [rig] section, to the decimeter; 0 for what no drive has measured.
 
     sigma_along_m, for kinds of matches that were not measured, is that of the worst kind that was. A lane is kept no
     better than LANE_SIGMA_M, however well these drives kept it.

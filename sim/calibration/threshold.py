@@ -5,7 +5,7 @@ From the map alone: its drives are driven again by its own camera, in a map from
 are missing. Whatever is then matched is wrong, as for a vehicle off the map, and the threshold refuses all but the
 allowed share of it. On three simulated streets of 1 km 99 % came to 1.145, 1.167 and 1.198, where another street driven
 on that map came to 1.124, 1.135 and 1.142; on a real corridor to 1.21, where recordings of elsewhere stayed below 1.05.
-Nothing is learned of how well places are recognised in other light, which only a drive shows; and of a map without
+Nothing is learned of how well places are recognized in other light, which only a drive shows; and of a map without
 positions that passes a place twice nothing at all, since the place itself is then what is found.
 """
 

@@ -23,7 +23,7 @@ from sim.evaluation.metrics import precision_recall
 from sim.vehicle.daemon_drive import DaemonDrive
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it talks about its font cache
-BLUE, ORANGE, GREY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
+BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
@@ -141,8 +141,8 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
         step = match.slope if match.direction == "forward" else -match.slope
         axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
-    # Below it, since there is data everywhere in it; on grey, or the white ones would not be seen.
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GREY, markerscale=2.5)
+    # Below it, since there is data everywhere in it; on gray, or the white ones would not be seen.
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GRAY, markerscale=2.5)
     return figure
 
 
@@ -154,14 +154,14 @@ def route(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> Fig
     fixed = [seen for seen in review.seen if seen.emitted and seen.lat_deg is not None]
     lat = np.concatenate([places["lat_deg"], [seen.lat_deg for seen in fixed]]).astype(float)
     lon = np.concatenate([places["lon_deg"], [seen.lon_deg for seen in fixed]]).astype(float)
-    metres = east_north(lat, lon)
+    meters = east_north(lat, lon)
     count = len(places)
-    axes.plot(*metres[:count].T, color=GREY, lw=3, label="the map's route")
+    axes.plot(*meters[:count].T, color=GRAY, lw=3, label="the map's route")
     right = np.array(
         [error <= TOLERANCE_M for seen, error in zip(review.seen, review.error_m, strict=True) if seen in fixed]
     )
-    axes.plot(*metres[count:][right].T, "o", color=BLUE, ms=5, label="fix")
-    axes.plot(*metres[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
+    axes.plot(*meters[count:][right].T, "o", color=BLUE, ms=5, label="fix")
+    axes.plot(*meters[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=_name(live))
     axes.legend(fontsize=8)
     return figure
@@ -171,10 +171,10 @@ def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
     """Precision and recall of all drives, and the threshold in use."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
-    for live, review, colour in zip(lives, reviews, (ORANGE, BLUE), strict=True):
+    for live, review, color in zip(lives, reviews, (ORANGE, BLUE), strict=True):
         curve = precision_recall(review.answers)
-        axes.plot(curve.recall_of_places, curve.precision, color=colour, label=_name(live))
-        axes.plot(review.recall, review.precision, "o", color=colour)
+        axes.plot(curve.recall_of_places, curve.precision, color=color, label=_name(live))
+        axes.plot(review.recall, review.precision, "o", color=color)
     axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.legend(loc="lower left")
     return figure

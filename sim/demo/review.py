@@ -27,7 +27,7 @@ class Review:
     """One drive in review; rows are the frames that the daemon used.
 
     route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. costs: (Q, N)
-    cosine distances, the better of the region orders. matches: the recogniser's answers on the same frames again.
+    cosine distances, the better of the region orders. matches: the recognizer's answers on the same frames again.
     pairs: frame rows to be shown, with their pictures.
     """
 
@@ -75,7 +75,7 @@ def stages_ms(live: DaemonDrive) -> dict[str, float]:
 
 
 def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:
-    """Render the used frames again, run the recogniser on them, and keep `pictures` of the emitted ones."""
+    """Render the used frames again, run the recognizer on them, and keep `pictures` of the emitted ones."""
     seen = used_frames(live)
     times_s = [item.stamp_ns / 1e9 - live.epoch_s for item in seen]
     errors_m = [

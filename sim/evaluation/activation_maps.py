@@ -1,7 +1,7 @@
 """Which part of a picture speaks for a place category (fig. 10).
 
 The paper shows class activation maps [38] of networks that were changed for it: average pooling in place of the fully
-connected layers. AlexNet as it is has no such map; its generalisation to any layers after the convolutions is Grad-CAM
+connected layers. AlexNet as it is has no such map; its generalization to any layers after the convolutions is Grad-CAM
 (Selvaraju et al., ICCV 2017): the channels of the last pooled convolution, each weighted with the mean gradient of the
 category's score, and what is negative cut off. For a network with average pooling the two are equal.
 """
@@ -59,8 +59,8 @@ def activation_map(pooled: Floats, gradient: Floats) -> Floats:
 
 
 def overlay(image: NDArray[np.uint8], speaks: Floats) -> NDArray[np.uint8]:
-    """The picture with its map as warm colours over it."""
+    """The picture with its map as warm colors over it."""
     height, width = image.shape[:2]
     large = cv2.resize(speaks, (width, height), interpolation=cv2.INTER_CUBIC).clip(0, 1)
-    colours = cv2.applyColorMap(np.rint(large * 255).astype(np.uint8), cv2.COLORMAP_JET)
-    return np.asarray(cv2.addWeighted(image, 0.55, colours, 0.45, 0), dtype=np.uint8)
+    colors = cv2.applyColorMap(np.rint(large * 255).astype(np.uint8), cv2.COLORMAP_JET)
+    return np.asarray(cv2.addWeighted(image, 0.55, colors, 0.45, 0), dtype=np.uint8)

@@ -143,7 +143,7 @@ class Bench:
         window = 2 * pair.tolerance
         if method.layer == "pixels":
             places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
-            return match_seqslam(reference.pixels, query.pixels, length, places, centred=method.centred)
+            return match_seqslam(reference.pixels, query.pixels, length, places, centered=method.centered)
         described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
         costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
         earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None

@@ -1,6 +1,6 @@
 """How far a score would move on another such drive: block bootstrap over the frames of a traverse.
 
-Neighbouring frames see nearly the same, so frames drawn one by one would make every difference look certain. Whole
+Neighboring frames see nearly the same, so frames drawn one by one would make every difference look certain. Whole
 blocks of contiguous frames are drawn instead (circular block bootstrap, Politis and Romano 1992).
 """
 

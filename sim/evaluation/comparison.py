@@ -30,7 +30,7 @@ SCORE_NOTE = (
     " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
     " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
     " R@P100, R@P99: recall of places at 100 % and 99 % precision. Median ahead: of right answers, how far they lie"
-    " ahead of the true place in the direction of travel, metres or frames. Published: the paper's max-F1;"
+    " ahead of the true place in the direction of travel, meters or frames. Published: the paper's max-F1;"
     " it does not say by which recall."
 )
 
@@ -221,7 +221,7 @@ def _recall_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcom
         "Recall of the best 1, 5 and 10 places within a radius",
         columns,
         rows,
-        "The best places of the sequence search, neighbours included.",
+        "The best places of the sequence search, neighbors included.",
     )
 
 

@@ -43,10 +43,10 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback golden` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser("golden", help="make a recording a test of the recogniser, or run one")
+    parser = commands.add_parser("golden", help="make a recording a test of the recognizer, or run one")
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make one: of these feeds the map")
-    parser.add_argument("--query", type=Path, metavar="FEED", help="and this feed to be recognised in it")
+    parser.add_argument("--query", type=Path, metavar="FEED", help="and this feed to be recognized in it")
     parser.add_argument("--sequence-length", type=int, default=SequenceConfig().length, metavar="L")
     parser.add_argument("--rebuild", action="store_true", help="keep what comes out now as right")
     add_spacing_options(parser)

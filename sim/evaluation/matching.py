@@ -1,4 +1,4 @@
-"""From descriptors to answers with the recogniser's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
+"""From descriptors to answers with the recognizer's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FloatMatcher:
 
 
 def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
-    """The recogniser's matcher on descriptors (N, R, D), quantised as a map keeps them."""
+    """The recognizer's matcher on descriptors (N, R, D), quantized as a map keeps them."""
     encoded = encode(descriptors)
     return CostMatcher(encoded, squared_norms(encoded))
 
@@ -112,16 +112,16 @@ def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_pl
 
 
 def match_seqslam(
-    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centred: bool
+    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centered: bool
 ) -> Matches:
     """SeqSLAM on frames as it describes them, (N, 32, 64) and (Q, 32, 64).
 
-    Centred is as published, forward only and with its own window. Causal looks both ways along the map, with the
+    Centered is as published, forward only and with its own window. Causal looks both ways along the map, with the
     window in which the other methods take places for the same, so that the two may be compared.
     """
     differences = seqslam.difference_matrix(reference, query)
-    ds = 2 * ((length - 1) // 2)  # its window is centred, and has one frame more
-    if centred:
+    ds = 2 * ((length - 1) // 2)  # its window is centered, and has one frame more
+    if centered:
         enhanced = seqslam.enhance_contrast(differences, 10)
         return _from_seqslam(seqslam.search(enhanced, seqslam.SeqslamSettings(length=ds)), differences)
     settings = seqslam.SeqslamSettings(length=ds, window=2 * window, mode="causal")

@@ -1,7 +1,7 @@
 """The table of methods: a named row each, and what each makes of raw descriptors.
 
 Raw descriptors (n, R, D) of a whole traverse go in; out come those of the reference, and of the query frame by frame,
-in the form in which the recogniser's own cost matcher and search take them.
+in the form in which the recognizer's own cost matcher and search take them.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Method:
     """One row of the table.
 
     layer: what describes a frame; "pixels" is SeqSLAM, "external" descriptors that another program made.
-    reference: how the map is normalised: not at all, over its whole set (eq. 1), or within semantic segments.
-    query: the same; or online (section III-B), or online with the ring normalised again ("ring", Lookback's default).
+    reference: how the map is normalized: not at all, over its whole set (eq. 1), or within semantic segments.
+    query: the same; or online (section III-B), or online with the ring normalized again ("ring", Lookback's default).
     deviation: False takes out the mean only. warm: statistics go on from an earlier drive.
     order: the lower cost of the two region orders in each frame (the paper), one order for a whole sequence, or the
     one that the two cameras' views allow in that direction of travel ("rig").
-    centred: SeqSLAM looks half a sequence ahead, and forward only, as published; else back, and both ways.
+    centered: SeqSLAM looks half a sequence ahead, and forward only, as published; else back, and both ways.
     says: the row in words.
     """
 
@@ -45,7 +45,7 @@ class Method:
     deviation: bool = True
     warm: bool = False
     order: Literal["frame", "sequence", "rig"] = "frame"
-    centred: bool = False
+    centered: bool = False
     network: str = ""
     external: str = ""
 
@@ -56,16 +56,16 @@ def _raw(method: Method) -> Method:
 
 def _rows() -> Iterator[Method]:
     yield _raw(Method("Raw-conv3", "conv3 of the whole image as it is", "conv3"))
-    yield Method("NSD-conv3", "conv3, normalised (reference over its set, query online)", "conv3")
+    yield Method("NSD-conv3", "conv3, normalized (reference over its set, query online)", "conv3")
     yield _raw(Method("Raw-fc6", "fc6 of the whole image as it is"))
-    yield Method("NSD-fc6", "fc6, normalised (reference over its set, query online)")
+    yield Method("NSD-fc6", "fc6, normalized (reference over its set, query online)")
     yield _raw(Method("Raw-CR", "fc6 of left and right regions as it is", regions="left-right"))
-    yield Method("NSD-CR", "fc6 of left and right regions, normalised: the paper's best", regions="left-right")
+    yield Method("NSD-CR", "fc6 of left and right regions, normalized: the paper's best", regions="left-right")
     yield Method("NSD-conv3/batch", "NSD-conv3, query over its whole set too", "conv3", query="set")
     yield Method("NSD-fc6/batch", "NSD-fc6, query over its whole set too", query="set")
     yield Method("NSD-CR/batch", "NSD-CR, query over its whole set too", regions="left-right", query="set")
-    yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalised again", query="ring")
-    yield Method("NSD-CR/ring", "NSD-CR, the ring normalised again", regions="left-right", query="ring")
+    yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalized again", query="ring")
+    yield Method("NSD-CR/ring", "NSD-CR, the ring normalized again", regions="left-right", query="ring")
     yield Method("NSD-CR/order", "NSD-CR, one region order a sequence", regions="left-right", order="sequence")
     lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows: what `run` does", query="ring")
     yield replace(lookback, regions="left-right", order="rig")
@@ -76,8 +76,8 @@ def _rows() -> Iterator[Method]:
     )
     yield warm
     yield replace(warm, name="NSD-CR/warm", says="NSD-CR/ring, its statistics going on from one", regions="left-right")
-    yield Method("NSD-fc6/segments", "fc6, normalised within semantic segments", reference="segments", query="segments")
-    yield _raw(Method("SeqSLAM", "as published: centred, forward only, its own parameters", "pixels", centred=True))
+    yield Method("NSD-fc6/segments", "fc6, normalized within semantic segments", reference="segments", query="segments")
+    yield _raw(Method("SeqSLAM", "as published: centered, forward only, its own parameters", "pixels", centered=True))
     yield _raw(Method("SeqSLAM/causal", "SeqSLAM without the future, both directions", "pixels"))
 
 
@@ -110,7 +110,7 @@ def needs_segments(method: Method) -> bool:
 
 def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
     """The reference's descriptors (N, R, D) as the method matches them."""
-    # A map keeps raw descriptors in half precision and is normalised from those.
+    # A map keeps raw descriptors in half precision and is normalized from those.
     raw = raw.astype(np.float16).astype(np.float32)
     if method.reference == "none":
         return raw
@@ -131,7 +131,7 @@ def query_rows(
     elif not method.deviation:
         yield from _mean_only(raw)
     else:
-        # A ring of one frame is normalised with the newest statistics anyway.
+        # A ring of one frame is normalized with the newest statistics anyway.
         normalizer = OnlineNormalizer(length, renormalize_ring=method.query == "ring" and length > 1)
         for one in earlier if method.warm and earlier is not None else ():
             normalizer.push(one)

@@ -150,7 +150,7 @@ def recall_at_precision(curve: PrecisionRecall, precision: float) -> float:
 def recall_of_best(errors: Floats, nearest: Floats, counts: Sequence[int], radii: Sequence[float]) -> Floats:
     """Recall@K at several radii, (len(counts), len(radii)).
 
-    errors (Q, K): distance between each query's true position and its candidates, best first, in metres or frames,
+    errors (Q, K): distance between each query's true position and its candidates, best first, in meters or frames,
     inf where there is none. nearest (Q,): distance of the map's place nearest to the truth; a query counts at a radius
     only if the map has a place within it. A query is a hit at K if any of its first K candidates is within the radius.
     NaN where no query counts.

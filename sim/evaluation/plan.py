@@ -4,7 +4,7 @@ title = "My street"
 methods = ["Raw-conv3", "Raw-fc6", "NSD-fc6", "NSD-CR", "SeqSLAM"]   # rows of METHODS, or NAME@NETWORK
 region_width = 0.4          # of each region of NSD-CR, fraction of the picture
 resamples = 1000            # of the bootstrap
-radii = [10.0, 20.0, 40.0]  # of recall@K, metres or frames as the pair has it
+radii = [10.0, 20.0, 40.0]  # of recall@K, meters or frames as the pair has it
 
 [sampling]                  # as in Lookback's configuration
 by = "distance"
@@ -23,7 +23,7 @@ name = "front against rear, dusk"
 reference = "day_rear"
 query = "dusk_front"
 truth = "positions"         # or rows, route_m, anchors, see `Pair`
-tolerance = 40.0            # metres; frames with truth = "rows" or "anchors"
+tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
 length_m = 40.0             # of a sequence; or length = 20, in frames
 figure = "fig. 5"           # of the paper, that this is like
 
@@ -80,8 +80,8 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
 class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
 
-    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, metres); route_m
-    (a column of both, metres along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
+    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters); route_m
+    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then go on counting from lap to lap.
@@ -124,8 +124,8 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
 
     sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
     cold_start: right answers by thirds of the drive. int8: int8 against float for these methods, on sweep_pairs too.
-    standing: drives with halts, recognised with and without the gate for standing still.
-    pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
+    standing: drives with halts, recognized with and without the gate for standing still.
+    pca: traverses whose categories are drawn raw and normalized (fig. 11). better_than: [first, second] methods
     whose difference is told from noise.
     """
 

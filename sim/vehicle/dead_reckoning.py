@@ -14,10 +14,10 @@ STARVED_S = 5.0  # EKF2_NOAID_TOUT: a source that was refused for so long is bel
 
 
 class DeadReckoning:
-    """An estimate in metres east and north that odometry moves on and position fixes correct."""
+    """An estimate in meters east and north that odometry moves on and position fixes correct."""
 
     def __init__(self, pose: Pose, time_s: float, drift_percent: float, drift_sideways_percent: float = 0.0) -> None:
-        """What odometry reports too much along its way, and to the right of it, in per cent of the distance driven."""
+        """What odometry reports too much along its way, and to the right of it, in percent of the distance driven."""
         self._ahead = 1.0 + drift_percent / 100.0
         self._right = drift_sideways_percent / 100.0
         self._pose = pose
@@ -28,12 +28,12 @@ class DeadReckoning:
 
     @property
     def east_m(self) -> float:
-        """Estimated metres east of the origin."""
+        """Estimated meters east of the origin."""
         return self._past[-1][1]
 
     @property
     def north_m(self) -> float:
-        """Estimated metres north of the origin."""
+        """Estimated meters north of the origin."""
         return self._past[-1][2]
 
     @property

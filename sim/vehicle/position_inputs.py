@@ -32,7 +32,7 @@ class Reset:
 class Moment:
     """What the ear has to know besides the message: seconds on two clocks, and what the vehicle has.
 
-    gps_lost_s: since when there is no GPS, infinity while there is. origin_m: the filter's local zero, metres east and
+    gps_lost_s: since when there is no GPS, infinity while there is. origin_m: the filter's local zero, meters east and
     north of the simulation's; None while it has none.
     """
 
@@ -96,7 +96,7 @@ class PositionInputs:
             self._fuse(*east_north_m(message.lat / 1e7, message.lon / 1e7), moment, message.eph)
 
     def vision(self, message: Message, moment: Moment) -> None:
-        """VISION_POSITION_ESTIMATE: metres from the origin, gated but for a changed reset_counter."""
+        """VISION_POSITION_ESTIMATE: meters from the origin, gated but for a changed reset_counter."""
         if not self._firmware.takes_vision or self.source_set != VISION_SET or moment.origin_m is None:
             return
         east_m, north_m = message.y + moment.origin_m[0], message.x + moment.origin_m[1]
@@ -121,7 +121,7 @@ class PositionInputs:
 
 
 def east_north_m(lat_deg: float, lon_deg: float) -> tuple[float, float]:
-    """Metres east and north of the simulation's origin."""
+    """Meters east and north of the simulation's origin."""
     east_m, north_m, _ = pymap3d.geodetic2enu(
         lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
     )

@@ -52,7 +52,7 @@ def record_drive(
         width=scenario.width,
         height=scenario.height,
         source=f"simulated, seed {scenario.seed}, {scenario.light}, {scenario.direction}, drive {scenario.drive_seed}",
-        notes=f"route_m: metres along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
+        notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
     )
     # The feed first: a folder that cannot be written to is known before the world is built.
     with FeedWriter(path, header, extra_columns=("route_m",)) as writer:

@@ -1,4 +1,4 @@
-"""Every row of the table, whole: normalise, match, search and tell apart, against loops that say what each is."""
+"""Every row of the table, whole: normalize, match, search and tell apart, against loops that say what each is."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def slow_lines(
 
 
 def described(rng: np.random.Generator, count: int, regions: int) -> NDArray[np.float32]:
-    """Something like fc6 after ReLU: shared by neighbours, positive, with a dead dimension."""
+    """Something like fc6 after ReLU: shared by neighbors, positive, with a dead dimension."""
     walk = rng.normal(size=(count, regions, DIMENSIONS)).cumsum(axis=0)
     raw = np.maximum(walk + rng.normal(size=(1, regions, DIMENSIONS)), 0)
     raw[..., 0] = 0
