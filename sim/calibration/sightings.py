@@ -1,4 +1,4 @@
-"""What the recognizer answers on a drive whose positions are known, held against where the vehicle was."""
+"""The recognizer's matches on a drive with known positions, compared with where the vehicle was."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order
 
 OFF_ROUTE_M = 30.0
-"""A vehicle further than this from the map's drive was not on it: two roads are hardly nearer, and GPS is better."""
+"""A vehicle further than this from the map's drive was not on it."""
 
 SAME_ROAD_M = 15.0
-"""Where a drive passes the same road twice, stretches this much further away are as near as the nearest."""
+"""Where a drive passes the same road twice, stretches up to this much further away count as equally near."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """One answer of the recognizer.
+    """One match of the recognizer.
 
-    left_m: meters that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
-    ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the line's end as the daemon
-    would have it; NaN where the vehicle was not on that drive. line_sigma_m: what the daemon knows of that end without
-    the rig, one standard deviation; NaN where it would not follow the line.
+    ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
+    NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
+    own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
+    where the daemon would not use the line.
     """
 
     direction: Direction
@@ -48,13 +48,13 @@ class Sighting:
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
-    """Every answer on the drive, in order. FeedError and MapError where positions or meters are missing."""
+    """Every match on the drive, in order. FeedError and MapError where positions or meters are missing."""
     places = reference_map.places
     if np.isnan(places["lat_deg"]).any() or np.isnan(places["route_m"]).any():
         raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
     if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
         raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
-    # Measured without any offset, and each feed knows where its camera looked.
+    # Measured without any offset; the view is that of the feed.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))

@@ -34,7 +34,7 @@ def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
     (offset,) = measure_offsets(seen)
     assert offset.ahead_m == pytest.approx(26, abs=1)
     assert offset.left_m == pytest.approx(3, abs=1)
-    assert 90 <= offset.set_aside <= 110
+    assert 90 <= offset.outliers <= 110
     sigma_m = round(offset.sigma_m, 1)
     assert rig_config([offset]) == RigConfig(
         ahead_forward_swapped_m=round(offset.ahead_m, 1), sigma_forward_swapped_m=sigma_m, sigma_along_m=sigma_m

@@ -124,7 +124,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
-    assert "off the map, by the map against itself, " in printed
+    assert "off the map, estimated from the map alone, " in printed
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
