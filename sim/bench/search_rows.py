@@ -1,4 +1,4 @@
-"""Sequence search: running sums against eq. 2 gathered anew with every frame, and against SeqSLAM's search."""
+"""Sequence search: running sums against eq. 2 computed directly for every frame, and against SeqSLAM's search."""
 
 from __future__ import annotations
 

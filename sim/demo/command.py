@@ -1,4 +1,5 @@
-"""The demo's story: out with the rear camera by day, then again at dusk and home at night with the front camera."""
+"""The steps of the demo: out by day with the rear camera, then with the front camera again at dusk and home at
+night."""
 
 from __future__ import annotations
 
@@ -68,7 +69,7 @@ def _run(args: argparse.Namespace) -> int:
     print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
     print("3. Live, with the front camera, GPS failing soon: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig, args.pictures)
-    print("4. What they saw, held against the truth")
+    print("4. Their answers, compared with the truth")
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
     for live, review in zip(lives, reviews, strict=True):
         _print_table(live, review)
@@ -82,9 +83,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _make_folder(folder: Path) -> None:
-    """An empty folder; one that an earlier demo made is cleared, anything else is left alone."""
+    """An empty folder; one of an earlier demo is cleared, any other is kept."""
     if folder.exists() and any(folder.iterdir()) and not (folder / MARKER).exists():
-        raise ConfigError(f"--output: {folder} has files that no demo made; name another folder")
+        raise ConfigError(f"--output: {folder} has files that are not of a demo; name another folder")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / MARKER).touch()
@@ -147,7 +148,7 @@ def _page_url(number: int) -> str:
 
 @contextmanager
 def _photographer(lives: list[DaemonDrive], pictures: Path) -> Iterator[None]:
-    """Photographs the live page, for a desk and a phone, once both drives are well under way."""
+    """Take screenshots of the live page, for a desk and a phone, once both drives are well under way."""
     from sim.demo.pictures import photograph_page
 
     def photograph() -> None:
@@ -183,7 +184,7 @@ def _print_table(live: DaemonDrive, review: Review) -> None:
 
 
 def _is_good(live: DaemonDrive, review: Review) -> bool:
-    """Fixes came, and nearly all of them are right: the bar of the smoke test."""
+    """Whether fixes arrived and nearly all are right: the criterion of the smoke test."""
     if len(live.fixes) < 5 or not review.precision >= 0.9:
         raise LookbackError(f"{live.name}: {len(live.fixes)} fixes, precision {review.precision:.3f}: not good enough")
     return True

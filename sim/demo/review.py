@@ -1,4 +1,4 @@
-"""What the daemon saw, once more: the frames it used are rendered again, and every answer is held against the truth."""
+"""The frames that the daemon used, rendered and recognized again, and its answers compared with the truth."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ TOLERANCE_M = 40.0
 
 @dataclass(frozen=True)
 class Review:
-    """One drive in review; rows are the frames that the daemon used.
+    """One drive; rows are the frames that the daemon used.
 
     route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. costs: (Q, N)
-    cosine distances, the better of the region orders. matches: the recognizer's answers on the same frames again.
-    pairs: frame rows to be shown, with their pictures.
+    cosine distances, the better of the region orders. matches: of the same frames, recognized again.
+    pictures: some of the frames, by row.
     """
 
     seen: list[Observation]
@@ -40,13 +40,13 @@ class Review:
 
     @property
     def answers(self) -> Answers:
-        """For precision and recall: right within TOLERANCE_M; every frame is on the map, warming up or not."""
+        """For precision and recall: right within TOLERANCE_M; every frame counts as on the map, the warm-up too."""
         confidence = np.array([np.nan if seen.uniqueness is None else seen.uniqueness for seen in self.seen])
         return Answers(confidence, self.error_m <= TOLERANCE_M, np.ones(len(self.seen), dtype=bool))
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """Frames whose match was believed."""
+        """Frames whose match was accepted."""
         return np.array([seen.accepted for seen in self.seen])
 
     @property
