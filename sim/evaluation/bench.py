@@ -1,4 +1,4 @@
-"""One method on one pair of traverses: what it answered, and how much of it was right."""
+"""One method on one pair of traverses: its answers, and which of them are right."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Outcome:
 
 
 class Bench:
-    """Runs the methods of a plan; traverses and descriptors are read and made once, when they are first needed."""
+    """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
 
     def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
         """open_traverse(name, sampling) reads a traverse of the plan."""
@@ -84,11 +84,11 @@ class Bench:
         return max(1, round((pair.length_m or 0.0) / (sampling or self.plan.sampling).spacing_m))
 
     def resampling(self, length: int) -> Resampling:
-        """Blocks of two sequences: what one sequence saw, the next but one did not."""
+        """Blocks of two sequences: sequences that far apart share no frame."""
         return Resampling(block=2 * length, resamples=self.plan.resamples)
 
     def describe_all(self, executor: Executor) -> None:
-        """Have all that the comparison needs described by `executor`, a traverse a task."""
+        """Describe all traverses of the comparison with `executor`, a traverse a task."""
         wanted = []
         for pair in self.plan.pairs:
             for text in self.methods_for(pair):
@@ -139,7 +139,7 @@ class Bench:
         precision: Precision | None,
     ) -> Matches:
         ground, along = place_coordinates(reference, pair)
-        # Uniqueness asks for the best elsewhere, and elsewhere begins at twice the tolerance.
+        # The second-best match of the uniqueness lies outside twice the tolerance.
         window = 2 * pair.tolerance
         if method.layer == "pixels":
             places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))

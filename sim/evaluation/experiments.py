@@ -1,4 +1,4 @@
-"""Experiments besides the comparison: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
+"""The experiments of a plan: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Step = Callable[[str], None]
 
 
 def sweep_pairs(plan: Plan) -> list[Pair]:
-    """The pairs that the sweeps are about; those that differ in the length only are one."""
+    """The pairs of the sweeps; pairs that differ in the length only count once."""
     wanted = plan.experiments.sweep_pairs
     chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
     apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
@@ -77,7 +77,7 @@ def spacings(bench: Bench, step: Step) -> Section:
 
 
 def cold_start(bench: Bench, results: Results) -> Section:
-    """Right answers in each third of the drive: online statistics begin with nothing."""
+    """Right answers in each third of the drive: online statistics begin without data."""
     rows: list[Sequence[Cell]] = []
     for (pair, _), outcome in results.items():
         if outcome.method.name in bench.plan.experiments.cold_start:
@@ -92,7 +92,7 @@ def cold_start(bench: Bench, results: Results) -> Section:
 
 
 def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
-    """The same method with float network and descriptors: what quantizing costs."""
+    """The same method with float network and descriptors: the cost of quantization."""
     rows: list[Sequence[Cell]] = []
     for pair in sweep_pairs(bench.plan):
         for text in bench.plan.experiments.int8:
@@ -112,7 +112,7 @@ def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
                 ]
             )
     columns = ("pair", "method", "accuracy, int8", "accuracy, float", "max-F1, int8", "max-F1, float", "same place")
-    note = "int8 network and int8 descriptors against float32 of both. Same place: frames with the very same answer."
+    note = "int8 network and int8 descriptors against float32 of both. Same place: share of frames with equal answers."
     return Section("int8 against float", note, [Table("int8", "int8 against float", columns, rows)])
 
 
@@ -136,7 +136,7 @@ def pca(bench: Bench, step: Step) -> Section:
         rows.append([name, *(neighbor_distance(values) for values in points.values())])
     note = (
         "Distance of a frame to the next one in the plane, over the mean distance of any two frames: low where the"
-        " projection runs along the drive, 1 where it does not know of it."
+        " projection follows the drive, 1 where it is unrelated to it."
     )
     columns = ("traverse", "raw", "normalized", "normalized online")
     return Section(
@@ -160,7 +160,7 @@ def neighbor_distance(points: NDArray[np.float64]) -> float:
 
 
 def activation_maps(bench: Bench, step: Step) -> Section:
-    """Where in a picture each network sees its top-3 categories (fig. 10)."""
+    """The parts of a picture that speak for its top-3 categories, for each network (fig. 10)."""
     rows = []
     for wanted in bench.plan.experiments.activation_maps:
         for name in [name for name, network in bench.plan.networks.items() if network.weights]:
@@ -200,9 +200,7 @@ def standing(bench: Bench, step: Step) -> Section:
             step(f"{drive.query}: {by}, standing gate {gate:g}")
             rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(bench, pair, sampling, gate)])
     columns = ("pair", "frames taken", "standing_change", "frames", "answered", "accuracy of answers")
-    note = (
-        "The query through `lookback replay`'s own recognizer; standing_change 0 turns its gate for standing still off."
-    )
+    note = "The query through the recognizer of `lookback replay`; standing_change 0 turns off its gate for standing still."
     return Section("Standing still, speed changes", note, [Table("standing", "With and without", columns, rows)])
 
 

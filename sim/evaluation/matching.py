@@ -24,10 +24,10 @@ LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
 
 @dataclass(frozen=True)
 class Matches:
-    """What a method answers to each query of a traverse.
+    """A method's answers to the queries of a traverse.
 
-    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is surer, NaN without one.
-    reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
+    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is more certain, NaN without
+    one. reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
     costs: (Q, N) float32 cost of each query to each place, before any sequence, for pictures.
     """
 
@@ -43,7 +43,7 @@ CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
 
 
 class FloatMatcher:
-    """`CostMatcher` on float descriptors: what int8 descriptors are compared with."""
+    """`CostMatcher` on float descriptors, to compare int8 descriptors with."""
 
     def __init__(self, descriptors: NDArray[np.float32]) -> None:
         """descriptors (N, R, D)."""
@@ -101,7 +101,7 @@ def open_matcher(
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
-    """Search a cost matrix (reference x query) of any origin; costs that are not negative keep their ratios."""
+    """Search a cost matrix (reference x query) of any origin; ratios of costs are kept unless some are negative."""
     least, most = float(costs.min()), float(costs.max())
     low = min(least, 0.0)
     scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
@@ -116,11 +116,11 @@ def match_seqslam(
 ) -> Matches:
     """SeqSLAM on frames as it describes them, (N, 32, 64) and (Q, 32, 64).
 
-    Centered is as published, forward only and with its own window. Causal looks both ways along the map, with the
-    window in which the other methods take places for the same, so that the two may be compared.
+    Centered is as published, forward only and with its own window. Causal searches both directions, with the window of
+    the other methods, so that they can be compared.
     """
     differences = seqslam.difference_matrix(reference, query)
-    ds = 2 * ((length - 1) // 2)  # its window is centered, and has one frame more
+    ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
     if centered:
         enhanced = seqslam.enhance_contrast(differences, 10)
         return _from_seqslam(seqslam.search(enhanced, seqslam.SeqslamSettings(length=ds)), differences)
@@ -144,13 +144,13 @@ def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float
     starts = np.stack([_lowest(scores, np.inf) for scores in matches.scores])
     candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
     candidates[candidates >= len(differences)] = -1
-    # Smaller ratios are surer; best over second best, so its inverse is the uniqueness of the others.
+    # Best over second best: its inverse is the uniqueness of the other methods.
     confidence = -matches.ratio
     return Matches(matches.place, confidence, np.zeros(len(confidence), np.bool_), candidates, differences.T)
 
 
 def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
-    """Of each query, the direction in which it is the surer; `mirrored` numbers places from the far end."""
+    """For each query the direction of higher confidence; places of `mirrored` are counted from the end."""
     back = np.nan_to_num(mirrored.confidence, nan=-np.inf) > np.nan_to_num(forward.confidence, nan=-np.inf)
     swapped = np.where(mirrored.candidates < 0, -1, places - 1 - mirrored.candidates)
     return Matches(
@@ -163,7 +163,7 @@ def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
-    """Hold the matches of some queries against the true errors (Q, N)."""
+    """Judge the matches of some queries by the true errors (Q, N)."""
     best = errors_of(matches.place[:, np.newaxis], errors)[queries, 0]
     return Answers(
         confidence=matches.confidence[queries],

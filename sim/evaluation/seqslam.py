@@ -1,4 +1,4 @@
-"""SeqSLAM (Milford and Wyeth, ICRA 2012) as OpenSeqSLAM runs it: the paper's baseline, with a search of its own.
+"""SeqSLAM (Milford and Wyeth, ICRA 2012) as in OpenSeqSLAM: the paper's baseline, with a search of its own.
 
 gray 64x32 -> patch normalization -> sum of absolute differences -> local contrast -> trajectories -> uniqueness
 
