@@ -200,7 +200,7 @@ def standing(bench: Bench, step: Step) -> Section:
             step(f"{drive.query}: {by}, standing gate {gate:g}")
             rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(bench, pair, sampling, gate)])
     columns = ("pair", "frames taken", "standing_change", "frames", "answered", "accuracy of answers")
-    note = "The query through the recognizer of `lookback replay`; standing_change 0 turns off its gate for standing still."
+    note = "The query through the recognizer of `lookback replay`; standing_change 0 turns its gate off."
     return Section("Standing still, speed changes", note, [Table("standing", "With and without", columns, rows)])
 
 
