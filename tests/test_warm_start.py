@@ -58,7 +58,9 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
         first.observe(images.read(row), stamp_ns)
         second.observe(images.read(row), stamp_ns)
     np.testing.assert_allclose(second.matcher.statistics.mean, first.matcher.statistics.mean, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(second.matcher.statistics.deviation, first.matcher.statistics.deviation, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        second.matcher.statistics.deviation, first.matcher.statistics.deviation, rtol=0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("changes", [{"minutes": 0.0}, {"journal": ""}], ids=["not asked for", "no journal"])
