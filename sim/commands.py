@@ -6,13 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from tqdm import tqdm
-
 from edge.errors import ConfigError
 from sim.datasets import commands as dataset_commands
 from sim.trial import command as trial_command
 from sim.vehicle import command as autopilot_command
-from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.recording import SPACING_M, record_drive
 from sim.world.scenario import load_scenario
 
 
@@ -24,23 +22,23 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     drive.add_argument("scenario", type=Path, help="TOML file; its keys are described in sim/world/scenario.py")
     drive.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     pace = drive.add_mutually_exclusive_group()
-    pace.add_argument("--spacing-m", metavar="M", type=float, default=2.0, help="a frame every M metres, default 2")
+    pace.add_argument(
+        "--spacing-m", metavar="M", type=float, default=SPACING_M, help="a frame every M meters, default 2"
+    )
     pace.add_argument("--fps", metavar="HZ", type=float, help="instead, HZ frames a second")
-    drive.set_defaults(run=record_drive)
+    drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)
     trial_command.add_command(sim_commands)
     dataset_commands.add_command(sim_commands)
 
 
-def record_drive(args: argparse.Namespace) -> int:
+def _record(args: argparse.Namespace) -> int:
     """Render and write the drive of a scenario; SetupError when scenario, option or folder is wrong."""
     for option, value in (("--spacing-m", args.spacing_m), ("--fps", args.fps)):
         # Not `value <= 0`: that would let NaN through.
         if value is not None and not 0 < value < float("inf"):
             raise ConfigError(f"{option}: {value:g} is not above 0")
     scenario = load_scenario(args.scenario)
-    drive = scenario.drive()
-    times_s = times_by_rate(drive, args.fps) if args.fps else times_by_distance(drive, args.spacing_m)
-    count = write_feed(scenario, drive, args.output, tqdm(times_s, unit="frame", desc=args.output.name))
-    print(f"{args.output}: {count} frames over {drive.route.length_m:g} m", file=sys.stderr)
+    count = record_drive(scenario, args.output, spacing_m=args.spacing_m, fps=args.fps, show_progress=True)
+    print(f"{args.output}: {count} frames over {scenario.length_m:g} m", file=sys.stderr)
     return 0

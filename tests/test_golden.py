@@ -29,7 +29,7 @@ def test_a_recording_becomes_a_test_with_one_command(
     folder = str(tmp_path / "golden/street")
     assert main(["golden", folder, "--reference", str(out), "--query", str(again), "--sequence-length", "10"]) == 0
     assert main(["golden", folder]) == 0
-    assert "as it was" in capsys.readouterr().out
+    assert "unchanged" in capsys.readouterr().out
     expected = tmp_path / "golden/street" / EXPECTED
     lines = expected.read_text().splitlines()
     assert len(lines) == 40

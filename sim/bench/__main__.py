@@ -16,8 +16,7 @@ from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
 from sim.bench import frame_rows, map_rows, memory_rows, network_rows, page_rows, search_rows
 from sim.bench.machine import Machine, measure_machine
-from sim.bench.page import page
-from sim.bench.rows import Section
+from sim.bench.rows import Section, page
 
 FULL = (1_000, 10_000, 100_000)
 QUICK = (1_000, 10_000)
@@ -56,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (LookbackError, OSError) as error:
         print(f"lookback bench: {error}", file=sys.stderr)
         return 1
-    told = f"Made by `make bench{'-quick' if args.quick else ''}` in {time.monotonic() - start:.0f} s."
-    text = page(machine, sections, told)
+    how_run = f"Made by `make bench{'-quick' if args.quick else ''}` in {time.monotonic() - start:.0f} s."
+    text = page(machine, sections, how_run)
     print(text, end="")
     if args.output:
         args.output.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""A whole frame after the camera, stage by stage, through the recogniser that the daemon runs."""
+"""A whole frame after the camera, stage by stage, through the recognizer that the daemon runs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Laps:
 
 
 def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
-    """Frames of 640x480 on a map of so many places; the rows are of the frames after the warm-up."""
+    """Frames of 640x480 on a map with this number of places; the rows are of the frames after the warm-up."""
     network = Network.load()
     path = folder / f"frames_{places}.map"
     write_simulated_map(path, places, model_key(network))

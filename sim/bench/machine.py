@@ -1,4 +1,4 @@
-"""The machine: its name, how fast one core reads memory, and how fast it multiplies int8. The floor of every stage."""
+"""The machine: its name, how fast one core reads memory, and how fast it multiplies int8: the floor of every stage."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Machine:
     macs_per_ms: float
 
     def floor_ms(self, read_bytes: float, macs: float = 0.0) -> float:
-        """What reading so many bytes once, and multiplying so often, takes one core at the least."""
+        """The least time in which one core reads these bytes once and does these multiply-accumulates."""
         return read_bytes / self.bytes_per_ms + macs / self.macs_per_ms
 
 
@@ -40,7 +40,7 @@ def measure_machine(memory_bytes: int, rounds: int) -> Machine:
     """The best of some runs, with a block of memory that no cache holds, and a product of matrices that one does."""
     memory = np.ones(memory_bytes, dtype=np.int8)
     reading = race({"read": lambda: read_all(memory)}, rounds)["read"]
-    # Not in turns with the reading, which would throw it out of the cache.
+    # Not alternately with the reading, which would evict it from the cache.
     multiplying = race({"multiply": product_of_matrices(SIDE)}, 5 * rounds)["multiply"]
     return Machine(machine_name(), memory_bytes / reading.least_ms, SIDE**3 / multiplying.least_ms)
 

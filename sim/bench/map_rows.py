@@ -61,7 +61,9 @@ def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Sec
     for places in sizes:
         need, disk = map_bytes(places, model.dimensions), shutil.disk_usage(folder).free
         if need > SHARE_OF_MEMORY * disk:
-            rows.append(Row(f"{places:,} places", note=f"left out: {need / 1e9:.1f} GB and {disk / 1e9:.1f} GB free"))
+            rows.append(
+                Row(f"{places:,} places", note=f"skipped: needs {need / 1e9:.1f} GB and {disk / 1e9:.1f} GB free")
+            )
             continue
         path = folder / f"{places}.map"
         write_simulated_map(path, places, model)
@@ -102,10 +104,10 @@ def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> lis
     ]
 
 
-def _frames(path: Path, small: Path, told: str, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+def _frames(path: Path, small: Path, title: str, places: int, rounds: int, targets: list[Target]) -> list[Row]:
     """A frame with a position known to 500 m, or of the whole map, against 10,000 places searched whole.
 
-    told: what is searched, for people.
+    title: of the map, for people.
     """
     reference = Drive(open_map_set(small), 100, known=False)
     racers: dict[str, Callable[[], object]] = {"whole": reference.step}
@@ -119,12 +121,12 @@ def _frames(path: Path, small: Path, told: str, places: int, rounds: int, target
     ratio = times["known"].ratio(times["whole"])
     part = around.search.part
     note = f"{len(part.places):,} places of it" if part else "gone through in slices: too many places for a frame"
-    rows = [Row(f"{told}, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
+    rows = [Row(f"{title}, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
     if "lost" in times:
         lost = times["lost"]
         rows.append(
             Row(
-                f"{told}, no position: a slice, or what was found in one",
+                f"{title}, no position: a slice, or what was found in one",
                 lost,
                 "10,000 places",
                 lost.ratio(times["whole"]),

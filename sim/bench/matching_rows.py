@@ -53,7 +53,7 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
     rows += [against(f"{what}: {name}", name, times, OURS) for name in list(racers)[1:]]
     macs = machine.floor_ms(descriptors.size, descriptors.size * len(ring))
     whole = race({"ring": lambda: matcher.costs(ring)}, max(2, rounds // 3))["ring"]
-    rows.append(Row(f"{what}: 40 rows, when the ring is normalised again", whole, "its floor", whole.median_ms / macs))
+    rows.append(Row(f"{what}: 40 rows, when the ring is normalized again", whole, "its floor", whole.median_ms / macs))
     if places < 10_000:
         return rows, []
     over = times[OURS].ratio(times[READING])

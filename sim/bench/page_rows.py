@@ -63,9 +63,9 @@ def measure(
             statistics.median(run[kind].share / run[KINDS[0]].share for run in runs) - 1 for kind in KINDS[1:]
         )
         shares.append(somebody)
-        told = [f"{kind} {1e3 * statistics.median(run[kind].share for run in runs):.0f}" for kind in KINDS]
+        shares_ms = [f"{kind} {1e3 * statistics.median(run[kind].share for run in runs):.0f}" for kind in KINDS]
         looks = statistics.median(run[KINDS[-1]].looks for run in runs)
-        note = f"{', '.join(told)} ms of CPU a second; {looks:g} looks in {measured_s:g} s"
+        note = f"{', '.join(shares_ms)} ms of CPU a second; {looks:g} looks in {measured_s:g} s"
         what = f"{1000 // period_ms} used frames a second"
         rows.append(Row(f"{what}: {somebody:+.1%} while somebody looks, {nobody:+.1%} while nobody does", note=note))
     value = ", ".join(f"{share:+.1%}" for share in shares)

@@ -1,4 +1,4 @@
-"""Sequence search: running sums against eq. 2 gathered anew with every frame, and against SeqSLAM's search."""
+"""Sequence search: running sums against eq. 2 computed directly for every frame, and against SeqSLAM's search."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def running(places: int, length: int) -> Callable[[], Lines | None]:
 
 
 def direct(places: int, length: int) -> Callable[[], NDArray[np.int32]]:
-    """Equation 2 as it stands, vectorised over places: for each slope the L costs along each line, gathered, summed."""
+    """Equation 2 as it stands, vectorized over places: for each slope the L costs along each line, gathered, summed."""
     rows = _rows(places, length)
     at = np.arange(places)
     # Rounded as in the frame in which the running sums are full for the first time, so that the two can be compared.

@@ -30,7 +30,7 @@ def map_bytes(places: int, dimensions: int) -> int:
 
 
 def write_simulated_tiles(folder: Path, places: int, tiles: int, model: ModelKey) -> None:
-    """The streets of so many places in a folder of maps, each with its share of them."""
+    """Streets with this number of places as a folder of `tiles` maps of equal size."""
     for number, tile in enumerate(np.array_split(np.arange(places), tiles)):
         write_simulated_map(folder / f"{number:04}", len(tile), model, int(tile[0]))
 
@@ -109,7 +109,7 @@ def _digest_of_zeros(size: int) -> str:
 
 
 def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
-    """What a normalised query (R, D) shows at a place: exactly what the map has there."""
+    """What a normalized query (R, D) shows at a place: exactly what the map has there."""
     half_sum, half_difference = descriptors[:, place].astype(np.float32)
     return np.stack([half_sum + half_difference, half_sum - half_difference])
 

@@ -1,7 +1,7 @@
-"""Races: several functions in turns (A B C A B C), so that whatever else the machine does hits all of them alike.
+"""Several functions run alternately (A B C A B C), so that other load on the machine affects all of them alike.
 
-Times are CPU times of the calling thread, which is the only one that works: a process that takes the core away for a
-while does not count. Where the disk matters, wall-clock time is asked for.
+timeit and pytest-benchmark run all rounds of one function before the next, which gives no paired ratios. Times are CPU
+times of the calling thread, so other processes do not count; wall-clock time where the disk matters.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Times:
 
     @property
     def median_ms(self) -> float:
-        """The run that as many were faster than as were slower."""
+        """Median of the runs."""
         return statistics.median(self.runs_ms)
 
     @property
@@ -37,12 +37,12 @@ class Times:
         return f"{_digits(self.least_ms)} / {_digits(self.median_ms)} / {_digits(max(self.runs_ms))}"
 
     def ratio(self, to: Times) -> float:
-        """Median of the ratios of runs that followed each other."""
+        """Median of the ratios of consecutive runs."""
         return statistics.median(ours / theirs for ours, theirs in zip(self.runs_ms, to.runs_ms, strict=True))
 
 
 def race(racers: Mapping[str, Callable[[], object]], rounds: int, clock: Clock = thread_ns) -> dict[str, Times]:
-    """Run every racer once to warm up, then all in turns `rounds` times."""
+    """Run every function once to warm up, then all of them alternately, `rounds` times."""
     for racer in racers.values():
         racer()
     runs: dict[str, list[float]] = {name: [] for name in racers}
@@ -55,5 +55,5 @@ def race(racers: Mapping[str, Callable[[], object]], rounds: int, clock: Clock =
 
 
 def _digits(value_ms: float) -> str:
-    """Three digits that count."""
+    """Three significant digits."""
     return f"{value_ms:.0f}" if value_ms >= 100 else f"{value_ms:#.3g}"

@@ -1,7 +1,7 @@
-"""`lookback calibrate`: the two things about a vehicle that only a drive can tell.
+"""`lookback calibrate`: the rig's offset and the acceptance threshold, measured on recorded drives.
 
-sightings  a recorded drive with positions through the recogniser: for each answer, how far ahead the place lies
-offset     from sightings: the rig's along-route offset for each direction and region order, and the error left
-threshold  from sightings, or from the map against itself: the uniqueness from which matches are believed
+sightings  a recorded drive with positions through the recognizer: for each match, how far ahead the place lies
+offset     from sightings: the rig's along-route offset for each direction and region order, and the error that remains
+threshold  from sightings, or from the map alone: the uniqueness from which matches are accepted
 command    prints the lines for the config, and writes them into it
 """

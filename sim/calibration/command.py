@@ -37,13 +37,17 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, required=True)
-    parser.add_argument("--config", type=Path, help="take the recogniser's settings from this file")
+    parser.add_argument("--config", type=Path, help="settings of the recognizer")
     parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='such as 0.99 or "99 %%" (default)')
     parser.add_argument(
-        "--tolerance-m", type=float, default=TOLERANCE_M, metavar="M", help="a match within it is right (default 40)"
+        "--tolerance-m",
+        type=float,
+        default=TOLERANCE_M,
+        metavar="M",
+        help="a match this near is right (default 40)",
     )
-    parser.add_argument("--curve", type=Path, metavar="CSV", help="write the whole curve behind the threshold there")
-    parser.add_argument("--write", type=Path, metavar="CONFIG", help="put the lines into this file; comments stay")
+    parser.add_argument("--curve", type=Path, metavar="CSV", help="write precision over threshold to this file")
+    parser.add_argument("--write", type=Path, metavar="CONFIG", help="write the lines into this file; comments stay")
     parser.set_defaults(run=_run)
 
 
@@ -57,7 +61,7 @@ def _share(text: str) -> float:
 def measure_rig(
     reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None
 ) -> tuple[list[Offset], list[Sighting]]:
-    """The offsets that the drives show, and the sightings they come from. FeedError, MapError, ModelError."""
+    """The offsets of the drives, and the sightings they are measured on. FeedError, MapError, ModelError."""
     config = config or config_for_map(reference_map.header)
     network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
     seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
@@ -74,18 +78,16 @@ def _run(args: argparse.Namespace) -> int:
         _print_offsets(offsets, seen)
         lines |= _rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
-        print(f"threshold, from {curve.answers} answers ({curve.stretches} that share no frame):")
+        print(f"threshold, from {curve.answers} matches ({curve.stretches} of them share no frame):")
     else:
         curve = curve_of_map(reference_map, config)
-        print(
-            f"threshold, from the map against itself: {curve.answers} frames, the surroundings of each taken out of it"
-        )
-        print(
-            "(so many of the matches off the map are refused, at least where all looks alike; how many right ones are"
-        )
-        print("left at that threshold in other light, only a drive shows):")
+        print(f"threshold, from the map alone: {curve.answers} of its frames, each matched without its surroundings")
+        print("(the share of matches off the map that a threshold rejects; it does not show how many right matches")
+        print("remain accepted in other light: that needs a drive):")
     if not curve.answers:
-        raise LookbackError(f"{args.map}: no whole sequence of {config.sequence.length} places, so nothing to measure")
+        raise LookbackError(
+            f"{args.map}: no whole sequence of {config.sequence.length} places, so there is nothing to measure"
+        )
     threshold = float(np.ceil(max(1.0, curve.lowest_for(args.precision)) * 1e4) / 1e4)
     lines["acceptance", "uniqueness_min"] = threshold
     _print_curve(curve, threshold, drive=bool(args.feeds))
@@ -101,7 +103,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _with_known(rig: RigConfig, offsets: Sequence[Offset]) -> RigConfig:
-    """What was measured, over what the config had."""
+    """The config's values, replaced by those that were measured."""
     measured = rig_config(offsets)
     return msgspec.structs.replace(rig, **{rig_key(offset): getattr(measured, rig_key(offset)) for offset in offsets})
 
@@ -116,22 +118,22 @@ def _rig_lines(offsets: Sequence[Offset]) -> Lines:
 
 
 def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
-    believed = sum(one.accepted for one in seen)
-    print(f"offset, from {believed} believed matches of {len(seen)}:")
+    accepted = sum(one.accepted for one in seen)
+    print(f"offset, from {accepted} accepted matches of {len(seen)}:")
     if not offsets:
-        print(f"  none: no direction has {FEWEST} believed matches on the map's route; drive further, or check the map")
+        print(f"  none: no direction has {FEWEST} accepted matches on the map's route; drive further, or check the map")
     for offset in offsets:
         print(
-            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; left after it:"
+            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; remaining error:"
             f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
-            f"  ({offset.used} matches, {offset.set_aside} set aside);"
+            f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
             f" the vehicle {abs(offset.aside_m):.1f} m {'left' if offset.aside_m >= 0 else 'right'} of the map's drive"
         )
 
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
-    """Some thirteen points of the curve, and the chosen one."""
-    print(f"  uniqueness_min  accepted  {'precision' if drive else 'refused'}")
+    """About 13 points of the curve, and the chosen one."""
+    print(f"  uniqueness_min  accepted  {'precision' if drive else 'rejected'}")
     rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
     for row in rows:
         print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
@@ -140,13 +142,13 @@ def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
 
 
 def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
-    """What the threshold of a drive means for a vehicle that leaves the map, which most drives never do."""
+    """The share of matches off the map that the threshold rejects; most drives never leave the map."""
     if not strangers.answers:
         return
-    refused, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
-    line = f"off the map, by the map against itself, {threshold:.4f} refuses {refused:.1%} of the matches"
-    if refused < share:
-        line += f" and {needed:.4f} {share:.1%}: where the vehicle may leave the map, choose between the two"
+    rejected, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
+    line = f"off the map, estimated from the map alone, {threshold:.4f} rejects {rejected:.1%} of the matches"
+    if rejected < share:
+        line += f", and {needed:.4f} rejects {share:.1%}: if the vehicle may leave the map, choose between the two"
     print(line)
 
 
@@ -168,7 +170,7 @@ def _as_toml(lines: Lines) -> str:
 
 
 def write_lines(path: Path, lines: Lines) -> None:
-    """Put values into a config file, by one rename; its comments, order and other keys stay. ConfigError."""
+    """Write values into a config file in one step; its comments, order and other keys stay. ConfigError."""
     try:
         import tomlkit
     except ModuleNotFoundError:
@@ -178,7 +180,7 @@ def write_lines(path: Path, lines: Lines) -> None:
     for (section, key), value in lines.items():
         document.setdefault(section, tomlkit.table())[key] = value
     new = tomlkit.dumps(document)
-    parse_config(new, path)  # what was good before must not be bad now
+    parse_config(new, path)  # a valid config stays valid
     try:
         with replacing(path) as stream:
             os.fchmod(stream.fileno(), path.stat().st_mode)

@@ -1,8 +1,8 @@
-"""The rig's along-route offset, robustly: the median, and what the median absolute deviation leaves in.
+"""The rig's along-route offset: a median without outliers.
 
-A front and a rear camera see the same thing at different times, so the matched place lies ahead of the vehicle by tens
-of metres, the same on the whole route but for what stands beside it. Some matches are plainly wrong; a median does not
-follow them, and those beyond OUTLIER deviations of it are set aside and counted.
+A front and a rear camera see the same object at different times, so the matched place lies tens of meters ahead of the
+vehicle; the distance depends on what stands beside the road. Wrong matches do not move a median, and those further from
+it than OUTLIER deviations are excluded and counted.
 """
 
 from __future__ import annotations
@@ -20,24 +20,25 @@ from sim.calibration.sightings import Sighting
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 OUTLIER = 4.0
 LANE_SIGMA_M = 2.0
-LEAST_SIGMA_M = 0.5  # GPS, by which it was measured, is no better
+LEAST_SIGMA_M = 0.5  # of GPS, the reference of the measurement
 FEWEST = 10
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 
 
 @dataclass(frozen=True)
 class Offset:
-    """Of one direction and region order: matches used and set aside, their median, and the errors left after it.
+    """Of one direction and region order: the median of the used matches, and the errors that remain after it.
 
-    left_m: root mean square of those errors. left_95_m: 95 % of the used matches are within it. sigma_m: the part of
-    left_m that is the rig's, over the lines that the daemon would follow; what it knows of those is not counted twice.
-    aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the deviation of that.
+    used, outliers: number of matches. left_m: root mean square of the remaining errors. left_95_m: 95 % of the used
+    matches are within it. sigma_m: the part of left_m that is the rig's, without what the daemon itself knows of the
+    uncertainty of each line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the
+    standard deviation of that.
     """
 
     direction: Direction
     order: Order
     used: int
-    set_aside: int
+    outliers: int
     ahead_m: float
     left_m: float
     left_95_m: float
@@ -47,18 +48,18 @@ class Offset:
 
 
 def measure_offsets(seen: Sequence[Sighting]) -> list[Offset]:
-    """From the believed matches; a kind with fewer than FEWEST of them is left out."""
+    """From the accepted matches; a direction and order with fewer than FEWEST of them has no offset."""
     found = (_measure(seen, (direction, order)) for direction in DIRECTIONS for order in ORDERS)
     return [offset for offset in found if offset is not None]
 
 
 def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
-    believed = [one for one in seen if one.accepted and (one.direction, one.order) == plane]
-    placed = [one for one in believed if not np.isnan(one.ahead_m)]
+    accepted = [one for one in seen if one.accepted and (one.direction, one.order) == plane]
+    placed = [one for one in accepted if not np.isnan(one.ahead_m)]
     if len(placed) < FEWEST:
         return None
     ahead_m = np.array([one.ahead_m for one in placed])
-    # A metre at least: places are that far apart, and a perfect drive must not lose half of its matches.
+    # At least a meter, the distance of places: a perfect drive must not lose half of its matches.
     used = np.abs(ahead_m - np.median(ahead_m)) <= OUTLIER * max(1.0, _deviation(ahead_m))
     error_m = ahead_m - np.median(ahead_m[used])
     line_sigma_m = np.array([one.line_sigma_m for one in placed])
@@ -69,7 +70,7 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     return Offset(
         *plane,
         used=int(used.sum()),
-        set_aside=len(believed) - int(used.sum()),
+        outliers=len(accepted) - int(used.sum()),
         ahead_m=float(np.median(ahead_m[used])),
         left_m=float(np.sqrt(np.mean(np.square(error_m[used])))),
         left_95_m=float(np.percentile(np.abs(error_m[used]), 95)),
@@ -80,15 +81,15 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
 
 
 def _deviation(values: NDArray[np.float64]) -> float:
-    """Standard deviation that a few wild values do not change."""
+    """Standard deviation, estimated by the median absolute deviation, which outliers do not change."""
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def rig_config(offsets: Sequence[Offset]) -> RigConfig:
-    """The [rig] section, to the decimetre; 0 for what no drive has measured.
+    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured.
 
-    sigma_along_m, for kinds of matches that were not measured, is that of the worst kind that was. A lane is kept no
-    better than LANE_SIGMA_M, however well these drives kept it.
+    sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_across_m is at least
+    LANE_SIGMA_M, however well these drives kept their lane.
     """
     keys = {rig_key(offset): round(offset.ahead_m, 1) for offset in offsets}
     keys |= {sigma_key(offset): round(offset.sigma_m, 1) for offset in offsets}
@@ -99,10 +100,10 @@ def rig_config(offsets: Sequence[Offset]) -> RigConfig:
 
 
 def rig_key(offset: Offset) -> str:
-    """The key of [rig] that an offset goes to."""
+    """The key of [rig] for an offset."""
     return f"ahead_{offset.direction}_{offset.order}_m"
 
 
 def sigma_key(offset: Offset) -> str:
-    """The key of [rig] that says what it leaves."""
+    """The key of [rig] for its standard deviation."""
     return f"sigma_{offset.direction}_{offset.order}_m"

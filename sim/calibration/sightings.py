@@ -1,4 +1,4 @@
-"""What the recogniser answers on a drive whose positions are known, held against where the vehicle was."""
+"""The recognizer's matches on a drive with known positions, compared with where the vehicle was."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order
 
 OFF_ROUTE_M = 30.0
-"""A vehicle further than this from the map's drive was not on it: two roads are hardly nearer, and GPS is better."""
+"""A vehicle further than this from the map's drive was not on it."""
 
 SAME_ROAD_M = 15.0
-"""Where a drive passes the same road twice, stretches this much further away are as near as the nearest."""
+"""Where a drive passes the same road twice, stretches up to this much further away count as equally near."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """One answer of the recogniser.
+    """One match of the recognizer.
 
-    left_m: metres that the vehicle drove left of the map's drive, in its own direction of travel, NaN like ahead_m.
-    ahead_m: metres along the map's drive, in the direction of travel, from the vehicle to the line's end as the daemon
-    would have it; NaN where the vehicle was not on that drive. line_sigma_m: what the daemon knows of that end without
-    the rig, one standard deviation; NaN where it would not follow the line.
+    ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
+    NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
+    own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
+    where the daemon would not use the line.
     """
 
     direction: Direction
@@ -48,13 +48,13 @@ class Sighting:
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
-    """Every answer on the drive, in order. FeedError and MapError where positions or metres are missing."""
+    """Every match on the drive, in order. FeedError and MapError where positions or meters are missing."""
     places = reference_map.places
     if np.isnan(places["lat_deg"]).any() or np.isnan(places["route_m"]).any():
         raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
     if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
         raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
-    # Measured without any offset, and each feed knows where its camera looked.
+    # Measured without any offset; the view is that of the feed.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
@@ -80,14 +80,14 @@ class MapDrives:
         places = reference_map.places
         lat_deg = np.concatenate([places["lat_deg"], np.array([row.lat_deg for row in feed.rows], dtype=float)])
         lon_deg = np.concatenate([places["lon_deg"], np.array([row.lon_deg for row in feed.rows], dtype=float)])
-        metres = east_north(lat_deg, lon_deg)
-        self._places_m, self._vehicle_m = metres[: len(places)], metres[len(places) :]
+        meters = east_north(lat_deg, lon_deg)
+        self._places_m, self._vehicle_m = meters[: len(places)], meters[len(places) :]
         self._route_m: NDArray[np.float64] = places["route_m"]
         segments = reference_map.header.segments
         self._segment_of = np.repeat(np.arange(len(segments)), [segment.end - segment.start for segment in segments])
 
     def further_m(self, row: int, place: int) -> float:
-        """Metres along the place's drive from the vehicle at a row of the feed to the place; NaN off that drive."""
+        """Meters along the place's drive from the vehicle at a row of the feed to the place; NaN off that drive."""
         drive = self._segment_of == self._segment_of[place]
         nearest_m, route_m = _project(self._vehicle_m[row], self._places_m[drive], self._route_m[drive])
         if nearest_m.min() > OFF_ROUTE_M:
@@ -99,7 +99,7 @@ class MapDrives:
         return min(further_m, key=abs)
 
     def left_m(self, row: int, place: int) -> float:
-        """Metres that the vehicle was left of the place's drive, as the map's driver has it; NaN off that drive."""
+        """Meters that the vehicle was left of the place's drive, as the map's driver has it; NaN off that drive."""
         drive = self._segment_of == self._segment_of[place]
         line, point = self._places_m[drive], self._vehicle_m[row]
         nearest_m, _ = _project(point, line, self._route_m[drive])

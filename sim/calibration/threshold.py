@@ -1,12 +1,12 @@
-"""The uniqueness from which a match is believed, for the precision that the user names.
+"""The uniqueness from which a match is accepted, for a precision that the user chooses.
 
 From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
-From the map alone: its drives are driven again by its own camera, in a map from which the surroundings of each frame
-are missing. Whatever is then matched is wrong, as for a vehicle off the map, and the threshold refuses all but the
-allowed share of it. On three simulated streets of 1 km 99 % came to 1.145, 1.167 and 1.198, where another street driven
-on that map came to 1.124, 1.135 and 1.142; on a real corridor to 1.21, where recordings of elsewhere stayed below 1.05.
-Nothing is learned of how well places are recognised in other light, which only a drive shows; and of a map without
-positions that passes a place twice nothing at all, since the place itself is then what is found.
+From the map alone: each of its frames is matched to the map without the frame's surroundings. All such matches are
+wrong, as those of a vehicle off the map, and the threshold rejects all but the allowed share of them. On three
+simulated streets of 1 km the threshold for 99 % was 1.145, 1.167 and 1.198, where another street driven on that map
+needed 1.124, 1.135 and 1.142; on a real corridor 1.21, where recordings of other places stayed below 1.05. The map
+alone does not show how well places are recognized in other light. If it has no positions and passes a place twice, it
+shows nothing: the other pass of the same place is matched.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ TOLERANCE_M = 40.0
 
 @dataclass(frozen=True)
 class Curve:
-    """What each threshold would give, from the highest to the lowest; arrays (T,).
+    """Results of each threshold, from the highest to the lowest; arrays (T,).
 
-    precision: of the accepted, the share that is right; or, from the map alone, of matches that are all wrong, the
-    share that is refused. accepted: how many are. answers: how many matches it rests on, and stretches: how many of
-    these share no frame with each other, which is what they prove.
+    precision: share of the accepted matches that is right; from the map alone, where all matches are wrong, the share
+    that is rejected. accepted: number of accepted matches. answers: number of matches in all. stretches: how many of
+    them share no frame with each other, and so are independent.
     """
 
     thresholds: NDArray[np.float64]
@@ -46,17 +46,17 @@ class Curve:
     stretches: int
 
     def lowest_for(self, precision: float) -> float:
-        """The threshold with the most accepted matches that still has that precision; LookbackError if none has."""
+        """The lowest threshold of at least that precision; LookbackError if there is none."""
         good = np.flatnonzero(self.precision >= precision)
         if not good.size:
             raise LookbackError(
                 f"no threshold reaches a precision of {precision:.1%}: the best is {self.precision.max(initial=0):.1%};"
-                " drive the route again more like the map was, use longer sequences, or ask for less"
+                " record a drive more like that of the map, use longer sequences, or choose a lower precision"
             )
         last = good[-1]
         if last + 1 == len(self.thresholds):
             return float(self.thresholds[last])
-        # Halfway to what must be refused, so that neither side sits on the edge.
+        # Halfway to the next, which must be rejected, so that neither lies exactly on the threshold.
         return float(self.thresholds[last] + self.thresholds[last + 1]) / 2
 
 
@@ -71,26 +71,26 @@ def curve_of_drive(seen: Sequence[Sighting], rig: RigConfig, tolerance_m: float,
 
 
 def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
-    """From the map against itself without the surroundings of each place."""
-    wrong = -np.sort([-uniqueness for uniqueness in _strangers(reference_map, config)])
+    """From the map alone: each place matched without its surroundings."""
+    wrong = -np.sort([-uniqueness for uniqueness in _uniqueness_off_map(reference_map, config)])
     accepted = np.arange(1, len(wrong) + 1)
     return Curve(wrong, 1 - accepted / max(len(wrong), 1), accepted, len(wrong), len(wrong) // config.sequence.length)
 
 
-def _strangers(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
-    """Uniqueness of the best match of each place where its own surroundings are missing."""
+def _uniqueness_off_map(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
+    """Uniqueness of the best match of each place after its own surroundings were removed."""
     header = reference_map.header
     map_set = MapSet.of(reference_map)
     (matcher,) = map_set.matchers
-    missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum runs over
+    missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum overflows
     for segment in header.segments:
-        # The camera that made the drive: with another's region orders its own reflection would be searched for.
+        # With the view of the segment's own camera: the region orders of the other would match its mirror image.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
         part = Submap([(0, header.places)], map_set, config)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
-            # In the row, and not only among the ends of lines: one on the way back would cross the truth in its middle.
+            # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
             costs[..., part.neighbourhood.around(place)] = missing
             match = part.advance(costs, replaces_ring=False)
             if match is None or match.distance * COST_ONE * config.sequence.length >= missing:

@@ -28,8 +28,8 @@ TruthKind = Literal["positions", "rows", "route_m"]
 class Traverse:
     """One drive of a data set: rows as a feed has them, one for every picture, and the pictures.
 
-    rows: `file` says which picture a row is of; what is not known of a row is None. Where a data set gives metres
-    and not degrees, `extra` has `local_x_m` and `local_y_m`; where it gives the metres along a route that both
+    rows: `file` says which picture a row is of; what is not known of a row is None. Where a data set gives meters
+    and not degrees, `extra` has `local_x_m` and `local_y_m`; where it gives the meters along a route that both
     directions share, `route_m`; where its pictures are numbered alike in all traverses, `source_frame`.
     """
 
@@ -73,7 +73,7 @@ class DatasetKind:
     what: str
     truth: TruthKind
     tolerance: float
-    """Metres; frames if truth is "rows"."""
+    """Meters; frames if truth is "rows"."""
     options: frozenset[str] = field(default=frozenset({"view"}))
 
 

@@ -5,8 +5,8 @@
 
 The paper (section IV-B) marked 20 places by hand in each traverse and interpolated between them; it published no
 layout for them. Here a line of `anchors.csv` says that frame `frame` (counted from 0 in the order of the names) is
-`route_m` metres along the route, which all traverses share; one that goes the other way has falling metres. Where
-nobody measured the route, give the frame of the reference traverse in place of metres: tolerances are then frames.
+`route_m` meters along the route, which all traverses share; one that goes the other way has falling meters. Where
+nobody measured the route, give the frame of the reference traverse in place of meters: tolerances are then frames.
 
 Frames before the first and after the last anchor have no place.
 """
@@ -37,16 +37,16 @@ class Anchors:
     route_m: NDArray[np.float64]
 
     def route_at(self, count: int) -> NDArray[np.float64]:
-        """(count,) metres along the route of each frame, linear between anchors, NaN outside them."""
+        """(count,) meters along the route of each frame, linear between anchors, NaN outside them."""
         return self._between(self.route_m, count)
 
     def distance_at(self, count: int) -> NDArray[np.float64]:
-        """(count,) metres covered since the first anchor, whichever way it goes."""
+        """(count,) meters covered since the first anchor, whichever way it goes."""
         covered_m = np.concatenate([[0.0], np.abs(np.diff(self.route_m)).cumsum()])
         return self._between(covered_m, count)
 
-    def _between(self, metres: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        return np.asarray(np.interp(np.arange(count), self.frame, metres, left=np.nan, right=np.nan))
+    def _between(self, meters: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+        return np.asarray(np.interp(np.arange(count), self.frame, meters, left=np.nan, right=np.nan))
 
 
 def read_anchors(file: Path) -> Anchors:

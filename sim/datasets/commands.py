@@ -30,7 +30,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     _add_read_options(parser)
     add_spacing_options(parser)
-    parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M metres")
+    parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M meters")
     parser.add_argument("--width", metavar="PIXELS", type=int, help="make the pictures smaller")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave pictures out that cannot be read")
     parser.add_argument("--lossless", action="store_true", help="keep the pictures as PNG, not as JPEG")

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from edge.errors import ConfigError, FeedError
-from edge.journal.journal import read_journal
 from edge.geodesy import east_north
+from edge.journal.journal import read_journal
 
 EVENT, FRAME = "place", "frame"
 

@@ -29,7 +29,7 @@ SOURCE_COLUMNS = ("source_file", "source_frame")
 
 @dataclass(frozen=True)
 class ChosenRow:
-    """A row of a traverse that goes into the feed, and metres driven since the first whose place is known."""
+    """A row of a traverse that goes into the feed, and meters driven since the first whose place is known."""
 
     index: int
     distance_m: float | None
@@ -47,7 +47,7 @@ def choose_rows(
     placed = any(distance_m is not None for distance_m in distances_m)
     if must_have_distance and not placed:
         raise FeedError(
-            f"{traverse.source}: no positions or distances in it, so pictures cannot be chosen by metres; use"
+            f"{traverse.source}: no positions or distances in it, so pictures cannot be chosen by meters; use"
             " --spacing-frames or --interval-s"
         )
     sampler, unplaced, late = Sampler(sampling), 0, 0
@@ -68,7 +68,7 @@ def choose_rows(
 
 
 def _distances_m(traverse: Traverse) -> list[float | None]:
-    """Metres driven at each row, None where its place is not known."""
+    """Meters driven at each row, None where its place is not known."""
     rows = traverse.rows
     placed = [index for index, row in enumerate(rows) if row.distance_m is not None or row.lat_deg is not None]
     distances_m: list[float | None] = [None] * len(rows)

@@ -1,6 +1,6 @@
 """KITTI odometry: one sequence.
 
-    dataset/sequences/00/image_2/000000.png ...   left colour camera (3 right colour, 0 and 1 grey)
+    dataset/sequences/00/image_2/000000.png ...   left color camera (3 right color, 0 and 1 gray)
     dataset/sequences/00/times.txt                seconds, a line a picture
     dataset/poses/00.txt                          12 numbers a line: 3 x 4 pose of the left camera, row by row
 

@@ -18,7 +18,7 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})
 
 
 class PictureFiles:
-    """A picture a file, in colour, with what the data set needs done to it."""
+    """A picture a file, in color, with what the data set needs done to it."""
 
     def __init__(
         self,

@@ -107,17 +107,17 @@ def _without_wandering(
     stamps_ns: NDArray[np.int64], lat_deg: Floats, lon_deg: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The fixes whose stamps count, and for each the fix that says where the vehicle was then."""
-    metres, stamps = east_north(lat_deg, lon_deg).tolist(), stamps_ns.tolist()
+    meters, stamps = east_north(lat_deg, lon_deg).tolist(), stamps_ns.tolist()
     when, where = [0], [0]
-    for index, place in enumerate(metres):
+    for index, place in enumerate(meters):
         stood = stamps[index] - stamps[when[-1]] > STANDING_S * 1e9
-        if math.dist(place, metres[where[-1]]) >= STANDING_M:
+        if math.dist(place, meters[where[-1]]) >= STANDING_M:
             if stood and index - 1 > when[-1]:
                 when.append(index - 1)
                 where.append(where[-1])
             when.append(index)
             where.append(index)
-        elif index == len(metres) - 1 and index > when[-1]:
+        elif index == len(meters) - 1 and index > when[-1]:
             when.append(index)
             where.append(where[-1] if stood else index)
     return np.array(when), np.array(where)

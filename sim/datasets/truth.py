@@ -3,8 +3,8 @@
 Whatever the ground truth of a data set is, each row is put at a point, and two rows are of the same place if their
 points are no further apart than the tolerance:
 
-    positions  metres east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own metres (KITTI)
-    route_m    metres along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
+    positions  meters east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own meters (KITTI)
+    route_m    meters along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
                the simulator; the direction of travel does not matter
     rows       number of the frame, for traverses that were aligned frame by frame (Nordland, Gardens Point)
 """
@@ -70,7 +70,7 @@ def _known(points: Floats) -> Rows:
 
 
 def truth_between(kind: TruthKind, reference: Feed, query: Feed, tolerance: float) -> Truth:
-    """The truth between two feeds; tolerance in metres, or in frames if kind is "rows".
+    """The truth between two feeds; tolerance in meters, or in frames if kind is "rows".
 
     FeedError names the feed that does not have what this kind of truth needs.
     """
@@ -87,8 +87,8 @@ def _by_positions(reference: Feed, query: Feed) -> tuple[Floats, Floats]:
         return _by_columns(reference, query, ("local_x_m", "local_y_m"), "no positions")
     _must_be_known(degrees, (reference, query), "no positions")
     # One origin for both, so that the points can be compared.
-    metres = east_north(*np.concatenate(degrees).T)
-    return metres[: len(degrees[0])], metres[len(degrees[0]) :]
+    meters = east_north(*np.concatenate(degrees).T)
+    return meters[: len(degrees[0])], meters[len(degrees[0]) :]
 
 
 def _by_route(reference: Feed, query: Feed) -> tuple[Floats, Floats]:

@@ -3,8 +3,8 @@
     @utm_east@utm_north@zone_number@zone_letter@lat@lon@pano_id@tile@heading@pitch@roll@height@time@note@.jpg
 
 Specified in the README of https://github.com/gmberton/VPR-datasets-downloader (G. Berton et al., CVPR 2022). All but
-the first two may be empty. The metres go to `local_x_m` and `local_y_m`, the degrees where there are any (in Nordland
-there are none, and its metres are made up: 2.4 a frame). Pictures come in the order of time, then of pano_id; their
+the first two may be empty. The meters go to `local_x_m` and `local_y_m`, the degrees where there are any (in Nordland
+there are none, and its meters are made up: 2.4 a frame). Pictures come in the order of time, then of pano_id; their
 times are nominal, as the format's are of whole seconds at best and most often empty.
 """
 
@@ -74,7 +74,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         source=str(Path(*path.parts[-4:])),
         rows=tuple(_row(place, round(index * 1e9 / fps)) for index, place in enumerate(places)),
         pictures=PictureFiles([path / place.file for place in places]),
-        notes="times are nominal; local_x_m and local_y_m are the UTM metres of the names",
+        notes="times are nominal; local_x_m and local_y_m are the UTM meters of the names",
     )
 
 

@@ -1,4 +1,5 @@
-"""The demo's story: out with the rear camera by day, then again at dusk and home at night with the front camera."""
+"""The steps of the demo: out by day with the rear camera, then with the front camera again at dusk and home at
+night."""
 
 from __future__ import annotations
 
@@ -11,7 +12,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
@@ -22,7 +22,7 @@ from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
 from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
 from sim.vehicle.daemon_drive import AutopilotSetup, DaemonDrive, ReceivedFix, start_daemon_drive
-from sim.world.recording import times_by_distance, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 SEED = 7
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> int:
     print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
     print("3. Live, with the front camera, GPS failing soon: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig, args.pictures)
-    print("4. What they saw, held against the truth")
+    print("4. Their answers, compared with the truth")
     reviews = [review_drive(live, reference_map, pictures=4) for live in lives]
     for live, review in zip(lives, reviews, strict=True):
         _print_table(live, review)
@@ -83,16 +83,16 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _make_folder(folder: Path) -> None:
-    """An empty folder; one that an earlier demo made is cleared, anything else is left alone."""
+    """An empty folder; one of an earlier demo is cleared, any other is kept."""
     if folder.exists() and any(folder.iterdir()) and not (folder / MARKER).exists():
-        raise ConfigError(f"--output: {folder} has files that no demo made; name another folder")
+        raise ConfigError(f"--output: {folder} has files that are not of a demo; name another folder")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / MARKER).touch()
 
 
 def _make_map(folder: Path) -> ReferenceMap:
-    _record(MAP_DRIVE, folder / "rear_day", LENGTH_M)
+    record_drive(MAP_DRIVE, folder / "rear_day", show_progress=True)
     build_map([read_feed(folder / "rear_day")], folder / "rear_day.map", DescriptorConfig(), SamplingConfig())
     return open_map(folder / "rear_day.map")
 
@@ -101,16 +101,10 @@ def _measure_rig(folder: Path, reference_map: ReferenceMap) -> RigConfig:
     drives = []
     for scenario in WITH_GPS:
         path = folder / f"gps_{scenario.direction}"
-        _record(scenario, path, MEASURED_M)
+        record_drive(scenario, path, up_to_m=MEASURED_M, show_progress=True)
         drives.append(read_feed(path))
     offsets, _ = measure_rig(reference_map, drives)
     return rig_config(offsets)
-
-
-def _record(scenario: Scenario, path: Path, distance_m: float) -> None:
-    drive = scenario.drive()
-    times_s = [t for t in times_by_distance(drive, SamplingConfig().spacing_m) if drive.distance_m(t) <= distance_m]
-    write_feed(scenario, drive, path, tqdm(times_s, unit="frame", desc=path.name, disable=None))
 
 
 def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[DaemonDrive]:
@@ -154,7 +148,7 @@ def _page_url(number: int) -> str:
 
 @contextmanager
 def _photographer(lives: list[DaemonDrive], pictures: Path) -> Iterator[None]:
-    """Photographs the live page, for a desk and a phone, once both drives are well under way."""
+    """Take screenshots of the live page, for a desk and a phone, once both drives are well under way."""
     from sim.demo.pictures import photograph_page
 
     def photograph() -> None:
@@ -190,7 +184,7 @@ def _print_table(live: DaemonDrive, review: Review) -> None:
 
 
 def _is_good(live: DaemonDrive, review: Review) -> bool:
-    """Fixes came, and nearly all of them are right: the bar of the smoke test."""
+    """Whether fixes arrived and nearly all are right: the criterion of the smoke test."""
     if len(live.fixes) < 5 or not review.precision >= 0.9:
         raise LookbackError(f"{live.name}: {len(live.fixes)} fixes, precision {review.precision:.3f}: not good enough")
     return True

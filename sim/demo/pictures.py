@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 def write_pictures(
     folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review]
 ) -> list[Path]:
-    """Write plots of the last drive as PNG and a sheet of matched pairs of all as JPEG; returns their paths."""
+    """Write plots of the last drive as PNG and matched pairs of all drives as one JPEG; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     plots = {"precision_recall": curves(lives, reviews)}
     plots["cost_matrix"] = cost_matrix(reference_map, reviews[-1])
@@ -45,7 +45,7 @@ def _save(plot: Figure, path: Path) -> Path:
 
 
 def _pairs(reference_map: ReferenceMap, reviews: list[Review]) -> NDArray[np.uint8]:
-    """A row a drive: each query picture beside the place that it was taken for."""
+    """A row for each drive: each query picture beside the place that it was matched to."""
     images = FeedImages(read_feed(reference_map.path.with_suffix("")))
     rows = []
     for review in reviews:
@@ -74,7 +74,7 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
     """The live page as a browser shows it; False, and a line in the log, where there is no Chromium."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
-        log.warning("no picture of the live page: there is no Chromium here")
+        log.warning("no picture of the live page: Chromium is not installed")
         return False
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as profile:
@@ -84,7 +84,7 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
             *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
             f"--user-data-dir={profile}",
             f"--window-size={width},{height}",
-            # So much of its own time for the page to ask and draw; answers that are on their way stop that clock.
+            # Virtual time for the page to load and draw; it stops while requests are pending.
             "--virtual-time-budget=4000",
             f"--screenshot={path}",
             url,

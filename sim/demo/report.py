@@ -22,8 +22,8 @@ from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
 from sim.vehicle.daemon_drive import DaemonDrive
 
-logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it talks about its font cache
-BLUE, ORANGE, GREY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
+logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it logs its font cache
+BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
@@ -51,11 +51,11 @@ def _overview(
     text = (
         "A vehicle drove out along a street by day with a camera that looks back, and a map was made of"
         f" {reference_map.header.places} places. Then it drove with a camera that looks ahead, GPS failing soon: the"
-        " same way again at dusk, and home at night. Lookback ran as its own process, and told a simulated autopilot"
-        " where it was over a serial line."
+        " same way again at dusk, and home at night. Lookback ran as a process of its own and sent place fixes to a"
+        " simulated autopilot over a serial line."
     )
     note = (
-        f"Sequence of {SequenceConfig().length} frames, uniqueness from {AcceptanceConfig().uniqueness_min} on. The"
+        f"Sequences of {SequenceConfig().length} frames, uniqueness from {AcceptanceConfig().uniqueness_min} on. The"
         f" matched place lies {rig.ahead_forward_swapped_m:.0f} m ahead of the vehicle when it drives the same way, and"
         f" {rig.ahead_reverse_same_m:.0f} m on the way home: measured on two short drives with GPS, since a front and a"
         " rear camera see the same thing at different times."
@@ -71,7 +71,7 @@ def _name(live: DaemonDrive) -> str:
 
 
 def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
-    """What the table says of one drive, by row."""
+    """The column of one drive, by row."""
     errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
     return {
         "light, direction along the map": f"{live.scenario.light}, {live.scenario.direction}",
@@ -106,19 +106,19 @@ def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> report.Figure:
 
 
 def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Picture]]:
-    """Frames beside the places that they were taken for."""
+    """Frames beside the places that they were matched to."""
     feed = read_feed(reference_map.path.with_suffix(""))  # the demo keeps the feed beside the map made of it
     images = FeedImages(feed)
     pairs = []
     for row, picture in review.pictures.items():
         seen = review.seen[row]
         if seen.map_row is not None:
-            taken_for = (
-                f"taken for place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
+            matched_to = (
+                f"matched to place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
                 f" {seen.direction}, {seen.order} order, {seen.category}"
             )
             here = report.Picture(_jpeg(picture), f"at {review.route_m[row]:.0f} m")
-            pairs.append([here, report.Picture(_jpeg(images.read(seen.map_row)), taken_for)])
+            pairs.append([here, report.Picture(_jpeg(images.read(seen.map_row)), matched_to)])
     return pairs
 
 
@@ -130,8 +130,8 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
     figure.colorbar(shown, label="cosine distance")
     places = np.array([np.nan if seen.place is None else seen.place for seen in review.seen], dtype=float)
     rows = np.arange(len(places))
-    axes.plot(rows[~review.accepted], places[~review.accepted], ".", color="white", ms=3, label="best, not believed")
-    axes.plot(rows[review.accepted], places[review.accepted], ".", color=ORANGE, ms=4, label="believed")
+    axes.plot(rows[~review.accepted], places[~review.accepted], ".", color="white", ms=3, label="best, not accepted")
+    axes.plot(rows[review.accepted], places[review.accepted], ".", color=ORANGE, ms=4, label="accepted")
     chosen = [row for row, match in enumerate(review.matches) if match is not None and match.accepted]
     if chosen:
         row = chosen[len(chosen) // 2]
@@ -141,8 +141,8 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
         step = match.slope if match.direction == "forward" else -match.slope
         axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
-    # Below it, since there is data everywhere in it; on grey, or the white ones would not be seen.
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GREY, markerscale=2.5)
+    # Below the matrix, which is full; on gray, so that the white dots are visible.
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GRAY, markerscale=2.5)
     return figure
 
 
@@ -154,14 +154,14 @@ def route(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> Fig
     fixed = [seen for seen in review.seen if seen.emitted and seen.lat_deg is not None]
     lat = np.concatenate([places["lat_deg"], [seen.lat_deg for seen in fixed]]).astype(float)
     lon = np.concatenate([places["lon_deg"], [seen.lon_deg for seen in fixed]]).astype(float)
-    metres = east_north(lat, lon)
+    meters = east_north(lat, lon)
     count = len(places)
-    axes.plot(*metres[:count].T, color=GREY, lw=3, label="the map's route")
+    axes.plot(*meters[:count].T, color=GRAY, lw=3, label="the map's route")
     right = np.array(
         [error <= TOLERANCE_M for seen, error in zip(review.seen, review.error_m, strict=True) if seen in fixed]
     )
-    axes.plot(*metres[count:][right].T, "o", color=BLUE, ms=5, label="fix")
-    axes.plot(*metres[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
+    axes.plot(*meters[count:][right].T, "o", color=BLUE, ms=5, label="fix")
+    axes.plot(*meters[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=_name(live))
     axes.legend(fontsize=8)
     return figure
@@ -171,10 +171,10 @@ def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
     """Precision and recall of all drives, and the threshold in use."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
-    for live, review, colour in zip(lives, reviews, (ORANGE, BLUE), strict=True):
+    for live, review, color in zip(lives, reviews, (ORANGE, BLUE), strict=True):
         curve = precision_recall(review.answers)
-        axes.plot(curve.recall_of_places, curve.precision, color=colour, label=_name(live))
-        axes.plot(review.recall, review.precision, "o", color=colour)
+        axes.plot(curve.recall_of_places, curve.precision, color=color, label=_name(live))
+        axes.plot(review.recall, review.precision, "o", color=color)
     axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.legend(loc="lower left")
     return figure

@@ -1,4 +1,4 @@
-"""What the daemon saw, once more: the frames it used are rendered again, and every answer is held against the truth."""
+"""The frames that the daemon used, rendered and recognized again, and its answers compared with the truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
-from edge.descriptor.network import Network
 from edge.journal.frame_record import Observation
 from edge.journal.journal import read_journal
 from edge.recognizer import open_recognizer
@@ -25,11 +24,11 @@ TOLERANCE_M = 40.0
 
 @dataclass(frozen=True)
 class Review:
-    """One drive in review; rows are the frames that the daemon used.
+    """One drive; rows are the frames that the daemon used.
 
     route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. costs: (Q, N)
-    cosine distances, the better of the region orders. matches: the recogniser's answers on the same frames again.
-    pairs: frame rows to be shown, with their pictures.
+    cosine distances, the better of the region orders. matches: of the same frames, recognized again.
+    pictures: some of the frames, by row.
     """
 
     seen: list[Observation]
@@ -41,13 +40,13 @@ class Review:
 
     @property
     def answers(self) -> Answers:
-        """For precision and recall: right within TOLERANCE_M; every frame is on the map, warming up or not."""
+        """For precision and recall: right within TOLERANCE_M; every frame counts as on the map, the warm-up too."""
         confidence = np.array([np.nan if seen.uniqueness is None else seen.uniqueness for seen in self.seen])
         return Answers(confidence, self.error_m <= TOLERANCE_M, np.ones(len(self.seen), dtype=bool))
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """Frames whose match was believed."""
+        """Frames whose match was accepted."""
         return np.array([seen.accepted for seen in self.seen])
 
     @property
@@ -76,7 +75,7 @@ def stages_ms(live: DaemonDrive) -> dict[str, float]:
 
 
 def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:
-    """Render the used frames again, run the recogniser on them, and keep `pictures` of the emitted ones."""
+    """Render the used frames again, run the recognizer on them, and keep `pictures` of the emitted ones."""
     seen = used_frames(live)
     times_s = [item.stamp_ns / 1e9 - live.epoch_s for item in seen]
     errors_m = [
@@ -85,10 +84,9 @@ def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) 
     ]
     emitted = [row for row, item in enumerate(seen) if item.emitted]
     shown = {emitted[at] for at in np.linspace(0, len(emitted) - 1, pictures).round().astype(int)} if emitted else set()
-    network = Network.load()
     config = config_for_map(reference_map.header)
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=live.scenario.view))
-    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
+    recognizer = open_recognizer(config, map_set=MapSet.of(reference_map))
     renderer = open_renderer(live.scenario, live.drive)
     costs, matches, kept = [], [], {}
     try:

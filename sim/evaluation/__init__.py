@@ -1,4 +1,4 @@
-"""The paper's comparisons on anybody's traverses: `lookback eval`.
+"""`lookback eval`: the paper's comparisons on traverses of your own. `lookback golden`: a recording as a test.
 
 feeds -> methods (a named row each) -> cost matrix -> answers -> metrics -> report
 """

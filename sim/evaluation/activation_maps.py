@@ -1,9 +1,9 @@
-"""Which part of a picture speaks for a place category (fig. 10).
+"""Which part of a picture activates a place category (fig. 10).
 
-The paper shows class activation maps [38] of networks that were changed for it: average pooling in place of the fully
-connected layers. AlexNet as it is has no such map; its generalisation to any layers after the convolutions is Grad-CAM
+The paper shows class activation maps [38] of networks with average pooling in place of the fully
+connected layers. AlexNet as it is has no such map; its generalization to any layers after the convolutions is Grad-CAM
 (Selvaraju et al., ICCV 2017): the channels of the last pooled convolution, each weighted with the mean gradient of the
-category's score, and what is negative cut off. For a network with average pooling the two are equal.
+category's score, and negative values set to 0. For a network with average pooling the two are equal.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def scores_and_gradients(weights: Weights, pooled: Floats) -> tuple[Floats, NDAr
 
 
 def activation_map(pooled: Floats, gradient: Floats) -> Floats:
-    """Grad-CAM (H, W) in 0..1 of features and gradient (channels, H, W); all 0 where nothing speaks for it."""
+    """Grad-CAM (H, W) in 0..1 of features and gradient (channels, H, W); all 0 where none is positive."""
     weight = gradient.mean(axis=(1, 2))
     speaks = np.maximum(np.tensordot(weight, pooled, axes=1), 0)
     most = float(speaks.max())
@@ -59,8 +59,8 @@ def activation_map(pooled: Floats, gradient: Floats) -> Floats:
 
 
 def overlay(image: NDArray[np.uint8], speaks: Floats) -> NDArray[np.uint8]:
-    """The picture with its map as warm colours over it."""
+    """The picture with the map as a heat map over it."""
     height, width = image.shape[:2]
     large = cv2.resize(speaks, (width, height), interpolation=cv2.INTER_CUBIC).clip(0, 1)
-    colours = cv2.applyColorMap(np.rint(large * 255).astype(np.uint8), cv2.COLORMAP_JET)
-    return np.asarray(cv2.addWeighted(image, 0.55, colours, 0.45, 0), dtype=np.uint8)
+    colors = cv2.applyColorMap(np.rint(large * 255).astype(np.uint8), cv2.COLORMAP_JET)
+    return np.asarray(cv2.addWeighted(image, 0.55, colors, 0.45, 0), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""One method on one pair of traverses: what it answered, and how much of it was right."""
+"""One method on one pair of traverses: its answers, and which of them are right."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from sim.evaluation.matching import (
     judged_queries,
     match,
     match_seqslam,
-    neighbourhood_of,
-    planes_of,
+    open_matcher,
 )
 from sim.evaluation.methods import Method, find_method, needs_segments, query_rows, reference_rows
 from sim.evaluation.metrics import Answers
@@ -57,7 +56,7 @@ class Outcome:
 
 
 class Bench:
-    """Runs the methods of a plan; traverses and descriptors are read and made once, when they are first needed."""
+    """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
 
     def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
         """open_traverse(name, sampling) reads a traverse of the plan."""
@@ -85,11 +84,11 @@ class Bench:
         return max(1, round((pair.length_m or 0.0) / (sampling or self.plan.sampling).spacing_m))
 
     def resampling(self, length: int) -> Resampling:
-        """Blocks of two sequences: what one sequence saw, the next but one did not."""
+        """Blocks of two sequences: sequences that far apart share no frame."""
         return Resampling(block=2 * length, resamples=self.plan.resamples)
 
     def describe_all(self, executor: Executor) -> None:
-        """Have all that the comparison needs described by `executor`, a traverse a task."""
+        """Describe all traverses of the comparison with `executor`, a traverse a task."""
         wanted = []
         for pair in self.plan.pairs:
             for text in self.methods_for(pair):
@@ -140,13 +139,13 @@ class Bench:
         precision: Precision | None,
     ) -> Matches:
         ground, along = place_coordinates(reference, pair)
-        # Uniqueness asks for the best elsewhere, and elsewhere begins at twice the tolerance.
+        # The second-best match of the uniqueness lies outside twice the tolerance.
         window = 2 * pair.tolerance
         if method.layer == "pixels":
             places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
-            return match_seqslam(reference.pixels, query.pixels, length, places, centred=method.centred)
+            return match_seqslam(reference.pixels, query.pixels, length, places, centered=method.centered)
         described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
-        matcher = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
+        costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
         earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None
         rows = query_rows(
             method,
@@ -155,10 +154,10 @@ class Bench:
             segments=self._segments(method, query),
             earlier=self._raw(method, earlier, precision) if earlier else None,
         )
-        views_alike = reference.feed.header.view == query.feed.header.view
-        planes = planes_of(method.order, regions=described.shape[1], views_alike=views_alike)
+        views = (reference.feed.header.view, query.feed.header.view)
         sequence = SequenceConfig(length=length, region_order=method.order)
-        return match(rows, matcher, neighbourhood_of(ground, along, window), planes, sequence)
+        search = open_matcher(ground, along, window, sequence, regions=described.shape[1], views=views)
+        return match(rows, costs.costs, search)
 
     def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
         if method.layer == "external":

@@ -1,7 +1,7 @@
-"""How far a score would move on another such drive: block bootstrap over the frames of a traverse.
+"""Confidence intervals of scores: a block bootstrap over the frames of a traverse.
 
-Neighbouring frames see nearly the same, so frames drawn one by one would make every difference look certain. Whole
-blocks of contiguous frames are drawn instead (circular block bootstrap, Politis and Romano 1992).
+Neighboring frames are nearly the same picture, so that resampling single frames would make every interval too narrow.
+Blocks of contiguous frames are drawn instead (circular block bootstrap, Politis and Romano 1992).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Statistic = Callable[[Answers], float]
 class Interval:
     """A score on the traverse as driven, and the percentile interval of its resamples at `level`.
 
-    decided: of a difference, whether the interval excludes 0; if not, call it noise.
+    decided: of a difference, whether the interval excludes 0; otherwise it is noise.
     """
 
     value: float
@@ -59,7 +59,7 @@ def interval(statistic: Statistic, answers: Answers, how: Resampling) -> Interva
 
 
 def difference(statistic: Statistic, first: Answers, second: Answers, how: Resampling) -> Interval:
-    """The interval of `first`'s score less `second`'s on the same queries, resampled together (paired)."""
+    """The interval of `first`'s score minus `second`'s on the same queries, resampled together (paired)."""
     if len(first.confidence) != len(second.confidence):
         raise ValueError(f"not the same queries: {len(first.confidence)} and {len(second.confidence)}")
     return _interval(

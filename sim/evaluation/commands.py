@@ -1,4 +1,4 @@
-"""`lookback eval`: its options. What they start is imported when it is started: drawing alone takes half a second."""
+"""The options of `lookback eval`. Each action is imported when it runs: matplotlib alone takes half a second."""
 
 from __future__ import annotations
 

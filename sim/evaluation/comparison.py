@@ -1,4 +1,4 @@
-"""Every method on every pair: tables and curves of figs. 5 to 9, and what the best and worst matches look like."""
+"""Every method on every pair: tables and curves of figs. 5 to 9, and pictures of the best and worst matches."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SCORE_NOTE = (
     " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
     " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
     " R@P100, R@P99: recall of places at 100 % and 99 % precision. Median ahead: of right answers, how far they lie"
-    " ahead of the true place in the direction of travel, metres or frames. Published: the paper's max-F1;"
+    " ahead of the true place in the direction of travel, meters or frames. Published: the paper's max-F1;"
     " it does not say by which recall."
 )
 
 
 def compare(bench: Bench, step: Callable[[str], None]) -> Results:
-    """Run every method on every pair; `step` is called before each with what is next."""
+    """Run every method on every pair; `step` is called before each with its name."""
     found: Results = {}
     for pair in bench.plan.pairs:
         for text in bench.methods_for(pair):
@@ -68,7 +68,7 @@ def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
 
 
 def shown_outcome(bench: Bench, pair: Pair, results: Results) -> Outcome:
-    """The outcome whose matches are drawn and written down: that of Lookback, or of the last method."""
+    """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
     texts = bench.methods_for(pair)
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
@@ -79,7 +79,7 @@ def slug_of(pair: Pair) -> str:
 
 
 def overview(bench: Bench, results: Results) -> Section:
-    """Max-F1 of every method on every pair, and the differences that the plan asks about."""
+    """Max-F1 of every method on every pair, and the differences that the plan names."""
     pairs = [pair.name for pair in bench.plan.pairs]
     heights = {
         text: [
@@ -111,7 +111,7 @@ def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Pict
 def median_ahead(outcome: Outcome) -> float:
     """How far ahead of the true place right answers lie, in the direction of travel; NaN if none is right.
 
-    Front against rear, two cameras see the same thing at different times, so this is far from 0.
+    A front and a rear camera see the same object at different times, so that this is far from 0.
     """
     queries = outcome.judged[outcome.answers.correct]
     if not queries.size:
@@ -221,7 +221,7 @@ def _recall_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcom
         "Recall of the best 1, 5 and 10 places within a radius",
         columns,
         rows,
-        "The best places of the sequence search, neighbours included.",
+        "The best places of the sequence search, neighbors included.",
     )
 
 
@@ -238,9 +238,9 @@ def _differences(bench: Bench, results: Results) -> list[Table]:
     if not rows:
         return []
     columns = ("pair", "method", "against", "difference in max-F1 (places)", "verdict")
-    note = "Paired block bootstrap at 95 %; an interval that holds 0 is called noise."
+    note = "Paired block bootstrap at 95 %; an interval that contains 0 is noise."
     return [Table("differences", "Is it better, or is it noise?", columns, rows, note)]
 
 
 def _methods_text(bench: Bench) -> str:
-    return " ".join(f"{text}: {bench.method(text).says}." for text in bench.plan.methods)
+    return " ".join(f"{text}: {bench.method(text).description}." for text in bench.plan.methods)

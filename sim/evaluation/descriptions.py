@@ -1,4 +1,7 @@
-"""Raw descriptors of every traverse, each described once in a run and kept in memory."""
+"""Raw descriptors of every traverse, each described once in a run and kept in memory; here, in processes, or by Dask.
+
+Everywhere it is the same function with the same network file, so that the numbers are equal.
+"""
 
 from __future__ import annotations
 
@@ -51,20 +54,20 @@ class Descriptions:
         return read_plan_weights(name, self._plan.networks[name], self._folder)
 
     def opened(self) -> list[Network]:
-        """Every network that was used so far."""
+        """Every network that was used."""
         return list(self._opened.values())
 
     def task(
         self, traverse: Traverse, name: str, tap: Tap, regions: Regions, precision: Precision | None = None
     ) -> DescribeTask:
-        """What is to be done to have a traverse described."""
+        """The task that describes a traverse."""
         rows = tuple(traverse.rows.tolist())
         plan, width = self._plan.networks[name], self._plan.region_width
         path = traverse.path
         return DescribeTask(traverse.name, path, rows, name, plan, self._folder, tap, precision, regions, width)
 
     def describe_all(self, tasks: Iterable[DescribeTask], executor: Executor) -> None:
-        """Run tasks elsewhere and keep what they give."""
+        """Run tasks with the executor and keep their results."""
         wanted = [task for task in dict.fromkeys(tasks) if task not in self._raw]
         found = executor.map(describe, wanted)
         self._raw.update(zip(wanted, tqdm(found, total=len(wanted), desc="describing", unit="traverse"), strict=True))
@@ -98,7 +101,7 @@ class Descriptions:
 
 
 def read_matrix(path: Path, dimensions: int = 2) -> NDArray[np.float64]:
-    """A .npy of finite numbers; ConfigError names the file. Mapped, so that a header cannot claim memory."""
+    """A .npy of finite numbers; ConfigError names the file. Memory-mapped, so that a header cannot claim memory."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:

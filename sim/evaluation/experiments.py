@@ -1,4 +1,4 @@
-"""Experiments besides the comparison: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
+"""The experiments of a plan: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Step = Callable[[str], None]
 
 
 def sweep_pairs(plan: Plan) -> list[Pair]:
-    """The pairs that the sweeps are about; those that differ in the length only are one."""
+    """The pairs of the sweeps; pairs that differ in the length only count once."""
     wanted = plan.experiments.sweep_pairs
     chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
     apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
@@ -62,7 +62,7 @@ def sequence_lengths(bench: Bench, step: Step) -> Section:
 
 
 def spacings(bench: Bench, step: Step) -> Section:
-    """Max-F1 with places this far apart, the sequence as long in metres as the plan has it."""
+    """Max-F1 with places this far apart, the sequence as long in meters as the plan has it."""
     rows: list[Sequence[Cell]] = []
     distances = bench.plan.experiments.spacings_m
     for pair in sweep_pairs(bench.plan):
@@ -77,7 +77,7 @@ def spacings(bench: Bench, step: Step) -> Section:
 
 
 def cold_start(bench: Bench, results: Results) -> Section:
-    """Right answers in each third of the drive: online statistics begin with nothing."""
+    """Right answers in each third of the drive: online statistics begin without data."""
     rows: list[Sequence[Cell]] = []
     for (pair, _), outcome in results.items():
         if outcome.method.name in bench.plan.experiments.cold_start:
@@ -92,7 +92,7 @@ def cold_start(bench: Bench, results: Results) -> Section:
 
 
 def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
-    """The same method with float network and descriptors: what quantising costs."""
+    """The same method with float network and descriptors: the cost of quantization."""
     rows: list[Sequence[Cell]] = []
     for pair in sweep_pairs(bench.plan):
         for text in bench.plan.experiments.int8:
@@ -112,12 +112,12 @@ def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
                 ]
             )
     columns = ("pair", "method", "accuracy, int8", "accuracy, float", "max-F1, int8", "max-F1, float", "same place")
-    note = "int8 network and int8 descriptors against float32 of both. Same place: frames with the very same answer."
+    note = "int8 network and int8 descriptors against float32 of both. Same place: share of frames with equal answers."
     return Section("int8 against float", note, [Table("int8", "int8 against float", columns, rows)])
 
 
 def pca(bench: Bench, step: Step) -> Section:
-    """Two principal components of the category layer, raw and normalised (fig. 11)."""
+    """Two principal components of the category layer, raw and normalized (fig. 11)."""
     network = next(iter(bench.plan.networks))
     head = bench.descriptions.head(network)
     rows: list[Sequence[Cell]] = []
@@ -129,16 +129,16 @@ def pca(bench: Bench, step: Step) -> Section:
             np.concatenate([change.rows[:, 0] for change in query_rows(METHODS[row], raw[:, np.newaxis], 1)])
             for row in ("NSD-fc6/batch", "NSD-fc6")
         )
-        panels = {"raw": raw, "normalised": batch, "normalised online": online}
+        panels = {"raw": raw, "normalized": batch, "normalized online": online}
         points = {title: principal_components(values) for title, values in panels.items()}
         labels = [head.labels[index] for index in raw.argmax(axis=1)]
-        plots.append(Figure(f"pca_{name}", name, figures.scatter_plot(points, labels), "Colour: frame, dark is early."))
-        rows.append([name, *(neighbour_distance(values) for values in points.values())])
+        plots.append(Figure(f"pca_{name}", name, figures.scatter_plot(points, labels), "Color: frame, dark is early."))
+        rows.append([name, *(neighbor_distance(values) for values in points.values())])
     note = (
         "Distance of a frame to the next one in the plane, over the mean distance of any two frames: low where the"
-        " projection runs along the drive, 1 where it does not know of it."
+        " projection follows the drive, 1 where it is unrelated to it."
     )
-    columns = ("traverse", "raw", "normalised", "normalised online")
+    columns = ("traverse", "raw", "normalized", "normalized online")
     return Section(
         "PCA of the category layer (fig. 11)", note, [Table("pca", "Next frame's distance", columns, rows)], plots
     )
@@ -146,12 +146,12 @@ def pca(bench: Bench, step: Step) -> Section:
 
 def principal_components(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Projection (n, 2) of rows (n, D) on the two directions of greatest variance."""
-    centred = values - values.mean(axis=0, dtype=np.float64)
-    left, singular, _ = np.linalg.svd(centred, full_matrices=False)
+    centered = values - values.mean(axis=0, dtype=np.float64)
+    left, singular, _ = np.linalg.svd(centered, full_matrices=False)
     return np.asarray(left[:, :2] * singular[:2])
 
 
-def neighbour_distance(points: NDArray[np.float64]) -> float:
+def neighbor_distance(points: NDArray[np.float64]) -> float:
     """Mean distance of consecutive points over that of any two."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
     apart = np.linalg.norm(points[:, np.newaxis] - points, axis=2)
@@ -160,13 +160,13 @@ def neighbour_distance(points: NDArray[np.float64]) -> float:
 
 
 def activation_maps(bench: Bench, step: Step) -> Section:
-    """Where in a picture each network sees its top-3 categories (fig. 10)."""
+    """The parts of a picture that speak for its top-3 categories, for each network (fig. 10)."""
     rows = []
     for wanted in bench.plan.experiments.activation_maps:
         for name in [name for name, network in bench.plan.networks.items() if network.weights]:
             step(f"activation maps of {wanted.traverse}, {name}")
             rows.append(_activation_row(bench, wanted, name))
-    text = "Grad-CAM on the last pooled convolution, in float: the generalisation of class activation maps to AlexNet."
+    text = "Grad-CAM on the last pooled convolution, in float: the generalization of class activation maps to AlexNet."
     return Section("Class activation maps (fig. 10)", text, pictures=rows)
 
 
@@ -188,7 +188,7 @@ def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Pict
 
 
 def standing(bench: Bench, step: Step) -> Section:
-    """The recogniser on a drive with halts and changing speed: frames by distance and by time, with the gate or not."""
+    """The recognizer on a drive with halts and changing speed: frames by distance and by time, with the gate or not."""
     rows: list[Sequence[Cell]] = []
     by_time = SamplingConfig(by="frames")
     default = Config().descriptor.standing_change
@@ -200,9 +200,7 @@ def standing(bench: Bench, step: Step) -> Section:
             step(f"{drive.query}: {by}, standing gate {gate:g}")
             rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(bench, pair, sampling, gate)])
     columns = ("pair", "frames taken", "standing_change", "frames", "answered", "accuracy of answers")
-    note = (
-        "The query through `lookback replay`'s own recogniser; standing_change 0 turns its gate for standing still off."
-    )
+    note = "The query through the recognizer of `lookback replay`; standing_change 0 turns its gate off."
     return Section("Standing still, speed changes", note, [Table("standing", "With and without", columns, rows)])
 
 

@@ -45,9 +45,9 @@ def match_plot(
     axes.imshow(costs, cmap="Greys_r", aspect="auto", vmin=low, vmax=high, interpolation="nearest")
     axes.contour(errors <= tolerance, levels=[0.5], colors="tab:blue", linewidths=0.7)
     queries = np.arange(len(place))
-    for chosen, colour, label in ((~wrong, "tab:green", "right"), (wrong, "tab:red", "wrong")):
+    for chosen, color, label in ((~wrong, "tab:green", "right"), (wrong, "tab:red", "wrong")):
         shown = chosen & (place >= 0)
-        axes.plot(place[shown], queries[shown], ".", color=colour, markersize=2.5, label=label)
+        axes.plot(place[shown], queries[shown], ".", color=color, markersize=2.5, label=label)
     axes.set(xlabel="place of the reference", ylabel="query frame", xlim=(0, costs.shape[1] - 1))
     axes.legend(fontsize=7, loc="upper right", markerscale=3)
     return to_png(figure)
@@ -57,10 +57,10 @@ def bar_plot(groups: Sequence[str], bars: Mapping[str, Sequence[float]], label: 
     """Grouped bars: one group a pair, one bar a method."""
     figure, axes = plt.subplots(figsize=(max(WIDTH_IN, 1.6 * len(groups)), 4.0))
     width = 0.85 / max(len(bars), 1)
-    colours = plt.get_cmap("tab20").colors  # type: ignore[attr-defined]
+    colors = plt.get_cmap("tab20").colors  # type: ignore[attr-defined]
     for index, (name, heights) in enumerate(bars.items()):
         offset = (index - (len(bars) - 1) / 2) * width
-        axes.bar(np.arange(len(groups)) + offset, heights, width, label=name, color=colours[index % len(colours)])
+        axes.bar(np.arange(len(groups)) + offset, heights, width, label=name, color=colors[index % len(colors)])
     axes.set_xticks(range(len(groups)), [textwrap.fill(group, 18) for group in groups], fontsize=7)
     axes.set(ylabel=label, ylim=(0, 1.02))
     axes.grid(axis="y", alpha=0.3)
@@ -80,7 +80,7 @@ def line_plot(lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_la
 
 
 def scatter_plot(panels: Mapping[str, NDArray[np.floating]], labels: Sequence[str]) -> bytes:
-    """Points (n, 2) of each panel, coloured by frame, with the commonest categories by marker."""
+    """Points (n, 2) of each panel, colored by frame, with the commonest categories by marker."""
     figure, all_axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.6), squeeze=False)
     names, counts = np.unique(np.array(labels), return_counts=True)
     common = names[np.argsort(-counts, kind="stable")][:5].tolist()

@@ -1,10 +1,10 @@
-"""`lookback golden`: a recording becomes a test. A folder keeps what to replay and what came out when it was right.
+"""`lookback golden`: a recording as a test. A folder keeps what to replay, and the output when it was right.
 
     golden.toml     the reference feeds, the query feed and the settings; paths are relative to the folder
     expected.jsonl  a line for every frame, as `replay --all` writes it
 
-`lookback golden FOLDER` replays it and says where the two first differ; tests/test_golden.py does so for each folder
-under tests/golden. `--rebuild` accepts what comes out now.
+`lookback golden FOLDER` replays it and prints the first difference; tests/test_golden.py does so for each folder under
+tests/golden. `--rebuild` accepts the present output.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback golden` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser("golden", help="make a recording a test of the recogniser, or run one")
+    parser = commands.add_parser("golden", help="make a recording a test of the recognizer, or run it")
     parser.add_argument("folder", type=Path, metavar="FOLDER")
-    parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make one: of these feeds the map")
-    parser.add_argument("--query", type=Path, metavar="FEED", help="and this feed to be recognised in it")
+    parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make a test: the feeds of its map")
+    parser.add_argument("--query", type=Path, metavar="FEED", help="and the feed to be recognized")
     parser.add_argument("--sequence-length", type=int, default=SequenceConfig().length, metavar="L")
-    parser.add_argument("--rebuild", action="store_true", help="keep what comes out now as right")
+    parser.add_argument("--rebuild", action="store_true", help="accept the present output")
     add_spacing_options(parser)
     parser.set_defaults(run=_run)
 
@@ -62,7 +62,7 @@ def load_golden(folder: Path) -> Golden:
 
 
 def replay_golden(folder: Path, golden: Golden) -> str:
-    """The lines that come out now."""
+    """The present output."""
     reference = [read_feed(folder / path) for path in golden.reference]
     query = read_feed(folder / golden.query)
     with tempfile.TemporaryDirectory() as scratch:
@@ -77,7 +77,7 @@ def replay_golden(folder: Path, golden: Golden) -> str:
 
 
 def first_difference(expected: str, now: str) -> str:
-    """Where the two first differ, and both lines; "" if they do not."""
+    """The number of the first line that differs, and both lines; "" if the two are equal."""
     for number, (old, new) in enumerate(zip_longest(expected.splitlines(), now.splitlines()), start=1):
         if old != new:
             return f"line {number}:\n  expected {old}\n  now      {new}"
@@ -94,17 +94,17 @@ def _run(args: argparse.Namespace) -> int:
     expected = args.folder / EXPECTED
     if args.query is not None or args.rebuild:
         expected.write_text(now, encoding="utf-8")
-        print(f"{expected}: {len(now.splitlines())} lines kept as right; look at them before you commit them")
+        print(f"{expected}: {len(now.splitlines())} lines written; check them before you commit them")
         return 0
     difference = first_difference(expected.read_text(encoding="utf-8"), now)
-    print(f"{args.folder}: {difference or 'as it was'}")
+    print(f"{args.folder}: {difference or 'unchanged'}")
     return 1 if difference else 0
 
 
 def _make(args: argparse.Namespace) -> None:
     file = args.folder / SETTINGS
     if file.exists() and not args.rebuild:
-        raise ConfigError(f"{file}: there is one here already; name another folder, or use --rebuild")
+        raise ConfigError(f"{file}: exists already; name another folder, or use --rebuild")
     checked_option(SequenceConfig(), "--sequence-length", length=args.sequence_length)
     args.folder.mkdir(parents=True, exist_ok=True)
     golden = Golden(

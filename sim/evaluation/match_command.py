@@ -1,4 +1,4 @@
-"""`lookback eval match COSTS.npy`: the sequence search and the scores alone, on anybody's cost matrix."""
+"""`lookback eval match COSTS.npy`: the sequence search and the scores on a cost matrix of any origin."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim.evaluation.metrics import max_f1_of_places, scores
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search a matrix; matches as CSV, and scores where the truth is known. ConfigError for what is wrong."""
+    """Search a matrix; matches as CSV, and scores where the truth is known. ConfigError for bad input."""
     costs = read_matrix(args.costs)
     sequence = checked_option(SequenceConfig(), "--length", length=args.length)
     sequence = msgspec.structs.replace(sequence, directions=args.directions, region_order="frame")

@@ -1,34 +1,33 @@
-"""From descriptors to answers with the recogniser's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
+"""From descriptors to answers with the recognizer's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, SequenceConfig
+from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
+from edge.feed import View
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction
-from edge.sequence.acceptance import Neighbourhood, best_match
-from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
+from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.row_matcher import RowMatcher
+from edge.sequence.search import NO_LINE
 from sim.evaluation import seqslam
 from sim.evaluation.metrics import Answers
 
 CANDIDATES = 10
-DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
 
 
 @dataclass(frozen=True)
 class Matches:
-    """What a method answers to each query of a traverse.
+    """A method's answers to the queries of a traverse.
 
-    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is surer, NaN without one.
-    reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
+    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is more certain, NaN without
+    one. reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
     costs: (Q, N) float32 cost of each query to each place, before any sequence, for pictures.
     """
 
@@ -39,16 +38,12 @@ class Matches:
     costs: NDArray[np.float32]
 
 
-class Matcher(Protocol):
-    """What `match` needs of `CostMatcher`, `FloatMatcher` and costs given: the rows' costs (n, orders, N) int32."""
-
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Costs of query rows (n, R, D), or of whatever the rows are."""
-        ...
+CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
+"""Costs (n, orders, N) int32 of query rows (n, R, D), or of whatever the rows are."""
 
 
 class FloatMatcher:
-    """`CostMatcher` on float descriptors: what int8 descriptors are compared with."""
+    """`CostMatcher` on float descriptors, to compare int8 descriptors with."""
 
     def __init__(self, descriptors: NDArray[np.float32]) -> None:
         """descriptors (N, R, D)."""
@@ -63,71 +58,70 @@ class FloatMatcher:
 
 
 def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
-    """The recogniser's matcher on descriptors (N, R, D), quantised as a map keeps them."""
+    """The recognizer's matcher on descriptors (N, R, D), quantized as a map keeps them."""
     encoded = encode(descriptors)
     return CostMatcher(encoded, squared_norms(encoded))
 
 
-def match(
-    rows: Iterable[NormalizedRows],
-    matcher: Matcher,
-    neighbourhood: Neighbourhood,
-    planes: Sequence[Alignment],
-    sequence: SequenceConfig,
-) -> Matches:
-    """Search every frame of a query as `PlaceRecognizer` does."""
-    places = len(neighbourhood.around(0))
-    per_frame = sequence.region_order == "frame"
-    slopes = slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes)
-    search = SequenceSearch([(0, places)], planes, sequence.length, slopes)
+def match(rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher) -> Matches:
+    """Match every frame of a query with the recognizer's own search."""
     found = []
     for change in rows:
-        costs = matcher.costs(change.rows)
-        searched = costs.min(axis=1, keepdims=True) if per_frame else costs
-        if change.replaces_ring:
-            search.refill(searched)
+        costs = costs_of(change.rows)
+        best = matcher.push(costs, replaces_ring=change.replaces_ring)
+        newest = costs[-1].min(axis=0).astype(np.float32)
+        if best is None or matcher.lines is None:
+            found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
         else:
-            search.push(searched[-1])
-        found.append((*_answer(search, neighbourhood), costs[-1].min(axis=0).astype(np.float32)))
-    return _gather(found)
+            candidates = _lowest(matcher.lines.costs, NO_LINE)
+            found.append((best.place, best.uniqueness, best.direction == "reverse", candidates, newest))
+    place, confidence, reverse, all_candidates, all_costs = zip(*found, strict=True)
+    return Matches(
+        np.array(place), np.array(confidence), np.array(reverse), np.stack(all_candidates), np.stack(all_costs)
+    )
 
 
-def planes_of(order: str, *, regions: int, views_alike: bool) -> tuple[Alignment, ...]:
-    """Directions and region orders that a method searches in; whole images and `frame` have no order to tell."""
-    if regions == 1 or order == "frame":
-        return tuple((direction, "same") for direction in DIRECTIONS)
-    if order == "rig":
-        return VIEWS_ALIKE if views_alike else VIEWS_OPPOSED
-    return tuple((direction, one) for direction in DIRECTIONS for one in ORDERS)
+def open_matcher(
+    ground: NDArray[np.float64],
+    along: NDArray[np.float64],
+    window: float,
+    sequence: SequenceConfig,
+    *,
+    regions: int = 1,
+    views: tuple[View, View] = ("front", "front"),
+) -> RowMatcher:
+    """A matcher of one drive, whose places are where `place_coordinates` says.
+
+    window: places within it of each other, in the same unit, are the same place. views: of reference and query.
+    """
+    acceptance = AcceptanceConfig(window_m=window)
+    config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
+    near = Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
+    return RowMatcher([(0, len(along))], [views[0]], regions, near, config)
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
-    """Search a cost matrix (reference x query) of any origin; costs that are not negative keep their ratios."""
+    """Search a cost matrix (reference x query) of any origin; ratios of costs are kept unless some are negative."""
     least, most = float(costs.min()), float(costs.max())
     low = min(least, 0.0)
     scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
     rows = (NormalizedRows(row[np.newaxis, np.newaxis], replaces_ring=False) for row in scaled)
     places = np.arange(len(costs), dtype=np.float64)
-    near = neighbourhood_of(np.full((len(costs), 2), np.nan), places, window_places)
-    return match(rows, _Given(), near, planes_of("frame", regions=1, views_alike=True), sequence)
-
-
-def neighbourhood_of(ground: NDArray[np.float64], along: NDArray[np.float64], window: float) -> Neighbourhood:
-    """Places of one drive that are within `window` of each other, in the unit of `place_coordinates`."""
-    return Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), AcceptanceConfig(window_m=window))
+    matcher = open_matcher(np.full((len(costs), 2), np.nan), places, window_places, sequence)
+    return match(rows, lambda row: row.astype(np.int32), matcher)
 
 
 def match_seqslam(
-    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centred: bool
+    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centered: bool
 ) -> Matches:
     """SeqSLAM on frames as it describes them, (N, 32, 64) and (Q, 32, 64).
 
-    Centred is as published, forward only and with its own window. Causal looks both ways along the map, with the
-    window in which the other methods take places for the same, so that the two may be compared.
+    Centered is as published, forward only and with its own window. Causal searches both directions, with the window of
+    the other methods, so that they can be compared.
     """
     differences = seqslam.difference_matrix(reference, query)
-    ds = 2 * ((length - 1) // 2)  # its window is centred, and has one frame more
-    if centred:
+    ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
+    if centered:
         enhanced = seqslam.enhance_contrast(differences, 10)
         return _from_seqslam(seqslam.search(enhanced, seqslam.SeqslamSettings(length=ds)), differences)
     settings = seqslam.SeqslamSettings(length=ds, window=2 * window, mode="causal")
@@ -135,24 +129,6 @@ def match_seqslam(
     forward = _from_seqslam(seqslam.search(enhanced, settings), differences)
     mirrored = _from_seqslam(seqslam.search(enhanced[::-1], settings), differences)
     return _better_way(forward, mirrored, len(reference))
-
-
-class _Given:
-    """A matcher of rows that are costs already."""
-
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
-        return query.astype(np.int32)
-
-
-_Answer = tuple[int, float, bool, NDArray[np.intp]]
-
-
-def _answer(search: SequenceSearch, neighbourhood: Neighbourhood) -> _Answer:
-    lines = search.lines()
-    best = best_match(search, lines, neighbourhood, AcceptanceConfig()) if lines else None
-    if lines is None or best is None:
-        return -1, float("nan"), False, np.full(CANDIDATES, -1)
-    return best.place, best.uniqueness, best.direction == "reverse", _lowest(lines.costs, NO_LINE)
 
 
 def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
@@ -163,23 +139,18 @@ def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
     return out
 
 
-def _gather(found: list[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
-    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
-    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
-
-
 def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
     shift = matches.place - matches.scores.argmin(axis=1)  # of the answer against its trajectory's start
     starts = np.stack([_lowest(scores, np.inf) for scores in matches.scores])
     candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
     candidates[candidates >= len(differences)] = -1
-    # Smaller ratios are surer; best over second best, so its inverse is the uniqueness of the others.
+    # Best over second best: its inverse is the uniqueness of the other methods.
     confidence = -matches.ratio
     return Matches(matches.place, confidence, np.zeros(len(confidence), np.bool_), candidates, differences.T)
 
 
 def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
-    """Of each query, the direction in which it is the surer; `mirrored` numbers places from the far end."""
+    """For each query the direction of higher confidence; places of `mirrored` are counted from the end."""
     back = np.nan_to_num(mirrored.confidence, nan=-np.inf) > np.nan_to_num(forward.confidence, nan=-np.inf)
     swapped = np.where(mirrored.candidates < 0, -1, places - 1 - mirrored.candidates)
     return Matches(
@@ -192,7 +163,7 @@ def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
-    """Hold the matches of some queries against the true errors (Q, N)."""
+    """Judge the matches of some queries by the true errors (Q, N)."""
     best = errors_of(matches.place[:, np.newaxis], errors)[queries, 0]
     return Answers(
         confidence=matches.confidence[queries],

@@ -1,7 +1,7 @@
-"""The table of methods: a named row each, and what each makes of raw descriptors.
+"""The table of methods: a named row for each, and how it normalizes raw descriptors.
 
-Raw descriptors (n, R, D) of a whole traverse go in; out come those of the reference, and of the query frame by frame,
-in the form in which the recogniser's own cost matcher and search take them.
+In: raw descriptors (n, R, D) of a whole traverse. Out: those of the reference, and of the query frame by frame, as
+input of the recognizer's cost matcher and search.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ Runs = Sequence[tuple[int, int]]
 class Method:
     """One row of the table.
 
-    layer: what describes a frame; "pixels" is SeqSLAM, "external" descriptors that another program made.
-    reference: how the map is normalised: not at all, over its whole set (eq. 1), or within semantic segments.
-    query: the same; or online (section III-B), or online with the ring normalised again ("ring", Lookback's default).
-    deviation: False takes out the mean only. warm: statistics go on from an earlier drive.
+    layer: of the network; or "pixels" (SeqSLAM), or "external" (descriptors that another program made).
+    reference: how the map is normalized: not at all, over its whole set (eq. 1), or within semantic segments.
+    query: the same; or online (section III-B), or online with the ring normalized again ("ring", Lookback's default).
+    deviation: False subtracts the mean only. warm: statistics continue those of an earlier drive.
     order: the lower cost of the two region orders in each frame (the paper), one order for a whole sequence, or the
     one that the two cameras' views allow in that direction of travel ("rig").
-    centred: SeqSLAM looks half a sequence ahead, and forward only, as published; else back, and both ways.
-    says: the row in words.
+    centered: SeqSLAM uses frames half a sequence ahead, and the forward direction only, as published; otherwise only
+    earlier frames, and both directions. description: the row in words.
     """
 
     name: str
-    says: str
+    description: str
     layer: Literal["conv3", "fc6", "external", "pixels"] = "fc6"
     regions: Regions = "whole"
     reference: Literal["none", "set", "segments"] = "set"
@@ -45,7 +45,7 @@ class Method:
     deviation: bool = True
     warm: bool = False
     order: Literal["frame", "sequence", "rig"] = "frame"
-    centred: bool = False
+    centered: bool = False
     network: str = ""
     external: str = ""
 
@@ -55,30 +55,35 @@ def _raw(method: Method) -> Method:
 
 
 def _rows() -> Iterator[Method]:
-    yield _raw(Method("Raw-conv3", "conv3 of the whole image as it is", "conv3"))
-    yield Method("NSD-conv3", "conv3, normalised (reference over its set, query online)", "conv3")
-    yield _raw(Method("Raw-fc6", "fc6 of the whole image as it is"))
-    yield Method("NSD-fc6", "fc6, normalised (reference over its set, query online)")
-    yield _raw(Method("Raw-CR", "fc6 of left and right regions as it is", regions="left-right"))
-    yield Method("NSD-CR", "fc6 of left and right regions, normalised: the paper's best", regions="left-right")
+    yield _raw(Method("Raw-conv3", "conv3 of the whole image, not normalized", "conv3"))
+    yield Method("NSD-conv3", "conv3, normalized (reference over its set, query online)", "conv3")
+    yield _raw(Method("Raw-fc6", "fc6 of the whole image, not normalized"))
+    yield Method("NSD-fc6", "fc6, normalized (reference over its set, query online)")
+    yield _raw(Method("Raw-CR", "fc6 of left and right regions, not normalized", regions="left-right"))
+    yield Method("NSD-CR", "fc6 of left and right regions, normalized: the paper's best", regions="left-right")
     yield Method("NSD-conv3/batch", "NSD-conv3, query over its whole set too", "conv3", query="set")
     yield Method("NSD-fc6/batch", "NSD-fc6, query over its whole set too", query="set")
     yield Method("NSD-CR/batch", "NSD-CR, query over its whole set too", regions="left-right", query="set")
-    yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalised again", query="ring")
-    yield Method("NSD-CR/ring", "NSD-CR, the ring normalised again", regions="left-right", query="ring")
+    yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalized again", query="ring")
+    yield Method("NSD-CR/ring", "NSD-CR, the ring normalized again", regions="left-right", query="ring")
     yield Method("NSD-CR/order", "NSD-CR, one region order a sequence", regions="left-right", order="sequence")
-    lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows: what `run` does", query="ring")
+    lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows, as `run`", query="ring")
     yield replace(lookback, regions="left-right", order="rig")
-    yield Method("mean-fc6", "fc6 less its mean, query online", deviation=False)
-    yield Method("mean-fc6/batch", "fc6 less its mean, both over their sets", query="set", deviation=False)
+    yield Method("mean-fc6", "fc6 minus its mean, query online", deviation=False)
+    yield Method("mean-fc6/batch", "fc6 minus its mean, both over their sets", query="set", deviation=False)
     warm = Method(
-        "NSD-fc6/warm", "NSD-fc6/ring, its statistics going on from an earlier drive", query="ring", warm=True
+        "NSD-fc6/warm", "NSD-fc6/ring, its statistics continuing those of an earlier drive", query="ring", warm=True
     )
     yield warm
-    yield replace(warm, name="NSD-CR/warm", says="NSD-CR/ring, its statistics going on from one", regions="left-right")
-    yield Method("NSD-fc6/segments", "fc6, normalised within semantic segments", reference="segments", query="segments")
-    yield _raw(Method("SeqSLAM", "as published: centred, forward only, its own parameters", "pixels", centred=True))
-    yield _raw(Method("SeqSLAM/causal", "SeqSLAM without the future, both directions", "pixels"))
+    yield replace(
+        warm,
+        name="NSD-CR/warm",
+        description="NSD-CR/ring, its statistics continuing too",
+        regions="left-right",
+    )
+    yield Method("NSD-fc6/segments", "fc6, normalized within semantic segments", reference="segments", query="segments")
+    yield _raw(Method("SeqSLAM", "as published: centered, forward only, its own parameters", "pixels", centered=True))
+    yield _raw(Method("SeqSLAM/causal", "SeqSLAM without later frames, both directions", "pixels"))
 
 
 METHODS: dict[str, Method] = {method.name: method for method in _rows()}
@@ -99,18 +104,18 @@ def find_method(text: str, networks: Sequence[str], external: Sequence[str]) -> 
     source, _, batch = rest.partition("/")
     if source in external and (form, batch) in (("Raw", ""), ("NSD", ""), ("NSD", "batch")):
         pattern = METHODS[f"{form}-fc6{'/batch' if batch else ''}"]
-        return replace(pattern, name=text, says=f"{source} in place of fc6", layer="external", external=source)
+        return replace(pattern, name=text, description=f"{source} in place of fc6", layer="external", external=source)
     raise ConfigError(f"method {text!r}: no such row; there are {', '.join(METHODS)}, and Raw-X, NSD-X of external X")
 
 
 def needs_segments(method: Method) -> bool:
-    """Whether the method asks which frames show one kind of place."""
+    """Whether the method normalizes within semantic segments."""
     return "segments" in (method.reference, method.query)
 
 
 def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
-    """The reference's descriptors (N, R, D) as the method matches them."""
-    # A map keeps raw descriptors in half precision and is normalised from those.
+    """The reference's descriptors (N, R, D), normalized as the method has it."""
+    # A map keeps raw descriptors in half precision and is normalized from those.
     raw = raw.astype(np.float16).astype(np.float32)
     if method.reference == "none":
         return raw
@@ -120,7 +125,7 @@ def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
 def query_rows(
     method: Method, raw: Raw, length: int, *, segments: Runs = (), earlier: Raw | None = None
 ) -> Iterator[NormalizedRows]:
-    """What each query frame changes in the ring, in order.
+    """The rows that each query frame adds to the ring or replaces in it, in order.
 
     `earlier` are raw descriptors of the drive whose statistics a warm method starts with.
     """
@@ -131,7 +136,7 @@ def query_rows(
     elif not method.deviation:
         yield from _mean_only(raw)
     else:
-        # A ring of one frame is normalised with the newest statistics anyway.
+        # A ring of one frame is normalized with the newest statistics anyway.
         normalizer = OnlineNormalizer(length, renormalize_ring=method.query == "ring" and length > 1)
         for one in earlier if method.warm and earlier is not None else ():
             normalizer.push(one)

@@ -1,7 +1,7 @@
-"""How good a method's answers are: precision-recall at exact thresholds, F1, recall of the best K at several radii.
+"""Scores of a method's answers: precision-recall at exact thresholds, F1, recall of the best K at several radii.
 
 Two definitions of recall are in use in the field, and papers seldom say which. With the first the same answers read
-higher, since it reaches 1 by construction; both are computed here, under names that tell them apart:
+higher, since it reaches 1 by construction; both are computed here, under different names:
 
     recall_of_correct   correct and accepted / (correct and accepted + correct and rejected): of what the method could
                         have got right by accepting everything, how much is accepted. Reaches 1 at the lowest threshold.
@@ -25,7 +25,7 @@ Flags = NDArray[np.bool_]
 class Answers:
     """One method's answer to every query of a traverse, in the order of driving.
 
-    confidence: (Q,) float64, higher is surer; NaN where the method gave no answer, which no threshold accepts.
+    confidence: (Q,) float64, higher is more certain; NaN where the method gave no answer, which no threshold accepts.
     correct: (Q,) bool, the best match is within the tolerance of the truth.
     has_truth: (Q,) bool, some place of the map is; where none is, accepting anything is a false positive.
     """
@@ -65,10 +65,10 @@ class PrecisionRecall:
 class Scores:
     """The curve in numbers.
 
-    queries, on_map: how many there are, and how many have a true place. accuracy: correct best matches over on_map,
-    whatever the confidence (recall@1). average_precision: sum over thresholds of precision times the gain in
-    recall_of_places. max_f1_*: highest harmonic mean of precision and that recall; its threshold goes with it.
-    recall_at_100, recall_at_99: highest recall_of_places at any threshold with at least that precision in percent.
+    queries, on_map: number of queries, and of those that have a true place. accuracy: correct best matches over on_map,
+    at any confidence (recall@1). average_precision: sum over thresholds of precision times the gain in
+    recall_of_places. max_f1_*: highest harmonic mean of precision and that recall. recall_at_100, recall_at_99: highest
+    recall_of_places at any threshold with at least that precision in percent.
     """
 
     queries: int
@@ -77,7 +77,6 @@ class Scores:
     average_precision: float
     max_f1_of_correct: float
     max_f1_of_places: float
-    best_threshold: float
     recall_at_100: float
     recall_at_99: float
 
@@ -102,7 +101,6 @@ def precision_recall(answers: Answers) -> PrecisionRecall:
 def scores(answers: Answers) -> Scores:
     """All single numbers of one method on one pair of traverses."""
     curve = precision_recall(answers)
-    f1_of_places = f1(curve.precision, curve.recall_of_places)
     on_map = int(answers.has_truth.sum())
     answered = ~np.isnan(answers.confidence)
     return Scores(
@@ -112,7 +110,6 @@ def scores(answers: Answers) -> Scores:
         average_precision=average_precision(curve),
         max_f1_of_correct=max_f1_of_correct(answers),
         max_f1_of_places=max_f1_of_places(answers),
-        best_threshold=float(curve.thresholds[f1_of_places.argmax()]) if f1_of_places.size else float("nan"),
         recall_at_100=recall_at_precision(curve, 1.0),
         recall_at_99=recall_at_precision(curve, 0.99),
     )
@@ -150,7 +147,7 @@ def recall_at_precision(curve: PrecisionRecall, precision: float) -> float:
 def recall_of_best(errors: Floats, nearest: Floats, counts: Sequence[int], radii: Sequence[float]) -> Floats:
     """Recall@K at several radii, (len(counts), len(radii)).
 
-    errors (Q, K): distance between each query's true position and its candidates, best first, in metres or frames,
+    errors (Q, K): distance between each query's true position and its candidates, best first, in meters or frames,
     inf where there is none. nearest (Q,): distance of the map's place nearest to the truth; a query counts at a radius
     only if the map has a place within it. A query is a hit at K if any of its first K candidates is within the radius.
     NaN where no query counts.

@@ -1,4 +1,4 @@
-"""The networks of a plan: files that `lookback model import` wrote, or graphs made of the weights on the spot."""
+"""The networks of a plan: files that `lookback model import` wrote, or graphs built from the weights."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Precision = Literal["int8", "float32"]
 
 @lru_cache(maxsize=16)
 def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision | None) -> Network:
-    """A layer of a network in int8 or float32; in None, int8 if that can be had. Opened once in a process.
+    """A layer of a network in the given precision; with None, in int8 if available. Opened once in a process.
 
-    ConfigError says what is missing.
+    ConfigError names what is missing.
     """
     wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
     for one in wanted:

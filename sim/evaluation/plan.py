@@ -4,7 +4,7 @@ title = "My street"
 methods = ["Raw-conv3", "Raw-fc6", "NSD-fc6", "NSD-CR", "SeqSLAM"]   # rows of METHODS, or NAME@NETWORK
 region_width = 0.4          # of each region of NSD-CR, fraction of the picture
 resamples = 1000            # of the bootstrap
-radii = [10.0, 20.0, 40.0]  # of recall@K, metres or frames as the pair has it
+radii = [10.0, 20.0, 40.0]  # of recall@K, meters or frames as the pair has it
 
 [sampling]                  # as in Lookback's configuration
 by = "distance"
@@ -12,10 +12,10 @@ spacing_m = 2.0
 
 [networks.places100]        # the first is the default; "" is the shipped model
 model = ""                  # a folder or file that `lookback model import` wrote
-weights = "alexnet.npz"     # makes float networks, and layers that the folder has not got
+weights = "alexnet.npz"     # for float networks, and for layers that are not in the folder
 
 [traverses.day_rear]
-feed = "day_rear"           # under --feeds, or beside the plan; or instead:
+feed = "day_rear"           # under --feeds, or beside the plan; or:
 scenario = "day_rear.toml"  # a drive of the simulator, rendered once
 
 [[pairs]]
@@ -23,9 +23,9 @@ name = "front against rear, dusk"
 reference = "day_rear"
 query = "dusk_front"
 truth = "positions"         # or rows, route_m, anchors, see `Pair`
-tolerance = 40.0            # metres; frames with truth = "rows" or "anchors"
+tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
 length_m = 40.0             # of a sequence; or length = 20, in frames
-figure = "fig. 5"           # of the paper, that this is like
+figure = "fig. 5"           # the paper's figure of the same comparison
 
 [experiments]               # all optional, see `Experiments`
 sequence_lengths = [5, 10, 20, 40]
@@ -50,9 +50,9 @@ Named = TypeVar("Named")
 
 
 class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
-    """[networks.NAME]: where a network's layers are. `ranges` (JSON) lets int8 layers be made of the weights too.
+    """[networks.NAME]: the files of a network. With `ranges` (JSON), int8 layers can be made of the weights too.
 
-    labels: names of the weights' categories, one a line, where the model folder has no head.
+    labels: names of the categories, one a line, for weights without a model folder that has them.
     """
 
     model: str = ""
@@ -64,9 +64,9 @@ class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
 class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
 
-    fps: frames a second of a scenario, halts and all; without it there is one every spacing of the sampling.
-    first_row, last_row: of the feed, what is between counts. external: name -> .npy of descriptors (rows of the feed,
-    D) that another program made, under --feeds as well; methods Raw-NAME, NSD-NAME.
+    fps: frames a second of a scenario, also during halts; without it, one frame every spacing of the sampling.
+    first_row, last_row: the first and the last row of the feed that are used. external: name -> .npy of descriptors
+    (rows of the feed, D) that another program made, under --feeds as well; methods Raw-NAME, NSD-NAME.
     """
 
     feed: str = ""
@@ -80,14 +80,14 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
 class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
 
-    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, metres); route_m
-    (a column of both, metres along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
+    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters); route_m
+    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
-    anchors then go on counting from lap to lap.
-    warm_start: a traverse that this vehicle drove before, for the statistics of methods that start warm.
-    figure: of the paper; published: method -> its max-F1 there, shown beside ours as from another data set unless
-    `dataset` says that this is the paper's own.
+    anchors then count on from lap to lap.
+    warm_start: an earlier traverse of this vehicle, for the statistics of methods that start warm.
+    figure: of the paper. published: method -> max-F1 in the paper, marked as from another data set unless `dataset`
+    names the paper's own.
     """
 
     name: str
@@ -106,27 +106,27 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ActivationMap(Struct, frozen=True, forbid_unknown_fields=True):
-    """[[experiments.activation_maps]]: a picture whose top-3 categories are looked into (fig. 10)."""
+    """[[experiments.activation_maps]]: a picture whose top-3 categories are mapped (fig. 10)."""
 
     traverse: str
     row: Annotated[int, Meta(ge=0)] = 0
 
 
 class Standing(Struct, frozen=True, forbid_unknown_fields=True):
-    """[[experiments.standing]]: another query for a pair, a frame every so often, halts and all."""
+    """[[experiments.standing]]: another query for a pair, with halts, sampled by time."""
 
     pair: str
     query: str
 
 
 class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
-    """[experiments]: what is done besides every method on every pair.
+    """[experiments]: what is run besides every method on every pair.
 
     sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
     cold_start: right answers by thirds of the drive. int8: int8 against float for these methods, on sweep_pairs too.
-    standing: drives with halts, recognised with and without the gate for standing still.
-    pca: traverses whose categories are drawn raw and normalised (fig. 11). better_than: [first, second] methods
-    whose difference is told from noise.
+    standing: drives with halts, with and without the gate for a standing vehicle.
+    pca: traverses whose categories are drawn raw and normalized (fig. 11). better_than: [first, second] methods
+    whose difference is tested against noise.
     """
 
     sequence_lengths: list[Length] = []
@@ -167,7 +167,7 @@ def load_plan(path: Path) -> Plan:
 
 
 def _check_names(path: Path, plan: Plan) -> None:
-    """Everything that is named is there; ConfigError otherwise."""
+    """ConfigError unless all names in the plan are defined."""
     for name, traverse in plan.traverses.items():
         if bool(traverse.feed) == bool(traverse.scenario):
             raise ConfigError(f"{path}: traverses.{name}: needs a feed or a scenario, and not both")

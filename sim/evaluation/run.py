@@ -1,4 +1,4 @@
-"""`lookback eval run PLAN`: everything that a plan asks for, into one report."""
+"""`lookback eval run PLAN`: all comparisons and experiments of a plan, in one report."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import platform
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from sim.evaluation.plan import Plan, TraversePlan, load_plan
 from sim.evaluation.report import Section, write_report
 from sim.evaluation.trajectories import write_trajectories
 from sim.evaluation.traverses import Traverse, load_traverse
-from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import load_scenario
 
 SHIPPED = Path(__file__).with_name("plans")
@@ -35,7 +36,7 @@ PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplo
 
 
 def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
-    """Everything that a plan asks for, section by section; trajectories go into `folder`."""
+    """All comparisons and experiments of a plan, section by section; trajectories are written into `folder`."""
     plan, wanted = bench.plan, bench.plan.experiments
     total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
     swept = len(experiments.sweep_pairs(plan))
@@ -72,7 +73,7 @@ def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
 
 @dataclass(frozen=True)
 class Folders:
-    """Where the paths of a plan are: of scenarios, feeds and models; scenarios are rendered into `rendered`."""
+    """Folders of the plan's scenarios, feeds and models; scenarios are rendered into `rendered`."""
 
     scenarios: Path
     feeds: Path
@@ -95,7 +96,7 @@ def open_bench(plan: Plan, folders: Folders) -> Bench:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a plan and write its report; SetupError, in one line, for whatever is wrong with it."""
+    """Run a plan and write its report; SetupError, in one line, for any error in it."""
     path = _find_plan(args.plan)
     plan, beside = load_plan(path), path.parent
     bench = open_bench(plan, Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds"))
@@ -122,7 +123,7 @@ def _find_plan(path: Path) -> Path:
 
 
 def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:
-    """What it takes to run the same again."""
+    """What is needed to run the same again."""
     about = {
         "command": shlex.join(["lookback", *sys.argv[1:]]),
         "plan": f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}",
@@ -138,7 +139,7 @@ def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:
 
 
 def _print_overview(section: Section) -> None:
-    """The first table, for people who look at the terminal only."""
+    """The first table, on the terminal."""
     table = section.tables[0]
     width = max(len(str(row[0])) for row in table.rows)
     for index, pair in enumerate(table.columns[1:], 1):
@@ -149,9 +150,9 @@ def _print_overview(section: Section) -> None:
 
 
 def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
-    """The feed of a scenario, in `rendered` under a name that has a hash of all that decides what it shows.
+    """The feed of a scenario, in `rendered`, under a name with a hash of everything that determines its pictures.
 
-    A feed that was broken off does not count: it has its last name only when it is whole.
+    It gets that name when it is complete, so that an interrupted rendering is not used.
     """
     scenario = load_scenario(folder / plan.scenario)
     spacing_m = sampling.spacing_m
@@ -160,17 +161,7 @@ def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, samplin
     if path.is_dir():
         return path
     part = path.with_suffix(".part")
-    _remove(part)
-    drive = scenario.drive()
-    times_s = times_by_rate(drive, plan.fps) if plan.fps else times_by_distance(drive, spacing_m)
-    write_feed(scenario, drive, part, tqdm(times_s, desc=f"rendering {name}", unit="frame", leave=False))
+    shutil.rmtree(part, ignore_errors=True)
+    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, show_progress=True)
     part.rename(path)
     return path
-
-
-def _remove(folder: Path) -> None:
-    """Take away what a broken-off rendering left."""
-    for file in sorted(folder.rglob("*"), reverse=True):
-        file.rmdir() if file.is_dir() else file.unlink()
-    if folder.is_dir():
-        folder.rmdir()

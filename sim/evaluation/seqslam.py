@@ -1,8 +1,8 @@
-"""SeqSLAM (Milford and Wyeth, ICRA 2012) as OpenSeqSLAM runs it: the paper's baseline, with a search of its own.
+"""SeqSLAM (Milford and Wyeth, ICRA 2012) as in OpenSeqSLAM: the paper's baseline, with a search of its own.
 
-grey 64x32 -> patch normalisation -> sum of absolute differences -> local contrast -> trajectories -> uniqueness
+gray 64x32 -> patch normalization -> sum of absolute differences -> local contrast -> trajectories -> uniqueness
 
-Centred, a match for query N looks at ds/2 frames after N, as the published program does; its indices and ratios equal
+Centered, a match for query N looks at ds/2 frames after N, as the published program does; its indices and ratios equal
 that program's. Causal, it looks only at frames up to N, and answers with the place at the trajectory's end.
 """
 
@@ -33,7 +33,7 @@ class SeqslamSettings:
     window: int = 10
     slope_min: float = 0.8
     slope_max: float = 1.2
-    mode: Literal["centred", "causal"] = "centred"
+    mode: Literal["centered", "causal"] = "centered"
 
 
 @dataclass(frozen=True)
@@ -49,20 +49,20 @@ class SeqslamMatches:
 
 
 def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Image (H, W, 3) uint8 BGR -> (32, 64) float32: grey, downsampled, each 8x8 patch at mean 0 and deviation 1.
+    """Image (H, W, 3) uint8 BGR -> (32, 64) float32: gray, downsampled, each 8x8 patch at mean 0 and deviation 1.
 
-    Rounded to whole deviations, as the published program does. A patch of one grey becomes 0, its mean; there it
+    Rounded to whole deviations, as the published program does. A patch of one gray becomes 0, its mean; there it
     would stand for black.
     """
-    grey = cv2.resize(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), SIZE_PX, interpolation=cv2.INTER_AREA)
+    gray = cv2.resize(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), SIZE_PX, interpolation=cv2.INTER_AREA)
     rows, columns = SIZE_PX[1] // PATCH_PX, SIZE_PX[0] // PATCH_PX
-    patches = grey.astype(np.float64).reshape(rows, PATCH_PX, columns, PATCH_PX)
+    patches = gray.astype(np.float64).reshape(rows, PATCH_PX, columns, PATCH_PX)
     mean = patches.mean(axis=(1, 3), keepdims=True)
     deviation = patches.std(axis=(1, 3), ddof=1, keepdims=True)
     scaled = np.divide(patches - mean, deviation, out=np.zeros_like(patches), where=deviation > 0)
     # Half away from zero, as MATLAB rounds.
     rounded = np.sign(scaled) * np.floor(np.abs(scaled) + 0.5)
-    return np.ascontiguousarray(rounded.reshape(grey.shape), dtype=np.float32)
+    return np.ascontiguousarray(rounded.reshape(gray.shape), dtype=np.float32)
 
 
 def difference_matrix(reference: NDArray[np.float32], query: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -101,7 +101,7 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
     place = np.full(queries, -1, dtype=np.intp)
     ratio = np.full(queries, np.nan)
     all_scores = np.full((queries, places), np.inf, dtype=np.float32)
-    ahead = length // 2 if settings.mode == "centred" else 0
+    ahead = length // 2 if settings.mode == "centered" else 0
     for query in range(length - ahead, queries - ahead):
         columns = np.arange(query + ahead - length, query + ahead + 1)
         sums = padded[rows, columns].sum(axis=2)
@@ -112,7 +112,7 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
         all_scores[query] = scores
         ratio[query] = _uniqueness(scores, best, settings.window)
         end = int(lines[sums[best].argmin(), -1])
-        place[query] = best + (length // 2 if settings.mode == "centred" else end)
+        place[query] = best + (length // 2 if settings.mode == "centered" else end)
     return SeqslamMatches(place, ratio, all_scores)
 
 

@@ -15,14 +15,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config import AcceptanceConfig, Config, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map.costs import CostMatcher, encode, squared_norms
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import STATISTICS, ReferenceMap, open_map
-from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
+from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.row_matcher import RowMatcher
+from sim.evaluation.matching import int8_matcher
 
 LENGTH = 5
+SEQUENCE = SequenceConfig(length=LENGTH, directions="forward")
 MOST_PLACES = 4000
 """Of a larger map, its first places: the whole sample is held in memory."""
 
@@ -112,19 +115,17 @@ def _search(
     queries: NDArray[np.float32], kept: NDArray[np.float32], segments: list[tuple[int, int]]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Best place, -1 where no whole sequence ends, and margin of the sequence that ends at each query (n, R, D)."""
-    encoded = encode(kept)
-    matcher = CostMatcher(encoded, squared_norms(encoded))
-    search = SequenceSearch(segments, [("forward", "same")], LENGTH, slopes_around_diagonal(0.2, 21))
+    costs, count = int8_matcher(kept), len(kept)
+    segment_of = np.repeat(np.arange(len(segments), dtype=np.int32), [end - start for start, end in segments])
+    acceptance = AcceptanceConfig(window_places=LENGTH)
+    config = Config(sequence=SEQUENCE, acceptance=acceptance)
+    near = Neighbourhood(np.full((count, 2), np.nan), np.full(count, np.nan), segment_of, acceptance)
+    matcher = RowMatcher(segments, ["front"] * len(segments), 1, near, config)
     place, margin = np.full(len(queries), -1), np.ones(len(queries))
     for start, end in segments:
-        search.clear()
+        matcher.clear()
         for query in range(start, end):
-            search.push(matcher.costs(queries[query : query + 1])[0, :1])
-            lines = search.lines()
-            if lines is None or lines.costs.min() == NO_LINE:
-                continue
-            best = int(lines.costs.argmin())
-            elsewhere = np.concatenate([lines.costs[: max(0, best - LENGTH)], lines.costs[best + LENGTH + 1 :]])
-            place[query] = best
-            margin[query] = elsewhere.min(initial=NO_LINE) / max(1, int(lines.costs[best]))
+            match = matcher.push(costs.costs(queries[query : query + 1])[:, :1])
+            if match is not None:
+                place[query], margin[query] = match.place, match.uniqueness
     return place, margin

@@ -43,10 +43,7 @@ def _answered(outcome: Outcome) -> list[TrackPoint]:
         heading = there.heading_deg
         if heading is not None and outcome.matches.reverse[query]:
             heading = (heading + 180) % 360
-        fields = {
-            "place": place,
-            "uniqueness": float(outcome.matches.confidence[query]),
-            "error_m": float(errors[query]),
-        }
+        uniqueness, error = float(outcome.matches.confidence[query]), float(errors[query])
+        fields = {"place": place, "uniqueness": uniqueness, "error": error}
         found.append(TrackPoint(rows[query].stamp_ns, there.lat_deg, there.lon_deg, heading, fields, is_event=True))
     return found

@@ -61,7 +61,7 @@ def load_traverse(
 
 
 def true_errors(reference: Traverse, query: Traverse, pair: Pair) -> NDArray[np.float64]:
-    """Distance from each query's true position to each place, (Q, N), metres or frames as `Pair.truth` has it.
+    """Distance from each query's true position to each place, (Q, N), meters or frames as `Pair.truth` has it.
 
     NaN throughout the row of a query whose true position is not known, inf where a place's is not. ConfigError names
     the pair and the feed that does not have what `truth` needs.
@@ -85,15 +85,15 @@ def anchored_errors(pair: Pair, query_rows: NDArray[np.intp], rows: NDArray[np.i
 def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where the places are, for `Neighbourhood`: (N, 2) on the ground and (N,) along the drive, NaN where unknown.
 
-    In metres, or in frames where the truth is: a loop is then a circle of so many frames.
+    In meters, or in frames where the truth is: a loop is then a circle of so many frames.
     """
     unknown = np.full((len(reference.rows), 2), np.nan)
     if pair.truth != "anchors":
         at = _truth(pair.truth, reference, reference, pair).reference_at
         if pair.truth != "positions":
             return unknown, at[:, 0]
-        metres = driven_m(reference.feed) or [np.nan] * len(reference.feed.rows)
-        return at, np.array(metres)[reference.rows]
+        meters = driven_m(reference.feed) or [np.nan] * len(reference.feed.rows)
+        return at, np.array(meters)[reference.rows]
     along = reference.rows.astype(np.float64)
     if not pair.loop:
         return unknown, along

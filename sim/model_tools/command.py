@@ -200,8 +200,8 @@ def _correct(query: Feed, reference: Feed, args: argparse.Namespace) -> NDArray[
     """(N, M): the reference frames that are right for each query frame, by position or else by row."""
     here, there = _positions(query), _positions(reference)
     if here is not None and there is not None:
-        metres = east_north(*np.concatenate([here, there]).T)
-        apart_m = np.linalg.norm(metres[: len(here), None] - metres[len(here) :], axis=2)
+        meters = east_north(*np.concatenate([here, there]).T)
+        apart_m = np.linalg.norm(meters[: len(here), None] - meters[len(here) :], axis=2)
         return np.asarray(apart_m <= args.tolerance_m)
     if len(query.rows) != len(reference.rows):
         raise FeedError(f"{query.path}, {reference.path}: no positions, and not the same number of rows to go by")

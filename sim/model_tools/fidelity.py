@@ -26,7 +26,7 @@ class Fidelity:
 
 
 def compare(exact: NDArray[np.float32], rounded: NDArray[np.float32]) -> Fidelity:
-    """Compare descriptors (N, R, D) of the same images, each set normalised with its own statistics (eq. 1)."""
+    """Compare descriptors (N, R, D) of the same images, each set normalized with its own statistics (eq. 1)."""
     raw = _cosines(exact, rounded)
     after = _cosines(normalized_set(exact), normalized_set(rounded))
     return Fidelity(float(raw.mean()), float(after.mean()), float(after.min()))

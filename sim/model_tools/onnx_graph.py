@@ -22,9 +22,9 @@ INPUT_SIZE = 224
 MEAN_RGB = (0.485, 0.456, 0.406)  # of ImageNet, over 0..1, as both published and shipped weights were trained with
 STD_RGB = (0.229, 0.224, 0.225)
 PAD_LEVEL = 114
-"""Grey level that stands for nothing: the mean of MEAN_RGB, and what conv1 sees beyond the picture's edge.
+"""Gray level that stands for nothing: the mean of MEAN_RGB, and what conv1 sees beyond the picture's edge.
 
-The networks were trained with zeros there, after normalisation, which is up to 10 levels from this grey. A grey
+The networks were trained with zeros there, after normalization, which is up to 10 levels from this gray. A gray
 that all channels share lets the pixels enter the int8 network as they are, without rounding them again.
 """
 OPSET, IR_VERSION = 17, 8  # read by ONNX Runtime since 1.12
@@ -63,11 +63,11 @@ def build_head(weights: Weights, info: ModelInfo) -> onnx.ModelProto:
 
 
 def _conv_parameters(weights: Weights, layer: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Weights and biases; into conv1's go the normalisation of RGB and the order BGR of its input."""
+    """Weights and biases; into conv1's go the normalization of RGB and the order BGR of its input."""
     weight, bias = weights[f"{layer}.weight"], weights[f"{layer}.bias"]
     if layer != CONVS[0].layer:
         return weight, bias
-    # w (x / 255 - mean) / std + b = w' (x - grey) + b', with w' = w / (255 std), b' = b + sum w' (grey - 255 mean)
+    # w (x / 255 - mean) / std + b = w' (x - gray) + b', with w' = w / (255 std), b' = b + sum w' (gray - 255 mean)
     mean, std = (255 * np.asarray(values, np.float64).reshape(1, 3, 1, 1) for values in (MEAN_RGB, STD_RGB))
     scaled = weight / std
     shifted = bias + (scaled * (PAD_LEVEL - mean)).sum(axis=(1, 2, 3))

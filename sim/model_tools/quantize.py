@@ -1,6 +1,6 @@
 """Float graph to int8: static QDQ, signed activations, signed weights per output channel.
 
-The graph is quantised with given ranges, so that ranges measured elsewhere and ranges measured here take one way.
+The graph is quantized with given ranges, so that ranges measured elsewhere and ranges measured here take one way.
 Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tensors that the ranges are given for.
 """
 

@@ -1,7 +1,8 @@
 """AlexNet's weights in torchvision's layout: read, checked, and named; and the names of its categories.
 
-The layout is that of torchvision.models.alexnet (https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py)
-and of the published Places365 network; fc7 and fc8 may have any width. `torch` is imported only for .pth files.
+The layout is that of torchvision.models.alexnet
+(https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py) and of the published Places365 network; fc7
+and fc8 may have any width. `torch` is imported only for .pth files.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from edge.config import checked_option
 from edge.errors import ConfigError
-from sim.training.images import LabelledImages, find_classes, read_images
+from sim.training.images import LabeledImages, find_classes, read_images
 from sim.training.recipe import Recipe
 
 SMALLEST_SIDE_PX = 32
@@ -83,7 +83,7 @@ def _device(asked_for: str | None) -> str:
     return asked_for or ("cuda" if torch.cuda.is_available() else "cpu")
 
 
-def _train(output: Path, images: LabelledImages, held_out: LabelledImages, recipe: Recipe, device: str) -> None:
+def _train(output: Path, images: LabeledImages, held_out: LabeledImages, recipe: Recipe, device: str) -> None:
     import torch
 
     from sim.training.alexnet import fold, save_weights

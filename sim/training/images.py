@@ -20,19 +20,19 @@ Progress = Callable[[Iterable[NDArray[np.uint8]]], Iterable[NDArray[np.uint8]]]
 
 
 @dataclass(frozen=True)
-class LabelledImages:
+class LabeledImages:
     """pixels: (N, side, side, 3) uint8 RGB. labels: (N,) int64, each an index into classes."""
 
     pixels: NDArray[np.uint8]
     labels: NDArray[np.int64]
     classes: tuple[str, ...]
 
-    def split(self, held_out_share: float) -> tuple[LabelledImages, LabelledImages]:
+    def split(self, held_out_share: float) -> tuple[LabeledImages, LabeledImages]:
         """(to learn from, held out): every so many-th picture is held out, so that all classes lose alike."""
         held_out = np.zeros(len(self.labels), bool)
         held_out[:: round(1 / held_out_share)] = True
-        learnt, kept = (LabelledImages(self.pixels[at], self.labels[at], self.classes) for at in (~held_out, held_out))
-        return learnt, kept
+        learned, kept = (LabeledImages(self.pixels[at], self.labels[at], self.classes) for at in (~held_out, held_out))
+        return learned, kept
 
 
 def find_classes(folder: Path) -> dict[str, list[Path]]:
@@ -57,7 +57,7 @@ def find_classes(folder: Path) -> dict[str, list[Path]]:
     return classes
 
 
-def read_images(classes: dict[str, list[Path]], side_px: int, progress: Progress) -> LabelledImages:
+def read_images(classes: dict[str, list[Path]], side_px: int, progress: Progress) -> LabeledImages:
     """All pictures, squeezed to squares as the network will see whole frames; ConfigError names an unreadable one.
 
     Takes 3 side_px^2 bytes a picture: 4.9 GB for the 100,000 of MiniPlaces at 128.
@@ -72,7 +72,7 @@ def read_images(classes: dict[str, list[Path]], side_px: int, progress: Progress
             pool.shutdown(cancel_futures=True)
             raise ConfigError(f"{error}; remove it, or put a whole one there") from None
     counts = [len(of_class) for of_class in classes.values()]
-    return LabelledImages(pixels, np.repeat(np.arange(len(counts)), counts), tuple(classes))
+    return LabeledImages(pixels, np.repeat(np.arange(len(counts)), counts), tuple(classes))
 
 
 def _read_square(file: Path, side_px: int) -> NDArray[np.uint8]:

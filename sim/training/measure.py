@@ -9,14 +9,14 @@ from torch import Tensor, nn
 
 from sim.model_tools.weights import FC6
 from sim.training.alexnet import LAYERS
-from sim.training.images import LabelledImages
+from sim.training.images import LabeledImages
 from sim.training.views import normalized, random_light, whole_view
 
 BATCH = 64
 MOST_RANGE_IMAGES = 2000
 
 
-def top_shares(net: nn.Sequential, images: LabelledImages, device: str) -> tuple[float, float]:
+def top_shares(net: nn.Sequential, images: LabeledImages, device: str) -> tuple[float, float]:
     """Shares of pictures whose class is the most probable one, and among the five most probable ones."""
     best = min(5, len(images.classes))
     right = torch.zeros(best, device=device)
@@ -28,7 +28,7 @@ def top_shares(net: nn.Sequential, images: LabelledImages, device: str) -> tuple
     return float(shares[0]), float(shares[-1])
 
 
-def layer_ranges(net: nn.Sequential, images: LabelledImages, device: str, seed: int) -> dict[str, dict[str, float]]:
+def layer_ranges(net: nn.Sequential, images: LabeledImages, device: str, seed: int) -> dict[str, dict[str, float]]:
     """{layer: {min, max}} before ReLU, up to fc6, over pictures in random light: `lookback model import --ranges`."""
     torch.manual_seed(seed)
     names = LAYERS[: LAYERS.index(FC6) + 1]
@@ -51,7 +51,7 @@ def _normed(trunk: nn.Sequential, x: Tensor) -> Iterator[Tensor]:
             yield x
 
 
-def _batches(images: LabelledImages, most: int, device: str) -> Iterator[tuple[Tensor, Tensor]]:
+def _batches(images: LabeledImages, most: int, device: str) -> Iterator[tuple[Tensor, Tensor]]:
     """Up to `most` pictures, evenly spread over the classes."""
     rows = torch.arange(0, len(images.labels), -(-len(images.labels) // most))
     for chosen in rows.split(BATCH):

@@ -17,7 +17,7 @@ from torch.optim.swa_utils import AveragedModel
 from edge.atomic_file import replacing
 from edge.errors import ConfigError
 from sim.training.alexnet import alexnet
-from sim.training.images import LabelledImages
+from sim.training.images import LabeledImages
 from sim.training.recipe import Recipe
 from sim.training.views import random_view
 
@@ -28,7 +28,7 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 class Training:
     """A network on its way. All that is random follows from the recipe's seed and the number of the step."""
 
-    def __init__(self, images: LabelledImages, recipe: Recipe, device: str) -> None:
+    def __init__(self, images: LabeledImages, recipe: Recipe, device: str) -> None:
         """ConfigError if the images do not fill a batch."""
         if len(images.labels) < recipe.batch:
             raise ConfigError(f"--batch: {recipe.batch} pictures a step, but there are {len(images.labels)} in all")

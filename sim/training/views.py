@@ -14,7 +14,7 @@ from torch.nn import functional
 from sim.model_tools.onnx_graph import INPUT_SIZE, MEAN_RGB, STD_RGB
 
 LEAST_AREA = 0.25
-MIRRORED, GREY, BLURRED, NOISY = 0.5, 0.15, 0.35, 0.5  # shares of the pictures
+MIRRORED, GRAY, BLURRED, NOISY = 0.5, 0.15, 0.35, 0.5  # shares of the pictures
 EXPOSURE_LOG = (-1.3, 0.4)
 GAMMA_LOG, CONTRAST_LOG, SATURATION_LOG = (-0.6, 0.6), (-0.5, 0.5), (-1.0, 0.4)
 CAST_DEVIATION = 0.15  # of each channel's log gain
@@ -23,7 +23,7 @@ DARKEST = 1e-4  # a power has no slope at 0
 
 
 def random_view(pixels: Tensor) -> Tensor:
-    """Pictures (N, side, side, 3) uint8 RGB -> what the network takes, (N, 3, 224, 224) float32, normalised."""
+    """Pictures (N, side, side, 3) uint8 RGB -> what the network takes, (N, 3, 224, 224) float32, normalized."""
     return normalized(random_light(random_resized_crop(pixels.permute(0, 3, 1, 2).float() / 255)))
 
 
@@ -46,7 +46,7 @@ def random_resized_crop(images: Tensor) -> Tensor:
     area = torch.empty(count, device=images.device).uniform_(LEAST_AREA, 1)
     ratio = torch.empty(count, device=images.device).uniform_(math.log(3 / 4), math.log(4 / 3)).exp()
     width, height = (area * ratio).sqrt().clamp(max=1), (area / ratio).sqrt().clamp(max=1)
-    # Half widths and centres in affine_grid's coordinates, in which a picture spans -1 to 1.
+    # Half widths and centers in affine_grid's coordinates, in which a picture spans -1 to 1.
     affine = torch.zeros(count, 2, 3, device=images.device)
     affine[:, 0, 0] = torch.where(_happens(images, MIRRORED).flatten(), -width, width)
     affine[:, 1, 1] = height
@@ -57,12 +57,12 @@ def random_resized_crop(images: Tensor) -> Tensor:
 
 
 def random_light(images: Tensor) -> Tensor:
-    """Gamma and exposure, contrast, saturation down to grey, a cast of colour, blur, and the sensor's noise."""
+    """Gamma and exposure, contrast, saturation down to gray, a cast of color, blur, and the sensor's noise."""
     light = (images.clamp(0, 1) + DARKEST) ** _uniform(images, *GAMMA_LOG).exp() * _uniform(images, *EXPOSURE_LOG).exp()
     mean = light.mean((1, 2, 3), keepdim=True)
     light = mean + (light - mean) * _uniform(images, *CONTRAST_LOG).exp()
-    grey = light.mean(1, keepdim=True)
-    light = grey + (light - grey) * _uniform(images, *SATURATION_LOG).exp() * ~_happens(images, GREY)
+    gray = light.mean(1, keepdim=True)
+    light = gray + (light - gray) * _uniform(images, *SATURATION_LOG).exp() * ~_happens(images, GRAY)
     light = light * (torch.randn(len(images), 3, 1, 1, device=images.device) * CAST_DEVIATION).exp()
     light = torch.where(_happens(images, BLURRED), _blurred(light), light)
     noise = torch.randn_like(light) * _uniform(images, 0, MOST_NOISE) * _happens(images, NOISY)

@@ -24,7 +24,7 @@ from edge.feed import Feed, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.vehicle.daemon_drive import JOURNAL
-from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import LightName, Scenario
 
 LENGTH_M = 2000.0
@@ -64,11 +64,9 @@ def prepare_world(number: int, folder: Path, length_m: float = LENGTH_M) -> Worl
     )
     out_feed, home_feed, map_path = (folder / f"{number}_{name}" for name in ("out", "home", "map"))
     if not (out_feed / "frames.csv").exists():
-        drive = out.drive()
-        write_feed(out, drive, out_feed, times_by_distance(drive, SamplingConfig().spacing_m))
+        record_drive(out, out_feed)
     if not (home_feed / "frames.csv").exists():
-        drive = home.drive()
-        write_feed(home, drive, home_feed, times_by_rate(drive, CAMERA_FPS))
+        record_drive(home, home_feed, fps=CAMERA_FPS)
     if not map_path.exists():
         build_map([read_feed(out_feed)], map_path, DescriptorConfig(), SamplingConfig())
     return World(seed, home, read_feed(home_feed), open_map(map_path))

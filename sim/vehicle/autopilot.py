@@ -1,8 +1,8 @@
-"""A simulated autopilot at the other end of a MAVLink link, for a pose that somebody else moves.
+"""A simulated autopilot on a MAVLink link, for a vehicle whose pose is given.
 
-It speaks as the real ones were seen to: heartbeats always, streams when they are asked for, answers to TIMESYNC and
-to positions; and it records all that it receives. Its position estimate follows fixes, so that what a companion
-computer sends can be judged by where the vehicle then believes to be. `sim.vehicle.firmware` has the differences.
+It behaves as real ones were recorded: heartbeats always, streams on request, answers to TIMESYNC, commands and
+positions. It keeps all messages that it receives. Its position estimate uses fixes, so that a companion computer can be
+judged by the estimate's error. `sim.vehicle.firmware` has the differences between firmware.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from sim import Pose
-from sim.vehicle.autopilot_messages import ENCODERS, Knowledge
+from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
 from sim.vehicle.dead_reckoning import DeadReckoning
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.position_inputs import Moment, PositionInputs, Reset, east_north_m
@@ -62,15 +62,16 @@ class SimulatedAutopilot:
     ) -> None:
         """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree.
 
-        firmware: a row of `sim.vehicle.firmware.FIRMWARES`. gps: whether there is a receiver with a fix, which fails at
-        `gps_fails_s` of that clock. has_origin: whether it knows at boot where on earth it is, as after a start with
-        GPS; else, where the firmware needs one, an origin has to be set. codec: one that signs.
+        firmware: a row of `sim.vehicle.firmware.FIRMWARES`. gps: whether there is a receiver with a fix; it fails at
+        `gps_fails_s` of that clock. has_origin: whether it has an origin at boot, as after a start with
+        GPS; else, where the firmware needs one, it has to be set. codec: one that signs, for example.
         """
         self.gps = gps
         self._gps_fails_s = gps_fails_s
         self.received: list[Received] = []
-        self.refuse_fixes_with: int | None = None
-        """A MAV_RESULT to answer every position estimate with, or SILENT as PX4 1.15 is, instead of heeding it."""
+        self.reject_fixes_with: int | None = None
+        """A MAV_RESULT to answer every position estimate with instead of using it; SILENT for no answer, as PX4
+        1.15."""
         self._link = link
         self._pose_at = pose_at
         self._clock_ns = clock_ns
@@ -89,7 +90,7 @@ class SimulatedAutopilot:
         return self.inputs.resets
 
     def reboot(self) -> None:
-        """Start again: the boot clock at zero, and no streams but the heartbeat and TIMESYNC."""
+        """Boot again: the clock at 0, and no streams but HEARTBEAT and TIMESYNC."""
         self._boot_ns = self._clock_ns()
         self._gps_lost_s = -math.inf
         self._origin_m = (0.0, 0.0) if self._starts_with_origin or self.gps else None
@@ -109,7 +110,7 @@ class SimulatedAutopilot:
                 return
 
     def step(self) -> None:
-        """One turn: move, hear, speak. Raises LinkLost when the link is gone."""
+        """One step: move, receive, send. Raises LinkLost when the link is gone."""
         now_s = self._clock_ns() / 1e9
         self._pose = self._pose_at(now_s)
         if now_s >= self._gps_fails_s:
@@ -120,11 +121,11 @@ class SimulatedAutopilot:
             self._origin_m = self._origin_m or (0.0, 0.0)
         for message in self._codec.decode(self._link.receive()):
             self.received.append(Received(now_s, message))
-            self._obey(message)
+            self._handle(message)
         for message_id, due_s in list(self._due_s.items()):
             if now_s >= due_s:
                 self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
-                self._say(message_id)
+                self._send_kind(message_id)
 
     @property
     def boot_s(self) -> float:
@@ -136,9 +137,9 @@ class SimulatedAutopilot:
         """CLOCK_MONOTONIC at boot."""
         return self._boot_ns / 1e9
 
-    def _say(self, message_id: int) -> bool:
-        """Send one message of that kind, if it has anything to tell."""
-        message = ENCODERS[message_id](self._knowledge())
+    def _send_kind(self, message_id: int) -> bool:
+        """Send one message of that kind; False where there is nothing to send."""
+        message = ENCODERS[message_id](self._snapshot())
         if message is not None:
             self._send(message)
         return message is not None
@@ -146,7 +147,7 @@ class SimulatedAutopilot:
     def _send(self, message: Message) -> None:
         self._link.send(self._codec.encode(message))
 
-    def _obey(self, message: Message) -> None:
+    def _handle(self, message: Message) -> None:
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
             self._send(mavlink.MAVLink_timesync_message(self._clock_ns() - self._boot_ns, message.ts1))
@@ -169,15 +170,15 @@ class SimulatedAutopilot:
         )
 
     def _execute(self, command: Message) -> int:
-        """Do what a command says; its MAV_RESULT."""
+        """Execute a command; its MAV_RESULT."""
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             return self._set_interval(int(command.param1), command.param2 / 1e6)
         if command.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            said = self._offers(int(command.param1)) and self._say(int(command.param1))
+            said = self._offers(int(command.param1)) and self._send_kind(int(command.param1))
             return int(mavlink.MAV_RESULT_ACCEPTED if said else mavlink.MAV_RESULT_FAILED)
         is_fix = command.command == EXTERNAL_POSITION_ESTIMATE
-        if is_fix and command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT and self.refuse_fixes_with is not None:
-            return self.refuse_fixes_with
+        if is_fix and command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT and self.reject_fixes_with is not None:
+            return self.reject_fixes_with
         result = self.inputs.command(command, self._moment())
         return SILENT if is_fix and not self._firmware.acknowledges else result
 
@@ -196,21 +197,21 @@ class SimulatedAutopilot:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _set_origin(self, message: Message) -> None:
-        """An origin is taken once; the vehicle then believes to be there, and says so to all."""
+        """Only the first origin is used; the estimate is reset to it, and the origin sent to all."""
         if self._origin_m is not None:
             return
         self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7)
         self.estimate.reset(*self._origin_m, self._clock_ns() / 1e9)
-        self._say(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _moment(self) -> Moment:
         gps_lost_s = math.inf if self.gps else self._gps_lost_s
         return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self._origin_m)
 
-    def _knowledge(self) -> Knowledge:
+    def _snapshot(self) -> Snapshot:
         heading_rad = math.radians(self._pose.heading_deg)
         speed_mps = self._pose.speed_mps
-        return Knowledge(
+        return Snapshot(
             firmware=self._firmware,
             boot_ns=self._clock_ns() - self._boot_ns,
             pose=self._pose,

@@ -1,4 +1,4 @@
-"""What the simulated autopilot says: one encoder for each message, of a snapshot of what it knows."""
+"""The messages that the simulated autopilot sends: one encoder for each, from a snapshot of its state."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from sim.vehicle.firmware import Firmware
 
 
 @dataclass(frozen=True)
-class Knowledge:
-    """What the autopilot knows at one moment.
+class Snapshot:
+    """The state of the autopilot at one moment.
 
-    pose: the truth, which only GPS and compass may tell. east_m, north_m, sigma_m: the filter's estimate in the
-    simulation's frame. origin_m: the filter's local zero there, None while it has none. velocity_mps: east and north,
-    as the filter has it. driven_m: what the wheels have counted.
+    pose: the truth, for GPS and compass only. east_m, north_m, sigma_m: the filter's estimate in the simulation's
+    frame. origin_m: the filter's local origin there, None while it has none. velocity_mps: of the filter, east and
+    north. driven_m: distance by the wheel encoders.
     """
 
     firmware: Firmware
@@ -55,22 +55,22 @@ def _degrees(east_m: float, north_m: float) -> tuple[int, int]:
     return round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7)
 
 
-def _heartbeat(know: Knowledge) -> Message:
+def _heartbeat(state: Snapshot) -> Message:
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_GROUND_ROVER, know.firmware.autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+        mavlink.MAV_TYPE_GROUND_ROVER, state.firmware.autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
     )
 
 
-def _timesync(know: Knowledge) -> Message:
-    return mavlink.MAVLink_timesync_message(0, know.boot_ns)
+def _timesync(state: Snapshot) -> Message:
+    return mavlink.MAVLink_timesync_message(0, state.boot_ns)
 
 
-def _global_position(know: Knowledge) -> Message:
-    east_mps, north_mps = know.velocity_mps
-    # Without an origin the position is that of nowhere, and so is the velocity.
-    lat, lon = _degrees(know.east_m, know.north_m) if know.origin_m is not None else (0, 0)
+def _global_position(state: Snapshot) -> Message:
+    east_mps, north_mps = state.velocity_mps
+    # Without an origin there is no global position: ArduPilot sends 0, 0.
+    lat, lon = _degrees(state.east_m, state.north_m) if state.origin_m is not None else (0, 0)
     return mavlink.MAVLink_global_position_int_message(
-        know.boot_ms,
+        state.boot_ms,
         lat,
         lon,
         round(ORIGIN_ALT_M * 1000),
@@ -78,62 +78,62 @@ def _global_position(know: Knowledge) -> Message:
         round(north_mps * 100),
         round(east_mps * 100),
         0,
-        know.heading_cdeg,
+        state.heading_cdeg,
     )
 
 
-def _local_position(know: Knowledge) -> Message:
-    east_mps, north_mps = know.velocity_mps
-    origin_east_m, origin_north_m = know.origin_m or (0.0, 0.0)
+def _local_position(state: Snapshot) -> Message:
+    east_mps, north_mps = state.velocity_mps
+    origin_east_m, origin_north_m = state.origin_m or (0.0, 0.0)
     return mavlink.MAVLink_local_position_ned_message(
-        know.boot_ms, know.north_m - origin_north_m, know.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
+        state.boot_ms, state.north_m - origin_north_m, state.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
     )
 
 
-def _vfr_hud(know: Knowledge) -> Message:
-    speed_mps = know.speed_mps
+def _vfr_hud(state: Snapshot) -> Message:
+    speed_mps = state.speed_mps
     return mavlink.MAVLink_vfr_hud_message(
-        speed_mps, speed_mps, round(know.pose.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0
+        speed_mps, speed_mps, round(state.pose.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0
     )
 
 
-def _gps_raw(know: Knowledge) -> Message:
-    if not know.gps:
+def _gps_raw(state: Snapshot) -> Message:
+    if not state.gps:
         return mavlink.MAVLink_gps_raw_int_message(0, mavlink.GPS_FIX_TYPE_NO_GPS, 0, 0, 0, 65535, 65535, 0, 0, 0)
-    lat, lon = _degrees(know.pose.east_m, know.pose.north_m)
+    lat, lon = _degrees(state.pose.east_m, state.pose.north_m)
     return mavlink.MAVLink_gps_raw_int_message(
-        know.boot_ms * 1000,
+        state.boot_ms * 1000,
         mavlink.GPS_FIX_TYPE_3D_FIX,
         lat,
         lon,
         round(ORIGIN_ALT_M * 1000),
         70,
         110,
-        round(know.pose.speed_mps * 100),
-        know.heading_cdeg,
+        round(state.pose.speed_mps * 100),
+        state.heading_cdeg,
         10,
     )
 
 
-def _system_time(know: Knowledge) -> Message:
-    return mavlink.MAVLink_system_time_message(0, know.boot_ms)
+def _system_time(state: Snapshot) -> Message:
+    return mavlink.MAVLink_system_time_message(0, state.boot_ms)
 
 
-def _wheel_distance(know: Knowledge) -> Message:
-    return mavlink.MAVLink_wheel_distance_message(know.boot_ns // 1000, 2, [know.driven_m] * 2 + [0.0] * 14)
+def _wheel_distance(state: Snapshot) -> Message:
+    return mavlink.MAVLink_wheel_distance_message(state.boot_ns // 1000, 2, [state.driven_m] * 2 + [0.0] * 14)
 
 
-def _odometry(know: Knowledge) -> Message:
-    half_rad = math.radians(know.pose.heading_deg) / 2
+def _odometry(state: Snapshot) -> Message:
+    half_rad = math.radians(state.pose.heading_deg) / 2
     return mavlink.MAVLink_odometry_message(
-        know.boot_ns // 1000,
+        state.boot_ns // 1000,
         mavlink.MAV_FRAME_LOCAL_NED,
         mavlink.MAV_FRAME_BODY_FRD,
-        know.north_m,
-        know.east_m,
+        state.north_m,
+        state.east_m,
         0.0,
         [math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)],
-        know.speed_mps,
+        state.speed_mps,
         0.0,
         0.0,
         0.0,
@@ -144,25 +144,25 @@ def _odometry(know: Knowledge) -> Message:
     )
 
 
-def _estimator_status(know: Knowledge) -> Message:
-    return mavlink.MAVLink_estimator_status_message(know.boot_ns // 1000, 0, 0, 0, 0, 0, 0, 0, know.sigma_m, 1.0)
+def _estimator_status(state: Snapshot) -> Message:
+    return mavlink.MAVLink_estimator_status_message(state.boot_ns // 1000, 0, 0, 0, 0, 0, 0, 0, state.sigma_m, 1.0)
 
 
-def _origin(know: Knowledge) -> Message | None:
-    if know.origin_m is None:
+def _origin(state: Snapshot) -> Message | None:
+    if state.origin_m is None:
         return None
     return mavlink.MAVLink_gps_global_origin_message(
-        *_degrees(*know.origin_m), round(ORIGIN_ALT_M * 1000), know.boot_ns // 1000
+        *_degrees(*state.origin_m), round(ORIGIN_ALT_M * 1000), state.boot_ns // 1000
     )
 
 
-def _version(know: Knowledge) -> Message:
-    major, minor, patch = know.firmware.version
+def _version(state: Snapshot) -> Message:
+    major, minor, patch = state.firmware.version
     software = major << 24 | minor << 16 | patch << 8 | 255
     return mavlink.MAVLink_autopilot_version_message(0, software, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
 
 
-ENCODERS: dict[int, Callable[[Knowledge], Message | None]] = {
+ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
@@ -176,4 +176,4 @@ ENCODERS: dict[int, Callable[[Knowledge], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
-"""What can be asked for; ESTIMATOR_STATUS only of firmware that reports its accuracy."""
+"""By message id; ESTIMATOR_STATUS only for firmware that reports its accuracy."""

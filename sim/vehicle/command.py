@@ -1,4 +1,4 @@
-"""`lookback sim autopilot`: the simulated autopilot alone, for trying a companion computer against it."""
+"""`lookback sim autopilot`: the simulated autopilot alone, to test a companion computer."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     """Add `autopilot` to the commands of `lookback sim`."""
     parser = sim_commands.add_parser("autopilot", help="a simulated autopilot on a pseudo-terminal or UDP")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal, whose path is printed (default)")
-    where.add_argument("--udp", metavar="HOST:PORT", help="speak to HOST:PORT, where a daemon listens with udpin:")
+    where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal; its path is printed (default)")
+    where.add_argument("--udp", metavar="HOST:PORT", help="send to HOST:PORT, where a daemon listens with udpin:")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
-    parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="drive straight on, default 0: stand")
+    parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north, default 0")
     parser.add_argument("--no-gps", action="store_true", help="odometry only")
-    parser.add_argument("--no-origin", action="store_true", help="no origin at boot: it has to be set, or GPS be there")
+    parser.add_argument("--no-origin", action="store_true", help="no origin at boot: until it is set, or GPS has a fix")
     parser.add_argument(
-        "--drift", metavar="PERCENT", type=float, default=0.0, help="odometry's error in %% of distance"
+        "--drift", metavar="PERCENT", type=float, default=0.0, help="error of odometry in %% of the distance"
     )
     parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after that time")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print what arrives as JSON lines on stdout until Ctrl-C; says on stderr where it listens."""
+    """Print received messages as JSON lines on stdout until Ctrl-C; the connection is printed on stderr."""
     link = _open(arguments.udp)
     autopilot = SimulatedAutopilot(
         link,
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def straight_line(speed_mps: float, heading_deg: float, start_s: float) -> Callable[[float], Pose]:
-    """A steady drive from the origin, which it leaves at `start_s`."""
+    """A drive at constant speed that leaves the origin at `start_s`."""
     heading_rad = math.radians(heading_deg)
 
     def pose_at(time_s: float) -> Pose:

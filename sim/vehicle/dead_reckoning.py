@@ -1,4 +1,4 @@
-"""Where the simulated autopilot thinks it is: the truth with GPS, odometry that drifts without."""
+"""The simulated autopilot's position estimate: the truth with GPS, drifting odometry without."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from bisect import bisect_right
 
 from sim import Pose
 
-KEPT_S = 16.0  # PX4 looks back fifteen seconds for a delayed fix
+KEPT_S = 16.0  # PX4 applies fixes that are up to 15 s old
 GPS_SIGMA_M = 1.0
 GATE_SIGMAS = 3.0
-STARVED_S = 5.0  # EKF2_NOAID_TOUT: a source that was refused for so long is believed after all
+STARVED_S = 5.0  # EKF2_NOAID_TOUT: after this long without aiding, a rejected source resets the estimate
 
 
 class DeadReckoning:
-    """An estimate in metres east and north that odometry moves on and position fixes correct."""
+    """An estimate in meters east and north, moved by odometry and corrected by position fixes."""
 
     def __init__(self, pose: Pose, time_s: float, drift_percent: float, drift_sideways_percent: float = 0.0) -> None:
-        """What odometry reports too much along its way, and to the right of it, in per cent of the distance driven."""
+        """Errors of odometry in percent of the distance driven: along the direction of travel, and to the right."""
         self._ahead = 1.0 + drift_percent / 100.0
         self._right = drift_sideways_percent / 100.0
         self._pose = pose
@@ -28,17 +28,17 @@ class DeadReckoning:
 
     @property
     def east_m(self) -> float:
-        """Estimated metres east of the origin."""
+        """Estimated meters east of the origin."""
         return self._past[-1][1]
 
     @property
     def north_m(self) -> float:
-        """Estimated metres north of the origin."""
+        """Estimated meters north of the origin."""
         return self._past[-1][2]
 
     @property
     def sigma_m(self) -> float:
-        """What the filter believes to be wrong by: grows with the distance since the last correction."""
+        """Standard deviation of the estimate; grows with the distance since the last correction."""
         return self._sigma_m
 
     @property
@@ -70,13 +70,13 @@ class DeadReckoning:
             self._past = [entry for entry in self._past if entry[0] >= time_s - KEPT_S]
 
     def reset(self, east_m: float, north_m: float, time_s: float, sigma_m: float = GPS_SIGMA_M) -> None:
-        """A hard reset: the vehicle was there at `time_s`, so all since then moves over by the difference."""
+        """A hard reset: the vehicle was there at `time_s`; the estimates since then are shifted by the difference."""
         then_east_m, then_north_m = self._at(time_s)
         self._shift(east_m - then_east_m, north_m - then_north_m)
         self._sigma_m = sigma_m
 
     def fuse(self, east_m: float, north_m: float, time_s: float, sigma_m: float) -> bool:
-        """A gated correction by a measurement of now; False when the gate refused it, as it does until it starves."""
+        """A gated correction by a current measurement; False if the gate rejected it. See STARVED_S."""
         off_east_m, off_north_m = east_m - self.east_m, north_m - self.north_m
         variance = self._sigma_m**2 + sigma_m**2
         if math.hypot(off_east_m, off_north_m) > GATE_SIGMAS * math.sqrt(variance):

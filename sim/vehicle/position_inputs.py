@@ -1,4 +1,4 @@
-"""The simulated autopilot's ear for positions: which it takes, when, and what they do to its estimate."""
+"""Positions that the simulated autopilot receives: which it accepts, and what they do to its estimate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VISION_SET = 2
 
 @dataclass(frozen=True)
 class Reset:
-    """A position that was taken, and the estimate's distance from the truth before and after it."""
+    """A position that was used, and the error of the estimate before and after it."""
 
     time_s: float
     error_before_m: float
@@ -30,9 +30,9 @@ class Reset:
 
 @dataclass
 class Moment:
-    """What the ear has to know besides the message: seconds on two clocks, and what the vehicle has.
+    """The state that decides what a position does: seconds on two clocks, GPS, and the origin.
 
-    gps_lost_s: since when there is no GPS, infinity while there is. origin_m: the filter's local zero, metres east and
+    gps_lost_s: time of the loss of GPS, infinity while it works. origin_m: the filter's local zero, meters east and
     north of the simulation's; None while it has none.
     """
 
@@ -43,40 +43,40 @@ class Moment:
 
 
 class PositionInputs:
-    """Takes positions as one firmware does."""
+    """Handles positions as one firmware does."""
 
     def __init__(self, firmware: Firmware, estimate: DeadReckoning) -> None:
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
-        """Hard resets by 43003, and jumps that vision asked for."""
+        """Hard resets: by MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003), and by a changed reset_counter of vision."""
         self.fused: list[Reset] = []
-        """Gated corrections by a stream."""
+        """Corrections by a stream of positions, which passed the gate."""
         self.source_set = 1
         self._jump_counter: int | None = None
 
     def command(self, command: Message, moment: Moment) -> int:
-        """Answer 43003 or 42007 with a MAV_RESULT."""
+        """The MAV_RESULT of 43003 (a fix) or 42007 (set of EKF sources)."""
         firmware = self._firmware
         if command.command == SET_EKF_SOURCE_SET:
-            if not firmware.takes_vision:
+            if not firmware.fuses_vision:
                 return int(mavlink.MAV_RESULT_UNSUPPORTED)
             self.source_set = int(command.param1)
             return int(mavlink.MAV_RESULT_ACCEPTED)
         as_long = command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG
-        if command.command != EXTERNAL_POSITION_ESTIMATE or (as_long and not firmware.takes_fix_as_long):
+        if command.command != EXTERNAL_POSITION_ESTIMATE or (as_long and not firmware.accepts_fix_as_long):
             return int(mavlink.MAV_RESULT_UNSUPPORTED)
         if as_long:
-            return self._take_fix(command, command.param5, command.param6, moment)
+            return self._accept_fix(command, command.param5, command.param6, moment)
         if firmware.denies_height and (command.frame != mavlink.MAV_FRAME_GLOBAL or not math.isnan(command.z)):
             return int(mavlink.MAV_RESULT_DENIED)
-        return self._take_fix(command, command.x / 1e7, command.y / 1e7, moment)
+        return self._accept_fix(command, command.x / 1e7, command.y / 1e7, moment)
 
-    def _take_fix(self, command: Message, lat_deg: float, lon_deg: float, moment: Moment) -> int:
-        """A hard horizontal reset to where the vehicle was, unless a rule is against it."""
+    def _accept_fix(self, command: Message, lat_deg: float, lon_deg: float, moment: Moment) -> int:
+        """A hard horizontal reset to where the vehicle was, if the firmware's rule accepts it."""
         without_gps_s = moment.now_s - moment.gps_lost_s
-        if not self._would_take(without_gps_s, moment):
-            return self._firmware.fix_refused
+        if not self._would_accept(without_gps_s, moment):
+            return self._firmware.fix_rejected
         age_s = min(command.param2, self._firmware.oldest_fix_s)
         if self._firmware.corrects_lag:
             late_s = moment.boot_s - command.param1
@@ -85,22 +85,22 @@ class PositionInputs:
             self._reset(*east_north_m(lat_deg, lon_deg), moment, age_s, command.param3)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
-    def _would_take(self, without_gps_s: float, moment: Moment) -> bool:
-        if self._firmware.takes_fix == "aiding":
+    def _would_accept(self, without_gps_s: float, moment: Moment) -> bool:
+        if self._firmware.accepts_fix == "aiding":
             return moment.origin_m is not None and OTHER_POSITION_S <= without_gps_s <= self._firmware.aids_for_s
-        return self._firmware.takes_fix == "always" or without_gps_s > 0
+        return self._firmware.accepts_fix == "always" or without_gps_s > 0
 
     def sensor(self, message: Message, moment: Moment) -> None:
         """GLOBAL_POSITION_SENSOR: gated, its times ignored."""
-        if self._firmware.takes_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
+        if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
             self._fuse(*east_north_m(message.lat / 1e7, message.lon / 1e7), moment, message.eph)
 
     def vision(self, message: Message, moment: Moment) -> None:
-        """VISION_POSITION_ESTIMATE: metres from the origin, gated but for a changed reset_counter."""
-        if not self._firmware.takes_vision or self.source_set != VISION_SET or moment.origin_m is None:
+        """VISION_POSITION_ESTIMATE: meters from the origin; gated, except after a changed reset_counter."""
+        if not self._firmware.fuses_vision or self.source_set != VISION_SET or moment.origin_m is None:
             return
         east_m, north_m = message.y + moment.origin_m[0], message.x + moment.origin_m[1]
-        # ArduPilot's own reading of the covariance.
+        # As ArduPilot reads the covariance.
         sigma_m = sum(message.covariance[index] ** 2 for index in (0, 6, 11)) ** (1 / 3)
         jumped = self._jump_counter not in (None, message.reset_counter)
         self._jump_counter = message.reset_counter
@@ -121,7 +121,7 @@ class PositionInputs:
 
 
 def east_north_m(lat_deg: float, lon_deg: float) -> tuple[float, float]:
-    """Metres east and north of the simulation's origin."""
+    """Meters east and north of the simulation's origin."""
     east_m, north_m, _ = pymap3d.geodetic2enu(
         lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
     )

@@ -12,7 +12,7 @@ READ_SIZE = 65536
 
 
 class PtyLink:
-    """Link over the master side; whoever opens `device` is at the other end of the cable."""
+    """Link over the master side; the program that opens `device` is at the other end."""
 
     def __init__(self) -> None:
         self._master, slave = os.openpty()
@@ -45,7 +45,7 @@ class PtyLink:
         return self._master
 
     def close(self) -> None:
-        """Pull the plug: the device vanishes for whoever has it open. More than once is harmless."""
+        """Close both ends: the device disappears, also for a program that has it open. Harmless more than once."""
         for fd in (self._master, self._slave):
             if fd >= 0:
                 with contextlib.suppress(OSError):

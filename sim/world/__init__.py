@@ -3,7 +3,7 @@
     route                      where the road runs, and through which districts
     walls, plants              procedural pictures: faces of buildings; trees, fences, ground
     solids, cars               the shapes that things are made of
-    ground                     road, pavements, land
+    ground                     road, sidewalks, land
     sections, districts, lots  the roadside, piece by piece, and what is put there
     street                     all that stands along the route, from the world's seed alone
     traffic                    what differs between drives: parked and moving cars, which windows are lit
@@ -12,7 +12,7 @@
     sensor                     what lens, exposure and noise make of a picture
     renderer                   one offscreen camera: pose in, picture out
 
-Metres east, north and up; headings in degrees clockwise from north. "Left" is left of the outward direction.
+Meters east, north and up; headings in degrees clockwise from north. "Left" is left of the outward direction.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def open_camera(config: CameraConfig) -> Camera:
 
 
 def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
-    """The scenario's camera in its world; takes about two seconds a kilometre."""
+    """The scenario's camera in its world; takes about two seconds a kilometer."""
     # Imported here: who only asks where the vehicle is needs no renderer.
     try:
         from sim.world.renderer import Renderer

@@ -1,4 +1,4 @@
-"""The road, its pavements and the ground beside it, following the centre line."""
+"""The road, its sidewalks and the ground beside it, following the center line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim.world.route import KINDS, LEAD_M, Route
 from sim.world.solids import Surface, Thing
 
 ROAD_HALF_M = 4.5
-PAVEMENT_M = 6.2
+SIDEWALK_M = 6.2
 GROUND_M = 36.0
 STEP_M = 4.0
 
@@ -28,13 +28,13 @@ def lay_ground(route: Route, rng: np.random.Generator) -> Iterator[Thing]:
         yield Thing(picture, tuple(surfaces), snow=snowy)
     for kind in KINDS:
         rows = [s for s in starts if route.district(s) == kind]
-        edge_m = ROAD_HALF_M if kind in ("wood", "open") else PAVEMENT_M
+        edge_m = ROAD_HALF_M if kind in ("wood", "open") else SIDEWALK_M
         picture, white = ground_picture(rng, kind), ground_picture(rng, kind, snow=True)
         spans = ((GROUND_M, edge_m), (-edge_m, -GROUND_M))
         beside = [_strip(route, s, span, -0.08, (8.0, 4.0)) for s in rows for span in spans]
         yield Thing(picture, tuple(beside), snow=white)
-        if edge_m == PAVEMENT_M:
-            paved, spans = ground_picture(rng, "town"), ((PAVEMENT_M, ROAD_HALF_M), (-ROAD_HALF_M, -PAVEMENT_M))
+        if edge_m == SIDEWALK_M:
+            paved, spans = ground_picture(rng, "town"), ((SIDEWALK_M, ROAD_HALF_M), (-ROAD_HALF_M, -SIDEWALK_M))
             walks = [_strip(route, s, span, 0.1, (1.0, 4.0)) for s in rows for span in spans]
             yield Thing(paved, tuple(walks), snow=white)
     yield _far_plain(route, ground_picture(rng, "open"), ground_picture(rng, "open", snow=True))
@@ -45,7 +45,7 @@ def _strip(
 ) -> Surface:
     """STEP_M of a strip between two distances left of the middle, as seen from above with the road running up.
 
-    repeat: pictures across the strip, and metres of road for one picture.
+    repeat: pictures across the strip, and meters of road for one picture.
     """
     corners = [
         (*route.at(s, left)[:2], high_m)

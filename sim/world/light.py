@@ -1,4 +1,4 @@
-"""Day, dusk, night, rain and snow: colours of the scene (0..1, RGB), and what they do to a sensor."""
+"""Day, dusk, night, rain and snow: colors of the scene (0..1, RGB), and what they do to a sensor."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Light:
     """One condition.
 
     sun_azimuth_deg, sun_elevation_deg: where the sun stands; sun and ambient: its light and the sky's.
-    fog_per_m: how much of a thing's colour turns into `fog` in each metre. lamps: strength of street lamps.
-    lit_share: share of the windows that are lit. gain: the sensor's, by colour.
+    fog_per_m: how much of a thing's color turns into `fog` in each meter. lamps: strength of street lamps.
+    lit_share: share of the windows that are lit. gain: the sensor's, by color.
     longest_exposure: how far automatic exposure may go up, against the day's. noise: standard deviation of a
     pixel (of 255) before
     exposure. blur_px: of wet or cold glass. headlight: strength of the vehicle's own beam.
@@ -45,7 +45,7 @@ class Light:
     wet: float = 0.0
 
     def sun_direction(self) -> NDArray[np.float64]:
-        """Unit vector (3,) towards the sun: east, north, up."""
+        """Unit vector (3,) toward the sun: east, north, up."""
         azimuth, elevation = np.radians((self.sun_azimuth_deg, self.sun_elevation_deg))
         flat = np.cos(elevation)
         return np.array((flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)))

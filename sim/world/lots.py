@@ -93,9 +93,9 @@ def building(
     size: tuple[float, float, int],
     kind: str,
 ) -> list[Thing]:
-    """A house of width, depth and storeys; kind is "home", "shop" or "block". Each face has a picture of its own."""
-    wide, deep, storeys = size
-    high = storeys * style.storey_m + (0.9 if kind != "home" else 0.3)
+    """A house of width, depth and stories; kind is "home", "shop" or "block". Each face has a picture of its own."""
+    wide, deep, stories = size
+    high = stories * style.story_m + (0.9 if kind != "home" else 0.3)
     walls = [
         bare_wall(rng, style, width, high, (columns, FACE_HIGH_PX))
         for width, columns in zip((wide, deep, wide, deep), FACE_WIDE_PX, strict=True)
@@ -207,7 +207,7 @@ def barn(rng: np.random.Generator, pictures: Pictures, plot: Plot, style: WallSt
 
 
 def post(rng: np.random.Generator, pictures: Pictures, plot: Plot, high_m: float) -> list[Thing]:
-    """A wooden pole with a cross-arm, or a road sign of another colour on its back."""
+    """A wooden pole with a cross-arm, or a road sign of another color on its back."""
     pole = box(plot, (-0.1, -0.1, 0), (0.1, 0.1, high_m), pictures.plain, (0.33, 0.28, 0.22))
     if high_m > 5:
         return [

@@ -30,13 +30,13 @@ def tree_picture(rng: np.random.Generator, kind: str, *, snow: bool = False) -> 
         _crown(canvas, rng, kind)
         if snow:
             canvas[..., :3] = np.where(rng.random((high, wide, 1)) < 0.55, 0.88, canvas[..., :3])
-    # Drawn 96 high; the rasteriser takes powers of two only.
+    # Drawn 96 high; the rasterizer takes powers of two only.
     rows = np.arange(128) * 192 // 128
     return _to_picture(np.repeat(canvas, 2, axis=0)[rows])
 
 
 def _crown(canvas: NDArray[np.float32], rng: np.random.Generator, kind: str) -> None:
-    """Leaves in clumps inside the outline of the kind, lighter towards the top."""
+    """Leaves in clumps inside the outline of the kind, lighter toward the top."""
     color = {
         "round": (0.22, 0.38, 0.13), "conifer": (0.12, 0.25, 0.15), "poplar": (0.30, 0.42, 0.16),
         "birch": (0.42, 0.50, 0.20), "autumn": (0.62, 0.36, 0.12),
@@ -119,7 +119,7 @@ def road_picture(rng: np.random.Generator, *, dashed: bool, snow: bool = False) 
 
 
 def _to_picture(canvas: NDArray[np.float32]) -> Picture:
-    """0..1 to bytes; see-through pixels take the mean colour, so that filtering leaves no dark rim."""
+    """0..1 to bytes; see-through pixels take the mean color, so that filtering leaves no dark rim."""
     solid = canvas[..., 3] > 0.5
     if not solid.all():
         canvas[~solid, :3] = canvas[solid, :3].mean(axis=0)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
+from edge.config import SamplingConfig
 from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
+
+SPACING_M = SamplingConfig().spacing_m
 
 
 def times_by_distance(drive: Drive, spacing_m: float) -> list[float]:
@@ -24,32 +28,43 @@ def times_by_rate(drive: Drive, fps: float) -> list[float]:
     return [float(time_s) for time_s in np.arange(0.0, drive.duration_s, 1 / fps)]
 
 
-def write_feed(scenario: Scenario, drive: Drive, path: Path, times_s: Iterable[float]) -> int:
-    """Render the drive at some times and write a feed; returns the number of frames.
+def record_drive(
+    scenario: Scenario,
+    path: Path,
+    *,
+    spacing_m: float = SPACING_M,
+    fps: float | None = None,
+    up_to_m: float = math.inf,
+    show_progress: bool = False,
+) -> int:
+    """Render the drive of a scenario and write it as a feed; returns the number of frames.
 
-    heading_deg is the vehicle's, also for a rear camera. The column `route_m` is the arc length along the route,
-    which drives in both directions share. Raises FeedError, also for a feed that is there already.
+    A frame every `spacing_m`, or `fps` frames a second, over the first `up_to_m`. heading_deg is the vehicle's, also
+    for a rear camera. The column `route_m` is the arc length along the route, which drives in both directions share.
+    Raises FeedError, also where there is a feed already.
     """
+    drive = scenario.drive()
+    times_s = times_by_rate(drive, fps) if fps else times_by_distance(drive, spacing_m)
+    times_s = [time_s for time_s in times_s if drive.distance_m(time_s) <= up_to_m]
     header = FeedHeader(
         name=path.name,
         view=scenario.view,
         width=scenario.width,
         height=scenario.height,
         source=f"simulated, seed {scenario.seed}, {scenario.light}, {scenario.direction}, drive {scenario.drive_seed}",
-        notes=f"route_m: metres along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
+        notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
     )
-    count = 0
     # The feed first: a folder that cannot be written to is known before the world is built.
     with FeedWriter(path, header, extra_columns=("route_m",)) as writer:
         renderer = open_renderer(scenario, drive)
         try:
-            for time_s in times_s:
+            # disable=None: shown on a terminal only.
+            for time_s in tqdm(times_s, unit="frame", desc=path.name, disable=None if show_progress else True):
                 image = renderer.render(drive.pose(time_s, scenario.camera_ahead_m), time_s)
                 _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
-                count += 1
         finally:
             renderer.close()
-    return count
+    return len(times_s)
 
 
 def _write_frame(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: float, epoch_ns: int) -> None:

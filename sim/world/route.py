@@ -29,7 +29,7 @@ class District:
 
 @dataclass(frozen=True)
 class Route:
-    """A centre line with arc length; `at` gives a position on it or beside it.
+    """A center line with arc length; `at` gives a position on it or beside it.
 
     Arrays hold one element each STEP_M from -LEAD_M: points (N, 2) east and north, headings (N,) radians.
     """
@@ -57,7 +57,7 @@ class Route:
         return next((d.kind for d in self.districts if route_m < d.end_m), self.districts[-1].kind)
 
     def clearance_m(self, points_m: NDArray[np.float64]) -> float:
-        """Least distance from any of `points_m` (N, 2) to the centre line."""
+        """Least distance from any of `points_m` (N, 2) to the center line."""
         offsets = self.points_m[None, ::2] - np.asarray(points_m)[:, None]
         return float(np.sqrt((offsets**2).sum(axis=-1).min()))
 
@@ -93,7 +93,7 @@ def _bends(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
 
 
 def _districts(rng: np.random.Generator, length_m: float) -> tuple[District, ...]:
-    """Districts of 70 to 160 m, no two neighbours alike, every kind once before any comes again."""
+    """Districts of 70 to 160 m, no two neighbors alike, every kind once before any comes again."""
     districts: list[District] = []
     queue: list[DistrictKind] = []
     start_m = 0.0

@@ -39,7 +39,7 @@ Vertices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.float64], window_seed: int) -> NodePath:
-    """All that stands still, with the light of the condition in its colours."""
+    """All that stands still, with the light of the condition in its colors."""
     rng = np.random.default_rng([window_seed, 5])
     root = NodePath("street")
     _draw_in_order(root)
@@ -127,7 +127,7 @@ def _attach_glowing(
     texture: Texture,
     color: tuple[float, float, float] = LIT_WINDOW,
 ) -> None:
-    """Lit windows: the wall's own picture, brightened, in the colour of lamps."""
+    """Lit windows: the wall's own picture, brightened, in the color of lamps."""
     points = np.concatenate([surface.corners_m for _, surface in members])
     uv = np.concatenate([surface.uv for _, surface in members])
     node = root.attach_new_node(_geom_node(points, uv, np.broadcast_to(np.array(color), points.shape)))
@@ -139,7 +139,7 @@ def _attach_glowing(
 
 
 def cut(surface: Surface, plain: bool = False) -> tuple[NDArray[np.float64], ...]:
-    """A surface as cells of at most CELL_M: points, normals (N, 3), uv (N, 2), colours (N, 3); four points a cell."""
+    """A surface as cells of at most CELL_M: points, normals (N, 3), uv (N, 2), colors (N, 3); four points a cell."""
     a, b, _, d = surface.corners_m
     columns = max(1, int(np.ceil(np.linalg.norm(b - a) / CELL_M)))
     rows = max(1, int(np.ceil(np.linalg.norm(d - a) / CELL_M)))
@@ -206,7 +206,7 @@ def build_sky(panorama: Picture) -> NodePath:
 
 
 def build_fog(light: Light) -> NodePath:
-    """Veils across the camera's view, each for the air since the one before; the rasteriser has no fog of its own."""
+    """Veils across the camera's view, each for the air since the one before; the rasterizer has no fog of its own."""
     root = NodePath("fog")
     before_m = 0.0
     for order, distance_m in enumerate(FOG_CARDS_M):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.world.ground import PAVEMENT_M
+from sim.world.ground import SIDEWALK_M
 from sim.world.lots import Pictures
 from sim.world.plants import TREE_KINDS
 from sim.world.route import LEAD_M, DistrictKind, Route
@@ -20,10 +20,10 @@ SECTIONS_A_BLOCK = 3
 
 @dataclass(frozen=True)
 class Block:
-    """What neighbours have in common: two house styles, storeys, distance from the pavement, plants, how dense."""
+    """What neighbors have in common: two house styles, stories, distance from the sidewalk, plants, how dense."""
 
     styles: tuple[WallStyle, WallStyle]
-    storeys: int
+    stories: int
     setback: float
     trees: tuple[str, str]
     edge: str
@@ -44,17 +44,17 @@ class Section:
     side: int
 
     def plot(self, along_m: float, away_m: float, width_m: float = 0.0) -> Plot:
-        """A plot centred `along_m` into the section, its front `away_m` from the road's middle."""
+        """A plot centered `along_m` into the section, its front `away_m` from the road's middle."""
         return plot_at(self.route, self.start_m + along_m, self.side, away_m, width_m)
 
     def front(self) -> Plot:
-        """The whole section from the pavement on."""
-        return self.plot(SECTION_M / 2, PAVEMENT_M, SECTION_M)
+        """The whole section from the sidewalk on."""
+        return self.plot(SECTION_M / 2, SIDEWALK_M, SECTION_M)
 
     def is_clear(self, plot: Plot, wide: float, deep: float) -> bool:
         """Whether a lot keeps off the road, also where the road bends around it."""
         corners = [(0, 0, 0), (wide / 2, 0, 0), (wide, 0, 0), (wide, deep, 0), (wide / 2, deep, 0), (0, deep, 0)]
-        return self.route.clearance_m(plot.place(np.array(corners))[:, :2]) > PAVEMENT_M - 0.2
+        return self.route.clearance_m(plot.place(np.array(corners))[:, :2]) > SIDEWALK_M - 0.2
 
     def style(self) -> WallStyle:
         """One of the block's styles, or at times one of its own."""
@@ -81,7 +81,7 @@ def divide(route: Route, rng: np.random.Generator, pictures: Pictures, side: int
 def _draw_block(rng: np.random.Generator) -> Block:
     return Block(
         styles=(draw_style(rng), draw_style(rng)),
-        storeys=int(rng.integers(1, 5)),
+        stories=int(rng.integers(1, 5)),
         setback=rng.uniform(),
         trees=(str(rng.choice(TREE_KINDS)), str(rng.choice(TREE_KINDS))),
         edge=str(rng.choice(["hedge", "picket", "rail", "none"])),
@@ -91,7 +91,7 @@ def _draw_block(rng: np.random.Generator) -> Block:
 
 
 def plot_at(route: Route, route_m: float, side: int, away_m: float, width_m: float = 0.0) -> Plot:
-    """A plot whose front is centred at `route_m`, `away_m` from the road's middle; side 1 is left, -1 right."""
+    """A plot whose front is centered at `route_m`, `away_m` from the road's middle; side 1 is left, -1 right."""
     _, _, heading = route.at(route_m)
     forward = np.array((np.sin(heading), np.cos(heading)))
     left = np.array((-np.cos(heading), np.sin(heading)))

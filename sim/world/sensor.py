@@ -16,7 +16,7 @@ WANTED_MEAN = 105.0
 class Sensor:
     """One camera's imperfections in one condition. The same seed and time give the same picture.
 
-    Beam and distance take the street for a corridor 2 x STREET_HALF_M wide, since the rasteriser keeps no depth.
+    Beam and distance take the street for a corridor 2 x STREET_HALF_M wide, since the rasterizer keeps no depth.
     """
 
     def __init__(self, light: Light, view: str, size: tuple[int, int], fov_deg: float, seed: int) -> None:

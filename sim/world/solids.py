@@ -1,4 +1,4 @@
-"""The shapes that things are made of: textured four-cornered surfaces in metres east, north and up."""
+"""The shapes that things are made of: textured four-cornered surfaces in meters east, north and up."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def gable_ends(plot: Plot, size: tuple[float, float, float, float], picture: Pic
 
 
 def flat_top(plot: Plot, size: tuple[float, float, float], picture: Picture, color: Color = WHITE) -> Thing:
-    """A level surface of width and depth at a height: flat roofs, pavements, fields."""
+    """A level surface of width and depth at a height: flat roofs, sidewalks, fields."""
     wide, deep, high = size
     corners = plot.place(np.array([(0, 0, high), (wide, 0, high), (wide, deep, high), (0, deep, high)]))
     return Thing(picture, (Surface(corners, UNIT_UV * (wide / 4, deep / 4), color),), upward=True)
@@ -169,7 +169,7 @@ def crossed_planes(
 def box(
     plot: Plot, low: tuple[float, float, float], high: tuple[float, float, float], picture: Picture, color: Color
 ) -> Thing:
-    """An upright box of one colour between two local corners: posts, chimneys, bins; no underside."""
+    """An upright box of one color between two local corners: posts, chimneys, bins; no underside."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     ends = [((x0, y0), (x1, y0)), ((x1, y0), (x1, y1)), ((x1, y1), (x0, y1)), ((x0, y1), (x0, y0))]
     surfaces = [Surface(plane(plot, start, end, (z0, z1)), UNIT_UV, color) for start, end in ends]

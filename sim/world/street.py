@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.districts import FILL
-from sim.world.ground import PAVEMENT_M, lay_ground
+from sim.world.ground import SIDEWALK_M, lay_ground
 from sim.world.lots import Pictures
 from sim.world.route import LEAD_M, DistrictKind, Route
 from sim.world.sections import divide, plot_at
@@ -46,7 +46,7 @@ def _lamps(route: Route, pictures: Pictures) -> tuple[NDArray[np.float64], list[
     while route_m < route.length_m + LEAD_M:
         step_m = LAMP_STEP_M.get(route.district(route_m))
         if step_m:
-            plot = plot_at(route, route_m, side, PAVEMENT_M - 0.4)
+            plot = plot_at(route, route_m, side, SIDEWALK_M - 0.4)
             lights.append(plot.place(np.array((0, -1.5, LAMP_HIGH_M))))
             masts.append(
                 box(plot, (-0.08, -0.08, 0), (0.08, 0.08, LAMP_HIGH_M + 0.1), pictures.plain, (0.4, 0.42, 0.42))

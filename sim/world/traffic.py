@@ -18,7 +18,7 @@ ONCOMING_EVERY_S = 9.0
 
 @dataclass(frozen=True)
 class MovingCar:
-    """A car that comes towards the drive, at a steady speed; its shape is at the origin, facing north."""
+    """A car that comes toward the drive, at a steady speed; its shape is at the origin, facing north."""
 
     things: tuple[Thing, ...]
     drive: Drive
@@ -34,7 +34,7 @@ class MovingCar:
         return east, north, heading + (np.pi if sign > 0 else 0.0)
 
     def on_road(self, time_s: float) -> bool:
-        """Whether it is on the modelled road at all."""
+        """Whether it is on the modeled road at all."""
         ahead_m = self.start_m - self.speed_mps * time_s
         return bool(-60 < ahead_m < self.drive.route.length_m + 60)
 
@@ -55,12 +55,12 @@ def build_traffic(drive: Drive) -> Traffic:
     for side in (1, -1):
         for route_m in np.arange(-60.0, drive.route.length_m + 60, 6.5):
             if rng.random() < PARKED_SHARE[drive.route.district(float(route_m))]:
-                car = draw_car(_kerb(drive.route, float(route_m), side, rng), rng)
+                car = draw_car(_curb(drive.route, float(route_m), side, rng), rng)
                 parked += [replace(thing, windows=()) for thing in car]  # its lamps are off
     return Traffic(tuple(parked), _oncoming(drive, rng), int(rng.integers(2**31)))
 
 
-def _kerb(route: Route, route_m: float, side: int, rng: np.random.Generator) -> Plot:
+def _curb(route: Route, route_m: float, side: int, rng: np.random.Generator) -> Plot:
     """Where a parked car stands: it faces the way that its side of the road drives, mostly."""
     east, north, heading = route.at(route_m, side * (PARKED_LEFT_M + rng.uniform(-0.1, 0.3)))
     if (side < 0) != (rng.random() < 0.15):

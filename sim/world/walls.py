@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Color = tuple[float, float, float]
 Rect = tuple[float, float, float, float]
-"""x0, z0, x1, z1 in metres from the lower left corner of a face."""
+"""x0, z0, x1, z1 in meters from the lower left corner of a face."""
 
 Pattern = Literal["brick", "render", "plank", "stone", "panel"]
 
@@ -34,7 +34,7 @@ SIGN_COLORS: tuple[Color, ...] = (
 
 @dataclass(frozen=True)
 class WallStyle:
-    """What all faces of one building share; lengths in metres."""
+    """What all faces of one building share; lengths in meters."""
 
     pattern: Pattern
     color: Color
@@ -42,11 +42,11 @@ class WallStyle:
     window_width_m: float
     window_height_m: float
     window_step_m: float
-    storey_m: float
+    story_m: float
     bars: int
 
 
-def draw_style(rng: np.random.Generator, storey_m: float = 2.9) -> WallStyle:
+def draw_style(rng: np.random.Generator, story_m: float = 2.9) -> WallStyle:
     """A style at random."""
     pattern, color = MATERIALS[rng.integers(len(MATERIALS))]
     shade = rng.uniform(0.85, 1.12)
@@ -58,14 +58,14 @@ def draw_style(rng: np.random.Generator, storey_m: float = 2.9) -> WallStyle:
         window_width_m=rng.uniform(0.8, 1.9),
         window_height_m=rng.uniform(1.1, 1.8),
         window_step_m=rng.uniform(2.1, 3.4),
-        storey_m=storey_m,
+        story_m=story_m,
         bars=int(rng.integers(0, 3)),
     )
 
 
 @dataclass
 class Wall:
-    """A face being painted: pixels (H, W, 3) float32 RGB in 0..1, row 0 at the top; size in metres."""
+    """A face being painted: pixels (H, W, 3) float32 RGB in 0..1, row 0 at the top; size in meters."""
 
     pixels: NDArray[np.float32]
     width_m: float
@@ -129,19 +129,19 @@ def add_window(wall: Wall, style: WallStyle, x: float, z: float, width_m: float,
     wall.windows.append((x, z, x + width_m, z + height_m))
 
 
-def add_window_grid(wall: Wall, style: WallStyle, from_storey: int, keep: float = 1.0) -> None:
-    """Rows of windows from a storey up; each is there with probability `keep`."""
+def add_window_grid(wall: Wall, style: WallStyle, from_story: int, keep: float = 1.0) -> None:
+    """Rows of windows from a story up; each is there with probability `keep`."""
     columns = max(1, int((wall.width_m - 0.8) / style.window_step_m))
     step_m = wall.width_m / columns
-    for storey in range(from_storey, int((wall.height_m + 0.3) / style.storey_m)):
+    for story in range(from_story, int((wall.height_m + 0.3) / style.story_m)):
         for column in range(columns):
             if wall.rng.random() < keep:
                 x = (column + 0.5) * step_m - style.window_width_m / 2
-                add_window(wall, style, x, storey * style.storey_m + 0.95, style.window_width_m, style.window_height_m)
+                add_window(wall, style, x, story * style.story_m + 0.95, style.window_width_m, style.window_height_m)
 
 
 def add_door(wall: Wall, x: float, width_m: float = 1.1, height_m: float = 2.2) -> None:
-    """A door with a lintel, in a colour of its own."""
+    """A door with a lintel, in a color of its own."""
     color = SIGN_COLORS[wall.rng.integers(len(SIGN_COLORS))]
     wall.fill((x - 0.15, 0, x + width_m + 0.15, height_m + 0.2), (0.8, 0.8, 0.78))
     wall.fill((x, 0, x + width_m, height_m), color)

@@ -112,7 +112,7 @@ def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -
 @external
 def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -> None:
     rig.run(4.0)
-    rig.autopilot.refuse_fixes_with = SILENT
+    rig.autopilot.reject_fixes_with = SILENT
     assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
     assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
@@ -122,7 +122,7 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
 @external
 def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     rig.run(4.0)
-    rig.autopilot.refuse_fixes_with = SILENT
+    rig.autopilot.reject_fixes_with = SILENT
     assert rig.connection.send_position(rig.fix())
     denied = mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 197)
     assert rig.pty is not None
@@ -135,7 +135,7 @@ def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
 @external
 def test_a_denied_position_is_the_last_until_the_autopilot_reboots(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.run(4.0)
-    rig.autopilot.refuse_fixes_with = 2  # MAV_RESULT_DENIED
+    rig.autopilot.reject_fixes_with = 2  # MAV_RESULT_DENIED
     assert rig.connection.send_position(rig.fix())
     rig.run(1.0)
     assert not rig.connection.send_position(rig.fix())

@@ -68,7 +68,7 @@ def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, fir
 def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0, confirm_m=0.0), gps=False)
     rig.run(4.0)
-    rig.autopilot.refuse_fixes_with = SILENT
+    rig.autopilot.reject_fixes_with = SILENT
     assert rig.connection.send_position(rig.fix(age_s=0.5))
     rig.run(5.0)
     first, second = fixes_received(rig)
@@ -219,7 +219,7 @@ def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
 def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gps=False)
     rig.run(4.0)
-    rig.autopilot.refuse_fixes_with = mavlink.MAV_RESULT_IN_PROGRESS
+    rig.autopilot.reject_fixes_with = mavlink.MAV_RESULT_IN_PROGRESS
     assert rig.connection.send_position(rig.fix())
     rig.run(0.5)
     assert not rig.journalled("fix_answered")

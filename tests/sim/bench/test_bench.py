@@ -17,8 +17,7 @@ from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench import frame_rows, map_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
-from sim.bench.page import page
-from sim.bench.rows import Row, Section, Target
+from sim.bench.rows import Row, Section, Target, page
 from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race
 

@@ -15,7 +15,7 @@ from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
 
-METRE_NORTH_DEG, METRE_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
+METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
 
 
 @pytest.fixture
@@ -26,10 +26,10 @@ def drives(tmp_path: Path) -> MapDrives:
         builder.begin_segment("drive", "rear")
         for row in range(20):
             raw = np.random.default_rng(row).random((2, 8), np.float32)
-            builder.add(raw, Place(row, -27.0 + 2 * row * METRE_NORTH_DEG, 153.0, route_m=2.0 * row))
+            builder.add(raw, Place(row, -27.0 + 2 * row * METER_NORTH_DEG, 153.0, route_m=2.0 * row))
         builder.finish(normalize, "test")
     rows = tuple(
-        FeedRow("", index, lat_deg=-27.0 + 11 * METRE_NORTH_DEG, lon_deg=153.0 + east_m * METRE_EAST_DEG)
+        FeedRow("", index, lat_deg=-27.0 + 11 * METER_NORTH_DEG, lon_deg=153.0 + east_m * METER_EAST_DEG)
         for index, east_m in enumerate((3.5, -1.0, 200.0))
     )
     return MapDrives(open_map(tmp_path / "map"), Feed(tmp_path, FeedHeader("beside", "front", 16, 16), rows))

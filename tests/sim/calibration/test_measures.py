@@ -34,7 +34,7 @@ def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
     (offset,) = measure_offsets(seen)
     assert offset.ahead_m == pytest.approx(26, abs=1)
     assert offset.left_m == pytest.approx(3, abs=1)
-    assert 90 <= offset.set_aside <= 110
+    assert 90 <= offset.outliers <= 110
     sigma_m = round(offset.sigma_m, 1)
     assert rig_config([offset]) == RigConfig(
         ahead_forward_swapped_m=round(offset.ahead_m, 1), sigma_forward_swapped_m=sigma_m, sigma_along_m=sigma_m
@@ -95,8 +95,8 @@ def out_and_back(tmp_path: Path) -> ReferenceMap:
         tmp_path / "map", ModelKey("m", "0" * 64, "fc6", 64), RegionsKey("whole", 1.0, "set"), SamplingConfig()
     ) as builder:
         builder.begin_segment("drive", "front")
-        for row, metres in enumerate(north_m):
-            lat_deg, lon_deg = Pose(0.0 if row < 200 else 4.0, metres, 0, 0, 0).geodetic()
+        for row, meters in enumerate(north_m):
+            lat_deg, lon_deg = Pose(0.0 if row < 200 else 4.0, meters, 0, 0, 0).geodetic()
             place = Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row)
             builder.add(rng.normal(size=(1, 64)).astype(np.float32), place)
         builder.finish(normalize, "0")
@@ -131,7 +131,7 @@ def test_the_map_against_itself_refuses_the_share_that_is_asked_for(out_and_back
 
 
 def smooth_street(seed: int) -> NDArray[np.float32]:
-    """Descriptors (N, 2, D) of places that look like their neighbours, as on a street."""
+    """Descriptors (N, 2, D) of places that look like their neighbors, as on a street."""
     noise = np.random.default_rng(seed).normal(size=(400, 2, 64))
     return np.asarray(sum(np.roll(noise, shift, axis=0) for shift in range(12)), dtype=np.float32)
 

@@ -26,7 +26,7 @@ from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
-from sim.world.recording import times_by_distance, write_feed
+from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
@@ -34,8 +34,7 @@ CONFIG = Config(sequence=SequenceConfig(length=20))
 
 
 def record(scenario: Scenario, path: Path) -> Feed:
-    drive = scenario.drive()
-    write_feed(scenario, drive, path, times_by_distance(drive, SamplingConfig().spacing_m))
+    record_drive(scenario, path)
     return read_feed(path)
 
 
@@ -125,7 +124,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
-    assert "off the map, by the map against itself, " in printed
+    assert "off the map, estimated from the map alone, " in printed
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m

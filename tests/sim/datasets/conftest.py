@@ -58,7 +58,7 @@ def write_video() -> Callable[[Path, int, float], None]:
 
 @pytest.fixture
 def degrees_at() -> Callable[[float, float], tuple[float, float]]:
-    """Latitude and longitude of so many metres east and north of a corner of Oxford."""
+    """Latitude and longitude of so many meters east and north of a corner of Oxford."""
 
     def degrees(east_m: float, north_m: float) -> tuple[float, float]:
         lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, *ORIGIN)

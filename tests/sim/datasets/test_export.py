@@ -70,7 +70,7 @@ def test_tum(journal: Path) -> None:
     first, last = (line.split() for line in export(journal, "drive.tum").splitlines())
     assert len(first) == len(last) == 8
     assert float(last[0]) == pytest.approx(1_700_000_000.25)
-    assert float(last[2]) == pytest.approx(-110.8, abs=0.1)  # metres north
+    assert float(last[2]) == pytest.approx(-110.8, abs=0.1)  # meters north
     assert [float(value) for value in last[6:]] == pytest.approx([-0.7071, 0.7071], abs=1e-3)  # looks south
 
 

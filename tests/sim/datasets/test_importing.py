@@ -69,14 +69,14 @@ def test_frames_without_places_are_all_taken_unless_a_spacing_says_otherwise(
     }
 
 
-def test_metres_cannot_be_asked_of_frames_without_places(walk: Path, sim_import: Import) -> None:
+def test_meters_cannot_be_asked_of_frames_without_places(walk: Path, sim_import: Import) -> None:
     for option in ("--spacing-m", "--length-m"):
         with pytest.raises(FeedError, match=r"walk: no positions or distances in it, so pictures cannot be chosen by"):
             sim_import("gardens-point", walk, "-o", walk.parent / "feed", option, 2)
     assert not (walk.parent / "feed").exists()
 
 
-def test_only_the_first_metres_of_a_drive(walk: Path, sim_import: Import) -> None:
+def test_only_the_first_meters_of_a_drive(walk: Path, sim_import: Import) -> None:
     (walk / "anchors.csv").write_text("frame,route_m\n0,0\n29,58\n")
     sim_import("campus", walk, "-o", walk.parent / "feed", "--length-m", 21)
     assert [row.distance_m for row in read_feed(walk.parent / "feed").rows] == list(range(0, 22, 2))
@@ -89,7 +89,7 @@ def test_pictures_that_go_back_in_time_are_left_out(caplog: pytest.LogCaptureFix
 
 
 def test_the_distance_driven_is_kept_as_it_was_between_the_chosen_rows() -> None:
-    # Two metres east and two back a frame: a car that turns drives further than its places are apart.
+    # Two meters east and two back a frame: a car that turns drives further than its places are apart.
     rows = [FeedRow(f"{i}.png", i, lat_deg=0.0, lon_deg=2e-5 * (i % 2)) for i in range(9)]
     taken = choose_rows(traverse_of(*rows), SamplingConfig(by="distance", spacing_m=4.4))
     assert [row.index for row in taken] == [0, 2, 4, 6, 8]

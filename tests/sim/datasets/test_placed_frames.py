@@ -74,7 +74,7 @@ def kitti_path(tmp_path: Path, write_pictures: WritePictures) -> Path:
     return sequence
 
 
-def test_kitti_has_metres_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_import: Import) -> None:
+def test_kitti_has_meters_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_import: Import) -> None:
     rows = open_dataset("kitti", kitti_path).rows
     assert [row.distance_m for row in rows] == pytest.approx(np.arange(10) * 0.5)
     assert rows[8].extra == {"local_x_m": "1.500", "local_y_m": "2.500"}
@@ -126,7 +126,7 @@ def test_names_of_vpr_datasets_downloader(
     assert traverse.source == "st_lucia/images/test/queries"
 
 
-def test_names_without_degrees_are_judged_by_their_metres(
+def test_names_without_degrees_are_judged_by_their_meters(
     tmp_path: Path, write_pictures: WritePictures, sim_import: Import
 ) -> None:
     for folder in ("database", "queries"):

@@ -33,7 +33,7 @@ PATTERNS = {"stereo/left": "gbrg", "mono_rear": "rggb"}  # BAYER_STEREO and BAYE
 
 
 def mosaic(rgb: tuple[int, int, int], pattern: str, height: int, width: int) -> NDArray[np.uint8]:
-    """What a sensor with this colour filter sees of an even colour: the pattern's letters, row by row, 2 x 2."""
+    """What a sensor with this color filter sees of an even color: the pattern's letters, row by row, 2 x 2."""
     level = dict(zip("rgb", rgb, strict=True))
     raw = np.empty((height, width), np.uint8)
     for row in range(height):
@@ -82,7 +82,7 @@ def write_ins(path: Path, degrees_at: Degrees, start_us: int, count: int) -> Non
 
 
 @pytest.mark.parametrize(("camera", "view", "crop_rows"), [("stereo/left", "front", 160), ("mono_rear", "rear", 170)])
-def test_pictures_are_in_colour_by_the_pattern_of_their_camera(
+def test_pictures_are_in_color_by_the_pattern_of_their_camera(
     traverse_path: Path, camera: str, view: str, crop_rows: int
 ) -> None:
     traverse = open_dataset("robotcar", traverse_path, ReadOptions(camera=camera, crop_bottom=4))
@@ -100,7 +100,7 @@ def test_each_picture_is_at_the_position_of_its_time(traverse_path: Path, degree
     assert len(rows) == 33
     for index, row in enumerate(rows):
         assert row.stamp_ns == (START_US + index * PICTURE_US) * 1000
-        # A metre is 9e-6 degrees of latitude: this is a millimetre.
+        # A meter is 9e-6 degrees of latitude: this is a millimeter.
         assert (row.lat_deg, row.lon_deg) == pytest.approx(where(degrees_at, index * PICTURE_US), abs=1e-8)
     known = rows[7].alt_m, rows[7].heading_deg, rows[7].speed_mps
     assert known == (pytest.approx((110.5, 45.0, SPEED_MPS)) if positions == "ins" else (110.2, None, None))

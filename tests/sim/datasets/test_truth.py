@@ -20,7 +20,7 @@ def feed_of(rows: list[FeedRow], name: str = "feed") -> Feed:
 
 
 def street(*north_m: float | None, east_m: float = 0.0) -> Feed:
-    """A feed with a row at each of these metres north along a street; None is a row without a position."""
+    """A feed with a row at each of these meters north along a street; None is a row without a position."""
     rows = []
     for index, north in enumerate(north_m):
         row = FeedRow(f"{index}.jpg", index)
@@ -79,12 +79,12 @@ def test_the_frame_number_of_the_data_set_counts_where_a_feed_has_it() -> None:
     assert truth.true_rows(0).tolist() == [1, 2]
 
 
-def test_the_same_route_driven_backwards_is_matched_by_its_metres() -> None:
+def test_the_same_route_driven_backwards_is_matched_by_its_meters() -> None:
     truth = truth_between("route_m", with_extra("route_m", "0", "50", "100"), with_extra("route_m", "95", "52", ""), 20)
     assert [truth.true_rows(query).tolist() for query in range(3)] == [[2], [1], []]
 
 
-def test_local_metres_serve_where_there_are_no_degrees() -> None:
+def test_local_meters_serve_where_there_are_no_degrees() -> None:
     rows = [FeedRow(f"{i}.png", i, extra={"local_x_m": "3.0", "local_y_m": str(10.0 * i)}) for i in range(4)]
     truth = truth_between("positions", feed_of(rows), feed_of(rows[2:]), 5.0)
     assert [truth.true_rows(query).tolist() for query in range(2)] == [[2], [3]]

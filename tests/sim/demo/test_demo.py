@@ -17,7 +17,7 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path: Path, capsys: pytest.
 
     (tmp_path / "thesis.txt").write_text("years of work")
     assert main(["demo", "-o", str(tmp_path)]) == 78
-    assert "has files that no demo made" in capsys.readouterr().err
+    assert "has files that are not of a demo" in capsys.readouterr().err
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 

@@ -1,4 +1,4 @@
-"""Miniature feeds: a street of coloured stripes that two drives see in other light."""
+"""Miniature feeds: a street of colored stripes that two drives see in other light."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.feed import FeedHeader, FeedWriter
 
 WIDTH, HEIGHT = 64, 48
-METRE_DEG = 1 / 110_574  # of latitude at the equator
+METER_DEG = 1 / 110_574  # of latitude at the equator
 WriteFeed = Callable[..., Path]
 
 
@@ -28,7 +28,7 @@ def street(route_m: float, light: float, rng: np.random.Generator) -> NDArray[np
 
 @pytest.fixture
 def write_feed(tmp_path: Path) -> WriteFeed:
-    """write(name, places in metres along the route, view, light) makes a feed in the test's folder."""
+    """write(name, places in meters along the route, view, light) makes a feed in the test's folder."""
 
     def write(name: str, route_m: list[float], view: Literal["front", "rear"] = "front", light: float = 1.0) -> Path:
         rng = np.random.default_rng(len(name))
@@ -39,7 +39,7 @@ def write_feed(tmp_path: Path) -> WriteFeed:
                 writer.write(
                     street(at_m, light, rng),
                     index * 500_000_000,
-                    lat_deg=at_m * METRE_DEG,
+                    lat_deg=at_m * METER_DEG,
                     lon_deg=0.0,
                     distance_m=covered_m,
                     extra={"route_m": str(at_m)},

@@ -25,7 +25,7 @@ from sim.evaluation.run import Folders, open_bench
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
 
-def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, network: Network, tmp_path: Path) -> None:
+def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Network, tmp_path: Path) -> None:
     feeds = shared / "feeds"
     plan = Plan(
         title="corridor",
@@ -42,7 +42,7 @@ def test_the_evaluation_answers_as_the_recogniser_does(shared: Path, network: Ne
         default,
         descriptor=msgspec.structs.replace(default.descriptor, region_width=plan.region_width, standing_change=0.0),
         sequence=msgspec.structs.replace(default.sequence, length=LENGTH),
-        # The corridor's nominal metre is one frame.
+        # The corridor's nominal meter is one frame.
         acceptance=AcceptanceConfig(window_m=2 * TOLERANCE),
     )
     reference, query = (

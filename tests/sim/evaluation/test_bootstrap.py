@@ -19,7 +19,7 @@ def answers_that_are(correct: list[bool]) -> Answers:
 
 
 def runs_of_luck(rng: np.random.Generator, count: int, run: int, share: float) -> Answers:
-    """Frames that are right or wrong in runs, as neighbours on a road are."""
+    """Frames that are right or wrong in runs, as neighbors on a road are."""
     return answers_that_are((rng.random(count // run) < share).repeat(run).tolist())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.config import SequenceConfig
-from sim.evaluation.experiments import neighbour_distance, principal_components
+from sim.evaluation.experiments import neighbor_distance, principal_components
 from sim.evaluation.matching import CANDIDATES, judge, judged_queries, match_costs, match_seqslam
 
 SEQUENCE = SequenceConfig(length=5, region_order="frame")
@@ -19,16 +19,16 @@ def frames(count: int) -> np.ndarray:
 def test_causal_seqslam_finds_the_way_back_and_the_published_one_does_not() -> None:
     reference = frames(40)
     back = reference[5:35][::-1]
-    found = match_seqslam(reference, back, 11, 6, centred=False)
+    found = match_seqslam(reference, back, 11, 6, centered=False)
     np.testing.assert_array_equal(found.place[10:], np.arange(24, 4, -1))
     assert found.reverse[10:].all() and (found.candidates[10:, 0] == found.place[10:]).all()
-    published = match_seqslam(reference, back, 11, 6, centred=True)
+    published = match_seqslam(reference, back, 11, 6, centered=True)
     assert not published.reverse.any() and (published.place != np.arange(34, 4, -1)).mean() > 0.8
 
 
 def test_causal_seqslam_finds_the_way_there() -> None:
     reference = frames(40)
-    found = match_seqslam(reference, reference[5:35], 11, 6, centred=False)
+    found = match_seqslam(reference, reference[5:35], 11, 6, centered=False)
     np.testing.assert_array_equal(found.place[10:], np.arange(15, 35))
     assert not found.reverse.any() and (found.place[:10] == -1).all() and np.isnan(found.confidence[:10]).all()
 
@@ -64,7 +64,7 @@ def test_principal_components_are_those_of_the_covariance() -> None:
     np.testing.assert_allclose(np.abs(found), np.abs(slow), atol=1e-9)
 
 
-def test_neighbours_are_near_where_points_follow_the_drive() -> None:
+def test_neighbors_are_near_where_points_follow_the_drive() -> None:
     line = np.column_stack([np.arange(4.0), np.zeros(4)])
     apart = [abs(i - j) for i in range(4) for j in range(4) if i != j]
-    assert neighbour_distance(line) == pytest.approx(1 / np.mean(apart))
+    assert neighbor_distance(line) == pytest.approx(1 / np.mean(apart))

@@ -1,4 +1,4 @@
-"""Every row of the table, whole: normalise, match, search and tell apart, against loops that say what each is."""
+"""Every row of the table, whole: normalize, match, search and tell apart, against loops that say what each is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import SequenceConfig
 from edge.errors import ConfigError
 from edge.sequence.search import slopes_around_diagonal
-from sim.evaluation.matching import FloatMatcher, int8_matcher, match, neighbourhood_of, planes_of
+from sim.evaluation.matching import FloatMatcher, int8_matcher, match, open_matcher
 from sim.evaluation.methods import METHODS, Method, find_method, needs_segments, query_rows, reference_rows
 
 LENGTH, PLACES, QUERIES, DIMENSIONS, WINDOW = 4, 14, 13, 24, 3.0
@@ -128,7 +128,7 @@ def slow_lines(
 
 
 def described(rng: np.random.Generator, count: int, regions: int) -> NDArray[np.float32]:
-    """Something like fc6 after ReLU: shared by neighbours, positive, with a dead dimension."""
+    """Something like fc6 after ReLU: shared by neighbors, positive, with a dead dimension."""
     walk = rng.normal(size=(count, regions, DIMENSIONS)).cumsum(axis=0)
     raw = np.maximum(walk + rng.normal(size=(1, regions, DIMENSIONS)), 0)
     raw[..., 0] = 0
@@ -146,10 +146,15 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     rows = query_rows(method, query, LENGTH, segments=SEGMENTS_QUERY, earlier=earlier)
     found = match(
         rows,
-        int8_matcher(reference_rows(method, reference, SEGMENTS_REFERENCE)),
-        neighbourhood_of(np.full((PLACES, 2), np.nan), np.arange(PLACES, dtype=np.float64), WINDOW),
-        planes_of(method.order, regions=regions, views_alike=False),
-        SequenceConfig(length=LENGTH, region_order=method.order),
+        int8_matcher(reference_rows(method, reference, SEGMENTS_REFERENCE)).costs,
+        open_matcher(
+            np.full((PLACES, 2), np.nan),
+            np.arange(PLACES, dtype=np.float64),
+            WINDOW,
+            SequenceConfig(length=LENGTH, region_order=method.order),
+            regions=regions,
+            views=("rear", "front"),
+        ),
     )
     expected = slow_answers(method, reference.astype(np.float64), query.astype(np.float64), earlier.astype(np.float64))
     assert [place if place >= 0 else None for place in found.place] == [one and one[0] for one in expected]

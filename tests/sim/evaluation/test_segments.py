@@ -37,7 +37,7 @@ def test_one_odd_frame_does_not_make_a_segment() -> None:
     assert runs(states) == [(0, 41), (41, 61)]
 
 
-def test_short_runs_join_their_neighbours_and_every_frame_is_in_one() -> None:
+def test_short_runs_join_their_neighbors_and_every_frame_is_in_one() -> None:
     states = np.repeat([0, 1, 2, 3, 0], [2, 12, 3, 15, 1])
     assert runs(states, shortest=10) == [(0, 17), (17, 33)]
     assert runs(np.zeros(3, dtype=np.intp), shortest=10) == [(0, 3)]

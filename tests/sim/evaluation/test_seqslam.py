@@ -26,7 +26,7 @@ def golden(shared: Path) -> dict[str, np.ndarray]:
     ("name", "length", "enhanced"),
     [("matches_ds10", 10, True), ("matches_ds20", 20, True), ("matches_ds10_noenhance", 10, False)],
 )
-def test_centred_matches_are_those_of_the_published_program(
+def test_centered_matches_are_those_of_the_published_program(
     golden: dict[str, np.ndarray], name: str, length: int, enhanced: bool
 ) -> None:
     differences = enhance_contrast(golden["D"], 10) if enhanced else golden["D"]
@@ -49,12 +49,12 @@ def test_causal_matches_do_not_see_the_future(golden: dict[str, np.ndarray]) -> 
     np.testing.assert_array_equal(first.ratio, whole.ratio[:50])
 
 
-def test_causal_trajectories_are_the_centred_ones_told_later(golden: dict[str, np.ndarray]) -> None:
+def test_causal_trajectories_are_the_centered_ones_told_later(golden: dict[str, np.ndarray]) -> None:
     causal = search(golden["DD"], SeqslamSettings(length=10, mode="causal"))
-    centred = search(golden["DD"], SeqslamSettings(length=10))
-    np.testing.assert_array_equal(causal.ratio[10:], centred.ratio[5:-5])
+    centered = search(golden["DD"], SeqslamSettings(length=10))
+    np.testing.assert_array_equal(causal.ratio[10:], centered.ratio[5:-5])
     # From the middle of a trajectory to its end are 3 to 7 places at slopes of 0.8 to 1.2.
-    assert set((causal.place[10:] - centred.place[5:-5]).tolist()) <= {3, 4, 5, 6, 7}
+    assert set((causal.place[10:] - centered.place[5:-5]).tolist()) <= {3, 4, 5, 6, 7}
 
 
 def test_a_map_shorter_than_a_trajectory_gives_no_match() -> None:
@@ -62,10 +62,10 @@ def test_a_map_shorter_than_a_trajectory_gives_no_match() -> None:
     assert (found.place == -1).all() and np.isnan(found.ratio).all()
 
 
-def test_patches_are_normalised_one_by_one() -> None:
+def test_patches_are_normalized_one_by_one() -> None:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (32, 64, 3), dtype=np.uint8)
-    image[:] = image[:, :, :1]  # grey of the same size: neither step before the patches changes anything
+    image[:] = image[:, :, :1]  # gray of the same size: neither step before the patches changes anything
     image[8:16, 16:24] = 77
     found = describe(image)
     for row in range(0, 32, 8):

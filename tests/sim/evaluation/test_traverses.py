@@ -36,8 +36,8 @@ def test_the_truth_is_the_distance_to_every_place(write_feed: Any) -> None:
 
 def test_the_sampling_and_the_rows_of_the_plan_choose_the_frames(write_feed: Any) -> None:
     path = write_feed("there", [float(at) for at in range(12)])
-    two_metres = SamplingConfig(by="distance", spacing_m=2.0)
-    assert load_traverse("t", TraversePlan(feed="t"), path, two_metres).rows.tolist() == [0, 2, 4, 6, 8, 10]
+    two_meters = SamplingConfig(by="distance", spacing_m=2.0)
+    assert load_traverse("t", TraversePlan(feed="t"), path, two_meters).rows.tolist() == [0, 2, 4, 6, 8, 10]
     part = load(path, first_row=3, last_row=6)
     assert part.rows.tolist() == [3, 4, 5, 6] and part.pixels.shape == (4, 32, 64)
     with pytest.raises(FeedError, match="at least 2"):
@@ -75,9 +75,9 @@ def test_what_a_feed_has_not_got_is_named(write_feed: Any, tmp_path: Path) -> No
         true_errors(there, there, pair("route_m"))
 
 
-def test_a_feed_without_degrees_is_judged_by_its_own_metres(tmp_path: Path) -> None:
-    metres = [("0.0", "0.0"), ("3.0", "4.0"), ("", "")]
-    there = load(_write(tmp_path / "there", [{"local_x_m": x, "local_y_m": y} for x, y in metres]))
+def test_a_feed_without_degrees_is_judged_by_its_own_meters(tmp_path: Path) -> None:
+    meters = [("0.0", "0.0"), ("3.0", "4.0"), ("", "")]
+    there = load(_write(tmp_path / "there", [{"local_x_m": x, "local_y_m": y} for x, y in meters]))
     here = load(
         _write(tmp_path / "here", [{"local_x_m": "", "local_y_m": ""}, {"local_x_m": "3.0", "local_y_m": "0.0"}])
     )

@@ -1,4 +1,4 @@
-"""Pictures of three classes that differ in pattern as well as in colour, in folders."""
+"""Pictures of three classes that differ in pattern as well as in color, in folders."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def _picture(kind: int, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Fronts: upright stripes, red. Fields: level stripes, green. Crowds: spots, blue."""
     stripes = rng.integers(0, 2, 12).repeat(8)
     pattern = [np.tile(stripes, (96, 1)), np.tile(stripes[:, None], (1, 96)), rng.integers(0, 2, (96, 96))][kind]
-    colour = np.full(3, 60.0)
-    colour[2 - kind] = 200
-    noisy = pattern[..., None] * colour + rng.normal(20, 6, (96, 96, 3))
+    color = np.full(3, 60.0)
+    color[2 - kind] = 200
+    noisy = pattern[..., None] * color + rng.normal(20, 6, (96, 96, 3))
     return np.asarray(noisy.clip(0, 255), np.uint8)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.errors import ConfigError, FeedError
-from sim.training.images import LabelledImages, find_classes, read_images
+from sim.training.images import LabeledImages, find_classes, read_images
 
 
 def test_classes_are_named_as_places_names_them(write_classes: Any) -> None:
@@ -20,9 +20,9 @@ def test_classes_are_named_as_places_names_them(write_classes: Any) -> None:
 
 
 def test_pictures_are_squeezed_to_squares_in_rgb(tmp_path: Path) -> None:
-    for name, colour in (("red", (0, 0, 255)), ("blue", (255, 0, 0))):
+    for name, color in (("red", (0, 0, 255)), ("blue", (255, 0, 0))):
         (tmp_path / name).mkdir()
-        cv2.imwrite(str(tmp_path / name / "1.png"), np.full((60, 90, 3), colour, np.uint8))
+        cv2.imwrite(str(tmp_path / name / "1.png"), np.full((60, 90, 3), color, np.uint8))
     images = read_images(find_classes(tmp_path), 32, iter)
     assert images.classes == ("blue", "red") and images.labels.tolist() == [0, 1]
     assert images.pixels.shape == (2, 32, 32, 3)
@@ -31,10 +31,10 @@ def test_pictures_are_squeezed_to_squares_in_rgb(tmp_path: Path) -> None:
 
 def test_every_class_gives_its_share_to_what_is_held_out() -> None:
     labels = np.repeat(np.arange(4), 25)
-    images = LabelledImages(np.arange(100, dtype=np.uint8)[:, None, None, None], labels, ("a", "b", "c", "d"))
-    learnt, held_out = images.split(0.2)
+    images = LabeledImages(np.arange(100, dtype=np.uint8)[:, None, None, None], labels, ("a", "b", "c", "d"))
+    learned, held_out = images.split(0.2)
     assert np.bincount(held_out.labels).tolist() == [5, 5, 5, 5]
-    assert sorted([*learnt.pixels.ravel(), *held_out.pixels.ravel()]) == list(range(100))
+    assert sorted([*learned.pixels.ravel(), *held_out.pixels.ravel()]) == list(range(100))
 
 
 def test_a_class_without_pictures_is_named(write_classes: Any) -> None:

@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="training needs the extra `torch`")
 
 from edge.errors import ConfigError, ModelError
 from sim.training.alexnet import alexnet, fold, save_weights
-from sim.training.images import LabelledImages, find_classes, read_images
+from sim.training.images import LabeledImages, find_classes, read_images
 from sim.training.measure import layer_ranges, top_shares
 from sim.training.recipe import Recipe
 from sim.training.training import Training, learning_rate, two_view_loss
@@ -27,7 +27,7 @@ RECIPE = Recipe(epochs=2, batch=6, peak_rate=0.02)
 
 
 @pytest.fixture
-def images(write_classes: Any) -> LabelledImages:
+def images(write_classes: Any) -> LabeledImages:
     return read_images(find_classes(write_classes(2)), 64, iter)
 
 
@@ -43,7 +43,7 @@ def test_the_loss_falls_and_the_classes_are_told_apart(write_classes: Any) -> No
     assert top_shares(training.averaged(), images, "cpu")[0] > 0.9
 
 
-def test_training_goes_on_from_a_checkpoint_with_the_same_numbers(images: LabelledImages, tmp_path: Path) -> None:
+def test_training_goes_on_from_a_checkpoint_with_the_same_numbers(images: LabeledImages, tmp_path: Path) -> None:
     whole = Training(images, RECIPE, "cpu")
     losses = [whole.run_epoch(), whole.run_epoch()]
     cut_off = Training(images, RECIPE, "cpu")
@@ -57,7 +57,7 @@ def test_training_goes_on_from_a_checkpoint_with_the_same_numbers(images: Labell
     assert all(torch.equal(expected[name], found[name]) for name in expected)
 
 
-def test_another_trainings_checkpoint_and_a_damaged_one_are_refused(images: LabelledImages, tmp_path: Path) -> None:
+def test_another_trainings_checkpoint_and_a_damaged_one_are_refused(images: LabeledImages, tmp_path: Path) -> None:
     file = tmp_path / "w.checkpoint"
     Training(images, RECIPE, "cpu").save(file)
     other = Training(images, msgspec.structs.replace(RECIPE, epochs=9), "cpu")
@@ -68,7 +68,7 @@ def test_another_trainings_checkpoint_and_a_damaged_one_are_refused(images: Labe
         other.go_on_from(file)
 
 
-def test_a_rate_that_is_too_high_is_told(images: LabelledImages) -> None:
+def test_a_rate_that_is_too_high_is_told(images: LabeledImages) -> None:
     training = Training(images, msgspec.structs.replace(RECIPE, batch=3, peak_rate=1e30), "cpu")
     with pytest.raises(ConfigError, match=r"--rate: the loss of epoch 1 is (nan|inf); try less than 1e\+30"):
         training.run_epoch()
@@ -90,7 +90,7 @@ def test_folding_leaves_the_outputs_as_they_are(torchvision_alexnet: Any) -> Non
         np.testing.assert_allclose(plain[:2](views).shape, (5, 9216))
 
 
-def test_ranges_are_those_of_the_folded_layers(images: LabelledImages, torchvision_alexnet: Any) -> None:
+def test_ranges_are_those_of_the_folded_layers(images: LabeledImages, torchvision_alexnet: Any) -> None:
     net = Training(images, RECIPE, "cpu").averaged()
     plain = torchvision_alexnet(1024, 3)
     plain.load_state_dict({name: torch.from_numpy(array) for name, array in fold(net).items()})

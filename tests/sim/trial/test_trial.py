@@ -1,4 +1,4 @@
-"""The trial in small: half a kilometre home, two known stretches and a false one; and what its scores mean."""
+"""The trial in small: half a kilometer home, two known stretches and a false one; and what its scores mean."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_course_knows_its_stretches_and_lies_about_one(world: World, tmp_path:
 
 
 def test_the_whole_daemon_drives_home(world: World, network: MemoizingNetwork, tmp_path: Path) -> None:
-    """In simulated time: right fixes, honest ones, and none of the false place, which is recognised."""
+    """In simulated time: right fixes, honest ones, and none of the false place, which is recognized."""
     course = lay_course(world, 5, tmp_path / "map", stretches=2)
     run = drive_home(world, course, 5, network, tmp_path, Rules())
     assert len(run.after_m) >= 5
@@ -62,7 +62,7 @@ def test_the_whole_daemon_drives_home(world: World, network: MemoizingNetwork, t
 def test_without_gps_from_boot_the_autopilot_finds_where_it_is(
     world: World, network: MemoizingNetwork, tmp_path: Path
 ) -> None:
-    """Its origin was set some 20 m from where it starts, and the first stretch it recognises needs a second."""
+    """Its origin was set some 20 m from where it starts, and the first stretch it recognizes needs a second."""
     course = lay_course(world, 5, tmp_path / "map", stretches=2)
     run = drive_home(world, course, 5, network, tmp_path, Rules(gps_at_start=False))
     assert run.withheld["not confirmed by another place yet"] >= 1

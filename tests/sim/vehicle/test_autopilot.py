@@ -115,7 +115,7 @@ def test_timesync_is_answered_on_the_boot_clock(bench: Bench) -> None:
 def test_without_gps_the_estimate_drifts_and_a_fix_resets_it(bench: Bench) -> None:
     bench.drive(40.0)
     assert bench.autopilot.estimate.error_m == pytest.approx(0.03 * 40.0 * SPEED_MPS, rel=0.01)
-    # Exposed a second ago, five metres back: the age must carry it to where the vehicle is now.
+    # Exposed a second ago, five meters back: the age must carry it to where the vehicle is now.
     exposed = straight_line(SPEED_MPS, 30.0, 0.0)(39.0)
     assert bench.send_fix(exposed, age_s=1.0) == mavlink.MAV_RESULT_ACCEPTED
     reset = bench.autopilot.resets[-1]

@@ -113,7 +113,7 @@ def facts(said: list[tuple[float, Any]]) -> dict[str, Any]:
     lost = next(m for _, m in of["GPS_RAW_INT"] if m.fix_type < 2)
     first = of["GLOBAL_POSITION_INT"][0][1]
     clocks_s, booted_s = [], math.nan
-    for at_s, message in said:  # one clock against the other where they are neighbours, since both may drift
+    for at_s, message in said:  # one clock against the other where they are neighbors, since both may drift
         if message.get_type() == "GLOBAL_POSITION_INT":
             booted_s = at_s - message.time_boot_ms / 1e3
         elif message.get_type() == "TIMESYNC" and message.tc1 == 0 and not math.isnan(booted_s):

@@ -98,8 +98,8 @@ def test_the_config_opens_it_by_name_and_it_says_what_differs(tmp_path: Path) ->
     assert frame is not None
     assert frame.image.shape == (48, 96, 3)
     camera.close()
-    scenario.write_text("colour = 1\n")
-    with pytest.raises(ConfigError, match=r"drive\.toml: unknown key `colour`"):
+    scenario.write_text("color = 1\n")
+    with pytest.raises(ConfigError, match=r"drive\.toml: unknown key `color`"):
         open_camera(CameraConfig(kind="sim", device=str(scenario)))
 
 

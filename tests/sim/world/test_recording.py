@@ -13,7 +13,7 @@ from edge.errors import ConfigError, FeedError
 from edge.feed import FeedImages, read_feed
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.commands import add_command
-from sim.world.recording import times_by_distance, times_by_rate, write_feed
+from sim.world.recording import record_drive, times_by_distance, times_by_rate
 from sim.world.scenario import Scenario
 
 HOME = Scenario(seed=3, length_m=200.0, direction="reverse", light="dusk", view="rear", width=64, height=48)
@@ -29,7 +29,7 @@ def run(argv: list[str]) -> int:
 def test_a_feed_has_the_truth_of_every_frame(tmp_path: Path) -> None:
     drive = HOME.drive()
     times_s = times_by_distance(drive, 10.0)
-    assert write_feed(HOME, drive, tmp_path / "home", times_s) == 20
+    assert record_drive(HOME, tmp_path / "home", spacing_m=10.0) == 20
     feed = read_feed(tmp_path / "home")
     assert (feed.header.view, feed.header.width, feed.header.height) == ("rear", 64, 48)
     assert [row.distance_m for row in feed.rows] == pytest.approx(np.arange(0, 200, 10).tolist(), abs=1e-6)
@@ -47,8 +47,7 @@ def test_a_feed_has_the_truth_of_every_frame(tmp_path: Path) -> None:
 def test_the_same_scenario_is_the_same_bytes(tmp_path: Path) -> None:
     folders = [tmp_path / "a" / "drive", tmp_path / "b" / "drive"]
     for folder in folders:
-        drive = HOME.drive()
-        write_feed(HOME, drive, folder, times_by_distance(drive, 50.0))
+        record_drive(HOME, folder, spacing_m=50.0)
     files = [sorted(path.relative_to(folder) for path in folder.rglob("*.*")) for folder in folders]
     assert files[0] == files[1]
     assert len(files[0]) == 6

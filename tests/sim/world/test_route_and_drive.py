@@ -35,7 +35,7 @@ def test_a_route_never_comes_near_itself(seed: int) -> None:
     assert apart_m[far_along].min() > 30
 
 
-def test_arc_length_is_metres_and_left_is_left() -> None:
+def test_arc_length_is_meters_and_left_is_left() -> None:
     steps = [np.hypot(*np.subtract(ROUTE.at(s)[:2], ROUTE.at(s + 1)[:2])) for s in np.arange(0.0, 600.0, 7.3)]
     assert np.allclose(steps, 1.0, atol=2e-3)
     east, north, heading = ROUTE.at(100.0)
@@ -45,7 +45,7 @@ def test_arc_length_is_metres_and_left_is_left() -> None:
     assert np.sin(heading) * left[1] - np.cos(heading) * left[0] == pytest.approx(3.0)
 
 
-def test_districts_cover_the_route_and_neighbours_differ() -> None:
+def test_districts_cover_the_route_and_neighbors_differ() -> None:
     districts = generate_route(5, 3000.0).districts
     assert districts[0].start_m == 0
     assert districts[-1].end_m >= 3000

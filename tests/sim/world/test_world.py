@@ -49,7 +49,7 @@ def pictures(world: World, light: str, times_s: Sequence[float] = (12.0,), seed:
 
 
 def one_house() -> Thing:
-    """Eight metres wide, six deep and six high, each face of one colour; its front looks east to a road due north."""
+    """Eight meters wide, six deep and six high, each face of one color; its front looks east to a road due north."""
     walls = [
         Wall(np.ones((64, 32, 3), np.float32) * np.array(color, np.float32), width, 6.0, np.random.default_rng(0))
         for color, width in zip(COLORS.values(), (8.0, 6.0, 8.0, 6.0), strict=True)
@@ -167,7 +167,7 @@ def test_lamps_light_what_is_near_them(small_world: World) -> None:
     assert (brighter[:60] == 0).mean() > 0.5  # not the sky
 
 
-def test_moving_cars_come_towards_the_vehicle_on_the_other_lane() -> None:
+def test_moving_cars_come_toward_the_vehicle_on_the_other_lane() -> None:
     drive = plan_drive(generate_route(2, 400.0), "reverse", seed=5)
     cars = build_traffic(drive).moving
     assert len(cars) >= 3
