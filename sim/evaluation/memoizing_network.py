@@ -25,10 +25,11 @@ class MemoizingNetwork(Network):
         return network
 
     def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """See Network; the answer is bit for bit that of the network."""
+        """See Network; the answer is bit for bit that of the network, and read-only, since others get the same."""
         key = blake2b(images.tobytes(), digest_size=16).digest()
         if key not in self._known:
             self._known[key] = super().describe(images)
+            self._known[key].flags.writeable = False
         return self._known[key]
 
     def clear(self) -> None:

@@ -6,6 +6,7 @@ bash and must succeed.
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import os
 import re
@@ -15,9 +16,17 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import pytest
+from pymavlink.dialects.v20.common import MAVLink_heartbeat_message
 
-from edge.config import parse_config
+from edge.config import Config, parse_config
+from sim.world.scenario import Scenario
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 pytest.importorskip("panda3d")
 pytest.importorskip("gpxpy")
@@ -98,16 +107,68 @@ def test_every_state_is_explained() -> None:
         assert f"| {state} |" in page
 
 
-def test_every_key_that_the_docs_name_exists() -> None:
-    """Words in code type that look like a key, such as `spacing_m`, are one, or else a word of the program's."""
-    from edge.config import DEFAULT_TOML
-    from sim.world import scenario
+WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
+"""A word in code type that looks like a key, perhaps after its section: `spacing_m`, `[sampling] spacing_m`."""
 
-    known = set(re.findall(r"^(\w+) = ", DEFAULT_TOML.read_text(encoding="utf-8"), re.MULTILINE))
-    known |= set(scenario.Scenario.__struct_fields__)
-    # What journal and messages call things.
+
+def config_keys() -> dict[str, set[str]]:
+    """The keys of each section of the configuration."""
+    return {field.name: set(field.type.__struct_fields__) for field in msgspec.structs.fields(Config)}
+
+
+def config_values() -> set[str]:
+    """The words that a key may be set to."""
+    sections = [field.type for field in msgspec.structs.fields(Config)]
+    kinds = [field.type for section in sections for field in msgspec.structs.fields(section)]
+    return {value for kind in kinds for value in get_args(kind) if isinstance(value, str)}
+
+
+def journal_words() -> set[str]:
+    """Kinds of journal records, and their fields."""
+    words = set()
     for source in (ROOT / "edge").rglob("*.py"):
-        known |= set(re.findall(r"\b([a-z]+(?:_[a-z]+)+)\b", source.read_text(encoding="utf-8")))
-    for page in PAGES:
-        for word in re.findall(r"`(?:\[\w+\] )?([a-z]+(?:_[a-z]+)+)`", page.read_text(encoding="utf-8")):
-            assert word in known, f"{page.name}: {word}"
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            tags = {
+                key.value.value for key in node.keywords if key.arg == "tag" and isinstance(key.value, ast.Constant)
+            }
+            if tags:
+                words |= tags | {line.target.id for line in node.body if isinstance(line, ast.AnnAssign)}
+    return words
+
+
+def message_words() -> set[str]:
+    """Fields of the heartbeat, and the names of the values to plot."""
+    texts = [file.read_text(encoding="utf-8") for file in (ROOT / "edge/telemetry").glob("*.py")]
+    values = {name for text in texts for name in re.findall(r'\bb?"([a-z_]{1,10})"', text)}
+    return values | set(MAVLink_heartbeat_message.fieldnames)
+
+
+def plug_in_words() -> set[str]:
+    """The functions that entry points name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return {target.rpartition(":")[2] for points in project["entry-points"].values() for target in points.values()}
+
+
+def unknown_words(text: str) -> list[str]:
+    """Words of a page that look like a key and name nothing."""
+    keys = config_keys()
+    known = set().union(*keys.values(), config_values(), journal_words(), message_words(), plug_in_words())
+    known |= set(Scenario.__struct_fields__)
+    return [
+        word for section, word in WORD.findall(text) if word not in (keys.get(section, set()) if section else known)
+    ]
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
+def test_every_key_that_the_docs_name_exists(page: Path) -> None:
+    assert unknown_words(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_word_that_names_nothing_is_found() -> None:
+    """Also a word that stands somewhere in the program, and a key that is in another section."""
+    assert unknown_words("`[sampling] spacing_m`, `spacing_m`, `fix_sent`, `lat_deg`, `external_position`") == []
+    assert unknown_words(
+        "`[telemetry] spacing_m`, `spacing_metres`, `open_map`, `config_keys`, `[no_such] key_of`"
+    ) == [*("spacing_m", "spacing_metres", "open_map", "config_keys", "key_of")]
