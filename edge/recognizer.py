@@ -6,7 +6,6 @@ image -> regions -> fc6 -> online NSD -> cost row -> ring, lines -> uniqueness -
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -22,44 +21,17 @@ from edge.reference_map.costs import COST_ONE
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap
-from edge.sequence import Direction, Order, SequenceMatch
+from edge.sequence import CostView, PlaceMatch, SequenceMatch
 from edge.sequence.acceptance import HoldOff
 from edge.sequence.place_search import Near, PlaceSearch
 
 MOST_MISSED = 0.5
 """Of a sequence: beyond, what was seen before says too little of where the vehicle is."""
 
+WINDOW_PLACES = 60
+"""So many places on either side of the match are shown of the cost matrix."""
+
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
-
-
-@dataclass(frozen=True)
-class PlaceMatch:
-    """What one used frame says.
-
-    place: row of the map that looks most like here, even where it is not believed; in a folder of maps, counted
-    through all of them (`MapSet.locate`).
-    lat_deg, lon_deg, heading_deg: of the vehicle (the place moved by the rig's offset), None where the map has none.
-    slope: places passed a frame. distance: mean cosine distance along the line.
-    uniqueness: 1 is ambiguous, see `edge.sequence`.
-    accepted: the place is believed; False is the answer "off the map". event: accepted, and not held off.
-    category: what kind of place the frame shows, told for events only.
-    beyond, width: places by which the line ends beyond `place`, and half of how many are nearly as good.
-    """
-
-    place: int
-    lat_deg: float | None
-    lon_deg: float | None
-    heading_deg: float | None
-    direction: Direction
-    order: Order
-    slope: float
-    distance: float
-    uniqueness: float
-    accepted: bool
-    event: bool
-    category: str | None
-    beyond: float = 0.0
-    width: float = 0.5
 
 
 class PlaceRecognizer:
@@ -85,7 +57,7 @@ class PlaceRecognizer:
                 self.atlas.leave_out(index, error)
         self._network = network
         self._head = head
-        self._config = config
+        self.config = config
         self._stopwatch = stopwatch
         self.route = Route(self.atlas)
         self.places = PlaceSearch(self.atlas, config, stopwatch)
@@ -108,7 +80,7 @@ class PlaceRecognizer:
         autopilot says that the vehicle is; only maps too large to be searched whole make use of it. missed: places that
         were passed since the last frame without one (`Sampler.missed`).
         """
-        descriptor = self._config.descriptor
+        descriptor = self.config.descriptor
         regions = cut_regions(image, descriptor.regions, descriptor.region_width)
         self._stopwatch("regions")
         raw = self._network.describe(regions)
@@ -138,7 +110,7 @@ class PlaceRecognizer:
         if match is None:
             return self.atlas.verify(max_bytes)
         numbering = self.atlas.numbering
-        line = numbering.widened([(match.place, match.place + 1)], self._config.sequence.length)
+        line = numbering.widened([(match.place_index, match.place_index + 1)], self.config.sequence.length)
         return self.atlas.verify(max_bytes, numbering.maps_of(line))
 
     @property
@@ -150,7 +122,7 @@ class PlaceRecognizer:
         """Start with an earlier run's statistics, of this network and this cut."""
         self._normalizer.begin_with(statistics)
 
-    def forget_recent(self) -> None:
+    def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self._normalizer.clear_ring()
         self.places.clear()
@@ -162,21 +134,21 @@ class PlaceRecognizer:
         last = self._last_raw
         if last is not None:
             cosine = np.vdot(raw, last) / max(float(np.linalg.norm(raw) * np.linalg.norm(last)), 1e-12)
-            if 1.0 - cosine <= self._config.descriptor.standing_change:
+            if 1.0 - cosine <= self.config.descriptor.standing_change:
                 return True
         self._last_raw = raw
         return False
 
     def _forget_across_gap(self, stamp_ns: int) -> None:
         """A line needs frames that follow each other: start a new one after a gap, or when time went back."""
-        if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self._config.sequence.max_gap_s * 1e9:
+        if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self.config.sequence.max_gap_s * 1e9:
             self._normalizer.clear_ring()
             self.places.clear()
         self._last_ns = stamp_ns
 
     def _skip(self, missed: int) -> None:
         """Leave room in the ring for places of which there is no frame, or every line would end too far back."""
-        if missed > MOST_MISSED * self._config.sequence.length:
+        if missed > MOST_MISSED * self.config.sequence.length:
             self._normalizer.clear_ring()
             self.places.clear()
             return
@@ -185,27 +157,36 @@ class PlaceRecognizer:
                 self.places.skip()
 
     def _report(self, match: SequenceMatch, raw: NDArray[np.float32], stamp_ns: int) -> PlaceMatch:
-        forward = match.direction == "forward"
-        ahead_m = self._config.rig.ahead_m(match.direction, match.order)
-        # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
-        position = self.route.position(match.place, -ahead_m if forward else ahead_m)
         event = match.accepted and self._hold_off.passes(stamp_ns)
+        name, row = self.atlas.locate(match.place)
         return PlaceMatch(
-            place=match.place,
-            lat_deg=position.lat_deg if position else None,
-            lon_deg=position.lon_deg if position else None,
-            heading_deg=(position.heading_deg + (0 if forward else 180)) % 360 if position else None,
+            place_index=match.place,
+            place=row,
             direction=match.direction,
             order=match.order,
             slope=match.slope,
             distance=match.cost / COST_ONE,
             uniqueness=match.uniqueness,
             accepted=match.accepted,
+            offset_places=match.beyond,
+            half_width_places=match.width,
+            map=name,
             event=event,
             category=self._head.categories(raw)[0] if event else None,
-            beyond=match.beyond,
-            width=match.width,
         )
+
+    def cost_view(self, match: PlaceMatch | None) -> CostView:
+        """The costs that the newest match, if there is one, was found in."""
+        part, costs = self.places.part, self.places.newest_costs
+        searched = part.places if part is not None else np.zeros(0, dtype=np.intp)
+        if costs.shape[1] != len(searched):
+            costs, searched = np.zeros((0, 0), np.int32), searched[:0]
+        if part is None or match is None:
+            return CostView(costs, searched, np.zeros((0, 0), np.int32), 0, COST_ONE)
+        at = int(np.searchsorted(part.places, match.place_index))
+        first = max(0, at - WINDOW_PLACES)
+        window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
+        return CostView(costs, searched, window, int(part.places[min(first, len(part.places) - 1)]), COST_ONE)
 
 
 def model_key(network: Network) -> ModelKey:

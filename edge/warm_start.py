@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from edge.atomic_file import replacing
 from edge.config import Config
 from edge.descriptor.normalize import RunningStatistics
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.recognizer import PlaceRecognizer
+from edge.sequence import PlaceMatch
 
 FORMAT, VERSION = "lookback-state", 1
 MAX_HEADER_BYTES = 4096
@@ -180,7 +181,7 @@ class WarmStart:
         statistics = self._recognizer.statistics
         if self._file is None or statistics is None or statistics.count < FEWEST:
             return
-        place = None if newest is None else newest.place
+        place = None if newest is None else newest.place_index
         self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, state, place), Moment.now())
 
 

@@ -16,7 +16,7 @@ import pytest
 import tomli_w
 
 from edge.__main__ import main
-from edge.camera.newest import CameraHealth
+from edge.camera import CameraHealth
 from edge.commands.doctor import examine
 from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig

@@ -15,10 +15,12 @@ from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option
 from edge.descriptor.network import Head, Network
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
-from edge.journal.frame_record import Observation, observation
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.journal.records import FrameUsed
+from edge.localization.place_fix import frame_used
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map.map_set import open_map_set
 from edge.reference_map.store import MapHeader
+from edge.sequence import PlaceMatch
 
 CHECK_BYTES = 64 << 20
 
@@ -41,14 +43,16 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.set_defaults(run=_run)
 
 
-def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
+def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[FrameUsed]:
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
     _is_whole(recognizer)
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
         if match is not None and match.accepted and not _is_whole(recognizer, match):
             match = None
-        yield observation(item.frame.index, item.frame.stamp_ns, match, recognizer.atlas, item.missed)
+        yield frame_used(
+            item.frame.index, item.frame.stamp_ns, match, recognizer.route, recognizer.config.rig, item.missed
+        )
 
 
 def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> bool:
@@ -57,6 +61,13 @@ def _is_whole(recognizer: PlaceRecognizer, match: PlaceMatch | None = None) -> b
     while not recognizer.verify(CHECK_BYTES, match):
         pass
     return len(recognizer.atlas.left_out) == before
+
+
+def as_line(used: FrameUsed) -> str:
+    """A record as replay writes it: without its tag, since all of them are frames."""
+    fields = msgspec.to_builtins(used)
+    del fields["event"]
+    return msgspec.json.encode(fields).decode() + "\n"
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
@@ -104,7 +115,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(lines: Iterator[Observation], stream: TextIO, *, every: bool) -> None:
+def _write(lines: Iterator[FrameUsed], stream: TextIO, *, every: bool) -> None:
     for line in lines:
         if every or line.emitted:
-            stream.write(msgspec.json.encode(line).decode() + "\n")
+            stream.write(as_line(line))

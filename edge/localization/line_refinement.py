@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.recognizer import PlaceMatch
 from edge.reference_map.route import Drive, Route
+from edge.sequence import PlaceMatch
 
 WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
-"""Deviation over the match's width, alone and once the line is turned: measured on the same drives."""
+"""Deviation over the match's half_width_places, alone and once the line is turned: measured on the same drives."""
 STEEPEST = 0.2
 """A line whose slope differs from the odometer's by more than this share is no sighting: so look the first lines on a
 stretch, which lean on the few frames that are on the map already, and were up to 20 m off."""
@@ -29,7 +29,8 @@ PUSHED = 3.0
 class LineEnd:
     """Metres along the drive at which a line ends, in the drive's own route_m.
 
-    spacing_m: between places there. width_m: what the match's width says of the error, one standard deviation.
+    spacing_m: between places there. width_m: the error that the match's half width
+    stands for, one standard deviation.
     """
 
     segment: int
@@ -82,20 +83,22 @@ class LineRefinement:
 
     def end_of(self, match: PlaceMatch) -> LineEnd | None:
         """Where the match's line ends; None where the map knows no metres, and for a line that is no sighting."""
-        drive, place_m = self._route.drive(match.place), self._route.route_m(match.place)
+        drive, place_m = self._route.drive(match.place_index), self._route.route_m(match.place_index)
         if drive is None or drive.places < 2 or math.isnan(place_m):
             return None
         self._spacing_m = drive.spacing_m
         sign = 1 if match.direction == "forward" else -1
         if self._driven_m is None or len(self._readings_m) < 2:
-            width_m = WIDTH_SHARE * match.width * self._spacing_m
-            return LineEnd(drive.segment, place_m + match.beyond * self._spacing_m, self._spacing_m, width_m)
+            width_m = WIDTH_SHARE * match.half_width_places * self._spacing_m
+            return LineEnd(drive.segment, place_m + match.offset_places * self._spacing_m, self._spacing_m, width_m)
         driven_m = self._readings_m[-1] - self._readings_m[0]
         too_long_m = match.slope * self._spacing_m * (len(self._readings_m) - 1) - driven_m
         along_m = place_m - sign * too_long_m / 2
         if abs(too_long_m) > STEEPEST * driven_m or not self._begins_within(along_m - sign * driven_m, drive):
             return None
-        return LineEnd(drive.segment, along_m, self._spacing_m, WIDTH_SHARE_TURNED * match.width * self._spacing_m)
+        return LineEnd(
+            drive.segment, along_m, self._spacing_m, WIDTH_SHARE_TURNED * match.half_width_places * self._spacing_m
+        )
 
     def _begins_within(self, begins_m: float, drive: Drive) -> bool:
         """Whether a line begins well inside its drive; one at the very end may have been pushed there.

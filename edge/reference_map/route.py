@@ -57,6 +57,11 @@ class Route:
         record = self._record(place)
         return math.nan if record is None else float(record["route_m"])
 
+    def map_row(self, place: int) -> int | None:
+        """The row of the feed that a place was made of; None where its map cannot be opened."""
+        record = self._record(place)
+        return None if record is None else int(record["row"])
+
     def reaches(self, place: int, along_m: float) -> bool:
         """Whether the drive of `place` goes as far, and begins as early, as `along_m` of its route_m."""
         drive = self.drive(place)

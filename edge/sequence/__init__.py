@@ -8,6 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 Direction = Literal["forward", "reverse"]
 Order = Literal["same", "swapped"]
 Alignment = tuple[Direction, Order]
@@ -47,3 +50,50 @@ class SequenceMatch:
     accepted: bool
     beyond: float = 0.0
     width: float = 0.5
+
+
+@dataclass(frozen=True)
+class PlaceMatch:
+    """The best line through the last frames: which place of the map the newest frame shows, believed or not.
+
+    place_index: of the place where the line ends (I_min of eq. 3), counted through all maps that are open.
+    map, place: name of the map that it lies in, None where there is only one, and its row there.
+    direction: "forward" if places were passed in the map's order, "reverse" if backwards.
+    order: "swapped" if the query's left region matched the map's right.
+    slope: places passed per frame, without sign. distance: mean cosine distance along the line.
+    uniqueness: lowest cost outside the window around the place over the lowest cost; 1 is ambiguous.
+    accepted: whether the place is believed; False means off the map, or one of several that look alike.
+    offset_places: how far the line ends beyond the place in the map's order, between places.
+    half_width_places: half the number of places around it that are nearly as good.
+    event: accepted, and not held off. category: what kind of place the frame shows, of events only.
+    """
+
+    place_index: int
+    place: int
+    direction: Direction
+    order: Order
+    slope: float
+    distance: float
+    uniqueness: float
+    accepted: bool
+    offset_places: float = 0.0
+    half_width_places: float = 0.5
+    map: str | None = None
+    event: bool = False
+    category: str | None = None
+
+
+@dataclass(frozen=True)
+class CostView:
+    """What the newest match was found in, for people; costs are in units of 1 / cost_one of a cosine distance.
+
+    costs: (orders, n) int32 of the newest frame against the places `place_index` (n,), the part of the maps that is
+    searched. window: (L, W) int32, the rows of the line of the newest match, oldest first, of the places from
+    `window_start` on; empty while there is none. None of these arrays is written again.
+    """
+
+    costs: NDArray[np.int32]
+    place_index: NDArray[np.intp]
+    window: NDArray[np.int32]
+    window_start: int
+    cost_one: int

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from edge.journal.frame_record import Observation
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
 from edge.descriptor.network import Head, Network
-from edge.journal.frame_record import Observation
 from edge.journal.journal import read_journal
 from edge.recognizer import PlaceMatch, PlaceRecognizer
 from edge.reference_map.costs import COST_ONE

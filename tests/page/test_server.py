@@ -18,11 +18,11 @@ import pytest
 
 pytest.importorskip("starlette")
 
+from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, MatchStatus, Snapshot, Status
 from prometheus_client.parser import text_string_to_metric_families
 
 from edge.config import PageConfig
 from edge.page.server import CONNECTIONS, StatusPage
-from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, MatchStatus, Snapshot, Status
 
 PATIENCE_S = 0.5
 CUT_OFF_S = 20.0

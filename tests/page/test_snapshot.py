@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 pytest.importorskip("starlette")
 
-from edge.camera.newest import CameraHealth
+from edge.camera import CameraHealth
 from edge.config import Config, PageConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.network import Head, Network
 from edge.feed import read_feed

@@ -13,9 +13,9 @@ pytest.importorskip("gpxpy")
 pytest.importorskip("simplekml")
 
 import gpxpy
+from edge.journal.frame_record import Observation
 
 from edge.__main__ import main
-from edge.journal.frame_record import Observation
 from edge.journal.journal import Journal
 
 FRAME = Observation(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)

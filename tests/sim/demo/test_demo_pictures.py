@@ -10,9 +10,10 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("matplotlib")
 
+from edge.page.status import MapView
+
 from edge.config import PageConfig
 from edge.page.server import StatusPage
-from edge.page.status import MapView
 from sim.demo.pictures import photograph_page
 
 
