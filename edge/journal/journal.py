@@ -12,7 +12,7 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -21,6 +21,7 @@ from edge.errors import ConfigError
 from edge.journal.records import SCHEMA, FrameUsed, JournalLine, JournalOpened, Record, UnknownRecord
 
 log = logging.getLogger(__name__)
+R = TypeVar("R", bound=Record)
 
 
 class Journal:
@@ -120,3 +121,8 @@ def _as_record(fields: dict[str, Any]) -> Record | UnknownRecord:
         return msgspec.convert(fields, FrameUsed) if of_replay else msgspec.convert(fields, Record)
     except msgspec.ValidationError:
         return UnknownRecord(fields)
+
+
+def records_of(path: Path, kind: type[R]) -> Iterator[R]:
+    """The records of one kind, in order."""
+    return (line.record for line in read_journal(path) if isinstance(line.record, kind))
