@@ -1,8 +1,8 @@
 """Every record of the journal: one versioned union, told apart by its key `event`.
 
-This module is all there is to know about the journal's format; docs/journal.md is made from it
-(`python -m sim.journal_docs`). SCHEMA grows when a key goes or changes its meaning; a new record or key is no change,
-because readers ignore keys and pass over records that they do not know.
+This module is all there is to know about the journal's format; `python -m tests.docs.journal_page` makes
+docs/journal.md from it. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change
+it, because readers ignore keys and pass over records that they do not know.
 
 Places are given in map coordinates everywhere: `place` is a row of a map, and `map` the name of that map where
 [map] path is a folder of maps. Stamps are CLOCK_MONOTONIC of the vehicle's computer.
@@ -45,7 +45,7 @@ class _Tagged(msgspec.Struct, frozen=True, tag_field="event"):
 class JournalOpened(_Tagged, frozen=True, tag="journal_opened"):
     """The journal was opened for writing: the first record of each run."""
 
-    schema: Annotated[int, unit("", "version of the records that follow, see `SCHEMA`")]
+    schema: Annotated[int, unit("", "version of the records that follow")]
     lookback: Annotated[str, unit("", "version of Lookback that writes them")]
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.reference_map.route import Drive, Route
+from edge.reference_map import Drive, Route
 from edge.sequence import PlaceMatch
 
 WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06

@@ -8,7 +8,7 @@ from msgspec import UNSET
 
 from edge.config import RigConfig
 from edge.journal.records import FrameUsed, PlaceFix
-from edge.reference_map.route import Position, Route
+from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 UNTRACKED_SIGMA_M = 10.0

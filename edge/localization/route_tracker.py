@@ -21,7 +21,7 @@ from edge.config import RigConfig, TrackingConfig
 from edge.journal.records import PlaceFix
 from edge.localization.line_refinement import LineRefinement
 from edge.localization.place_fix import position_on_route
-from edge.reference_map.route import Position, Route
+from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 AGREE_SIGMAS = 3.0

@@ -9,3 +9,7 @@
 `split`   one map cut into tiles; `new_folder` puts what is written in its place at once
 `projection`, `verification`   descriptors of fewer dimensions; checksums, a piece at a time
 """
+
+from edge.reference_map.route import Drive, Position, Route
+
+__all__ = ["Drive", "Position", "Route"]

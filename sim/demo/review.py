@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from edge.journal.frame_record import Observation
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
 from edge.descriptor.network import Head, Network
-from edge.journal.journal import read_journal
-from edge.recognizer import PlaceMatch, PlaceRecognizer
+from edge.journal.journal import records_of
+from edge.journal.records import FrameUsed, Stopped
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.store import ReferenceMap
+from edge.sequence import PlaceMatch
 from sim.evaluation.metrics import Answers
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.world.camera import open_renderer
@@ -32,7 +33,7 @@ class Review:
     pairs: frame rows to be shown, with their pictures.
     """
 
-    seen: list[Observation]
+    seen: list[FrameUsed]
     route_m: NDArray[np.float64]
     error_m: NDArray[np.float64]
     costs: NDArray[np.float32]
@@ -61,18 +62,14 @@ class Review:
         return float((self.accepted & (self.error_m <= TOLERANCE_M)).mean())
 
 
-def used_frames(live: DaemonDrive) -> list[Observation]:
+def used_frames(live: DaemonDrive) -> list[FrameUsed]:
     """Every frame that the daemon used, from its journal."""
-    return [
-        msgspec.convert({key: value for key, value in record.items() if key not in ("event", "unix_s")}, Observation)
-        for record in read_journal(live.journal)
-        if record["event"] == "frame"
-    ]
+    return list(records_of(live.journal, FrameUsed))
 
 
 def stages_ms(live: DaemonDrive) -> dict[str, float]:
     """Median time of each stage of a frame, from the last record of the daemon's journal."""
-    return next(dict(record["stages_ms"]) for record in read_journal(live.journal) if record["event"] == "stopped")
+    return next(records_of(live.journal, Stopped)).stages_ms
 
 
 def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:

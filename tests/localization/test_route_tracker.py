@@ -10,12 +10,13 @@ import pytest
 
 from edge.config import RigConfig, SamplingConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
-from edge.localization.route_tracker import RouteTracker, TrackedPosition
-from edge.recognizer import PlaceMatch
+from edge.localization import PlaceFix
+from edge.localization.route_tracker import RouteTracker
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
+from edge.sequence import PlaceMatch
 
 S = 1_000_000_000
 LENGTH, SPACING_M, FRAME_NS = 20, 2.0, S // 5
@@ -49,18 +50,14 @@ def open_tracker(route: Route) -> Callable[..., RouteTracker]:
 
 def match(place: int, direction: Any = "forward", **changes: Any) -> PlaceMatch:
     fields: dict[str, Any] = {
+        "place_index": place,
         "place": place,
-        "lat_deg": None,
-        "lon_deg": None,
-        "heading_deg": None,
         "direction": direction,
         "order": "swapped",
         "slope": 1.0,
         "distance": 0.5,
         "uniqueness": 1.2,
         "accepted": True,
-        "event": False,
-        "category": None,
     }
     return PlaceMatch(**{**fields, **changes})
 
@@ -85,9 +82,9 @@ class Drive:
             self.stamp_ns += FRAME_NS
             self.place += self.sign
             seen = sees(self.place) if sees else match(self.place, self.direction)
-            self.tracker.see(seen, self.stamp_ns, self.driven_m, missed)
+            self.tracker.update(seen, self.stamp_ns, self.driven_m, missed)
 
-    def north_m(self, tracked: TrackedPosition | None) -> float:
+    def north_m(self, tracked: PlaceFix | None) -> float:
         assert tracked is not None
         return (tracked.lat_deg - LAT_DEG) / METRE_DEG
 
@@ -128,7 +125,7 @@ def test_it_is_moved_on_by_what_was_driven_since_and_is_then_less_certain(
     assert before is not None and after is not None
     assert drive.north_m(after) - drive.north_m(before) == pytest.approx(9.0, abs=0.02)
     assert after.stamp_ns == later_ns
-    assert after.sigma_along_m == pytest.approx(np.hypot(before.sigma_along_m, 0.9))
+    assert after.sigma_along_m == pytest.approx(np.hypot(before.sigma_along_m, 0.9), abs=0.01)
 
 
 def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_tracker: Callable[..., RouteTracker]) -> None:
@@ -181,7 +178,7 @@ def test_without_an_odometer_the_lines_end_between_places_and_their_slope_counts
 ) -> None:
     tracker = open_tracker()
     drive = Drive(tracker, 60, odometer=False)
-    drive.go(30, lambda place: match(place, beyond=0.4))
+    drive.go(30, lambda place: match(place, offset_places=0.4))
     tracked = tracker.at_exposure()
     assert drive.north_m(tracked) == pytest.approx((drive.place + 0.4) * SPACING_M, abs=0.05)
     assert tracked is not None
@@ -194,7 +191,7 @@ def test_a_wide_match_is_less_certain(open_tracker: Callable[..., RouteTracker])
     for width in (1.0, 10.0):
         tracker = open_tracker()
         drive = Drive(tracker, 60, odometer=False)
-        drive.go(30, lambda place, width=width: match(place, width=width))  # type: ignore[misc]  # bound now
+        drive.go(30, lambda place, width=width: match(place, half_width_places=width))  # type: ignore[misc]  # bound now
         tracked = tracker.at_exposure()
         assert tracked is not None
         sigmas_m.append(tracked.sigma_along_m)
