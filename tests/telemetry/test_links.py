@@ -73,7 +73,7 @@ def test_a_further_link_is_told_events_and_never_a_position(open_rig: OpenRig, s
 
 def test_a_status_for_the_heartbeat_reaches_every_link(open_rig: OpenRig, station: GroundStation) -> None:
     rig = open_rig(config={"links": (LinkConfig(f"udp:127.0.0.1:{station.port}"),)})
-    rig.connection.system_status = mavlink.MAV_STATE_CRITICAL
+    rig.connection.set_system_status(mavlink.MAV_STATE_CRITICAL)
     rig.run(3.0, station.listen)
     assert {message.system_status for message in station.heard} == {mavlink.MAV_STATE_CRITICAL}
     assert rig.received("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_CRITICAL
