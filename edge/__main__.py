@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 
 import edge
-from edge import daemon
-from edge.commands import completion, doctor, map_build, record, replay
+from edge.commands import completion, doctor, map_build, record, replay, run
 from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
 
 
@@ -24,7 +23,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (daemon, record, map_build, replay, doctor, completion):
+    for module in (run, record, map_build, replay, doctor, completion):
         module.add_command(commands)
     for point in sorted(entry_points(group="lookback.commands"), key=lambda point: point.name):
         _add_plug_in(point, commands)

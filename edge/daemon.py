@@ -1,12 +1,13 @@
-"""`lookback run`: opens the parts that the config names and moves frames through them until told to stop.
+"""The daemon: opens the parts that the config names, and moves frames through them until it is stopped.
 
-newest camera frame -> is it a place? -> recognizer -> event -> journal, people
-                                                    -> tracker -> position -> autopilot
+camera -> usable, at a new place? -> recognizer -> localization -> event -> journal, people, live page
+                                                                -> position -> autopilot
+
+Read `Daemon.turn` first: each step of it is one of the methods below, in the same order.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import threading
 import time
@@ -15,57 +16,35 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Protocol
 
-import msgspec
-
-from edge.camera import Frame
-from edge.camera.newest import CameraHealth, NewestFrame
-from edge.config import Config, load_config, naming
+from edge.camera import CameraHealth, Frame
+from edge.camera.frozen_picture import FrozenPictureDetector, PictureFault
+from edge.camera.newest import NewestFrame
+from edge.config import Config
 from edge.descriptor.network import Network
 from edge.feed.recorder import Recorder, run_folder
 from edge.feed.sampling import Sampler
-from edge.health.monitor import HealthMonitor
-from edge.health.service import Supervision, notify, when_told_to_stop
+from edge.geodesy import VehiclePosition
+from edge.health.monitor import HealthMonitor, Links
+from edge.health.service import Supervision, notify
 from edge.health.stage_times import StageTimes
-from edge.journal.frame_record import observation
 from edge.journal.journal import Journal
-from edge.localization.place_fix import place_fix, position_of, tracked_fix
+from edge.journal.records import FrameUsed, MapExcluded, Record, Stopped
+from edge.localization.place_fix import frame_used, untracked_fix
 from edge.localization.route_tracker import RouteTracker
-from edge.page.snapshot import LiveStatus, map_view, open_page
+from edge.page import LiveStatus, MapView, Sources, open_page
 from edge.recognizer import open_recognizer
-from edge.reference_map import ExcludedMap, MapSet, Position, Route
+from edge.reference_map import ExcludedMap, MapSet, Route
+from edge.reference_map.outline import outline
 from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
 
-TURN_S = 0.02  # at most this long between looks at the MAVLink port
-CLOSE_S = 1.5  # a camera that does not let go must not keep the program from ending
+TURN_S = 0.02  # at most this long between reads of the MAVLink port
+CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
 CHECK_BYTES = 8 << 20  # of the map, a few milliseconds, in a turn without a frame
 SURE_SIGMAS = 3.0
 log = logging.getLogger(__name__)
-
-
-class Stopped(msgspec.Struct, frozen=True, tag_field="event", tag="stopped"):
-    """The daemon's last words: what it did, and the median time of each stage in milliseconds."""
-
-    frames_used: int
-    events: int
-    stages_ms: dict[str, float]
-    camera: dict[str, int]
-
-
-class MapExcluded(msgspec.Struct, frozen=True, tag_field="event", tag="map_excluded"):
-    """A map of the folder that cannot be used, and why; the others are."""
-
-    map: str
-    why: str
-
-
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback run` to the command line."""
-    parser = commands.add_parser("run", help="recognise places and tell the autopilot, until stopped")
-    parser.add_argument("config", type=Path, metavar="CONFIG")
-    parser.set_defaults(run=_run)
 
 
 class Frames(Protocol):
@@ -80,7 +59,7 @@ class Frames(Protocol):
         """Whether there is no frame any more."""
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that nobody took yet; waits for one up to `timeout_s`."""
+        """The newest frame that was not taken yet; waits for one up to `timeout_s`."""
 
     def close(self) -> None:
         """Release the camera."""
@@ -102,117 +81,121 @@ class Daemon:
 
         frames, network: instead of those that the config names.
         """
-        self._config = config
-        self._clock_ns = clock_ns
+        self._config, self._clock_ns = config, clock_ns
         self._times = StageTimes()
-        self._record: Callable[[msgspec.Struct], object] = lambda record: None
         self._journal: Journal | None = None
-        self._newest: PlaceMatch | None = None
+        self._record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
             self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
             self._record = self._journal.write
-        self._autopilot = parts.enter_context(
-            closing(AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates))
-        )
-        # Opened first, so that whatever else cannot be opened is told.
-        self.condition = HealthMonitor(self._autopilot, self._journal, clock_ns, config.gates.min_speed_mps)
-        with self.condition.failures():
-            self._open(parts, network, frames)
+        link = AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates)
+        self._autopilot = parts.enter_context(closing(link))
+        # Before all others, so that it publishes which of them cannot be opened.
+        links = Links(link.set_system_status, link.status_text, link.say_now)
+        self.monitor = HealthMonitor(links, self._journal, clock_ns)
+        with self.monitor.failures():
+            self._open_recognizer(network)
+            self._open_camera(parts, frames)
+            self._open_page(parts)
+        self._frames_used = self._events = 0
+        self._supervision = Supervision()
 
-    def _open(self, parts: ExitStack, network: Network | None, frames: Frames | None) -> None:
-        config = self._config
-        self._recognizer = open_recognizer(config, network=network, stopwatch=self._times.lap)
+    def _open_recognizer(self, network: Network | None) -> None:
+        self._recognizer = open_recognizer(self._config, network=network, stopwatch=self._times.lap)
         maps = self._recognizer.map_set
         for excluded in maps.excluded:
-            self._tell_excluded(excluded)
+            self._publish_excluded(excluded)
         self._checksums = maps.checksum_schedule()
-        self._memory = WarmStart(config, self._recognizer)
-        self._sampler = Sampler(config.sampling)
+        self._warm_start = WarmStart(self._config, self._recognizer)
+        self._sampler = Sampler(self._config.sampling)
         self._follow(maps)
-        self._own_camera: NewestFrame | None = None
+
+    def _follow(self, maps: MapSet) -> None:
+        """Follow the vehicle along the drives of these maps from now on."""
+        config = self._config
+        self._route = Route(maps)
+        self._tracker = RouteTracker(self._route, config.tracking, config.rig, config.sequence.length)
+        self._newest: PlaceMatch | None = None  # that was accepted
+
+    def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
+        config = self._config
+        self._device: NewestFrame | None = None
         if frames is None:
-            frames = self._own_camera = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
+            frames = self._device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
         self._camera: Frames = parts.enter_context(closing(frames))
-        self._watch = LiveStatus(
-            config,
-            self._recognizer.model_name,
-            self._recognizer,
-            self._times,
-            lambda: self._camera.health,
-            self._autopilot,
-            self._journal,
-            self._clock_ns,
-        )
-        self._page = open_page(config.page, maps)
-        if self._page is not None:
-            parts.enter_context(closing(self._page))
+        self._frozen_pictures = FrozenPictureDetector()
+        self._picture_fault: PictureFault | None = None
         self._recorder: Recorder | None = None
         if config.recording.folder:
             folder = Path(config.recording.folder)
             recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
             self._recorder = parts.enter_context(closing(recorder))
-        self._frames_used = 0
-        self._events = 0
-        self._supervision = Supervision()
+
+    def _open_page(self, parts: ExitStack) -> None:
+        config, maps = self._config, self._recognizer.map_set
+        sources = Sources(
+            costs=self._recognizer.cost_view,
+            camera=lambda: self._camera.health,
+            link=self._autopilot.status,
+            stages_ms=self._times.medians_ms,
+            journal_lost=lambda: self._journal.lost if self._journal else 0,
+            clock_ns=self._clock_ns,
+        )
+        map_name = f"{Path(config.map.path).name}, {maps}"
+        self._live_status = LiveStatus(map_name, self._recognizer.model_name, config.acceptance.uniqueness_min, sources)
+        self._page = open_page(config.page, map_view(maps))
+        if self._page is not None:
+            parts.enter_context(closing(self._page))
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         self._autopilot.poll()
         frame = self._camera.take(TURN_S)
-        if frame is not None and self.condition.see(frame, self._own_camera):
+        if frame is not None and self._is_usable(frame):
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if self._sampler.is_place(frame.stamp_ns, distance_m):
-                self._use(frame, distance_m)
+                self._process_frame(frame, distance_m)
         else:
             self._check_maps(self._recognizer.matcher.search.folders_in_use)
-        hang = self._own_camera.hang(self._clock_ns()) if self._own_camera else ""
-        if self.condition.update(self._recognizer.state, self._camera.health, hang):
-            self._forget()
-        self._tell_position()
-        if self._page is not None and self._page.wanted:
-            health = self.condition.health
-            self._page.show(self._watch.snapshot(health.state, health.why))
-        self._tell_manager()
+        if self._update_health():
+            self._reset()
+        self._publish_position()
+        self._update_page()
+        self._feed_watchdog()
         return not self._camera.ended
 
-    def _forget(self) -> None:
-        """Nothing is told that rests on what was seen before a blindness."""
-        self._recognizer.reset()
-        self._tracker.forget()
-        self._newest = None
+    def _is_usable(self, frame: Frame) -> bool:
+        """Whether a frame may be used; a camera that gives frozen pictures is opened again where that may help."""
+        speed_mps = self._autopilot.vehicle.speed_mps(self._clock_ns())
+        moves = None if speed_mps is None else speed_mps >= self._config.gates.min_speed_mps
+        fault = self._picture_fault = self._frozen_pictures.check(frame.image, frame.stamp_ns, moves)
+        if fault and fault.reopen and self._device is not None:
+            self._device.reopen(fault.what)
+        return fault is None and not (self._device and self.monitor.is_first_after_gap(self._device.health))
 
-    def _tell_manager(self) -> None:
-        """This thread moves all but the camera: had it hung anywhere, it would not come here."""
-        self._supervision.tell(self._autopilot.state != "closed", self.condition.hangs, self._clock_ns())
-
-    def _use(self, frame: Frame, distance_m: float | None) -> None:
+    def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
+        """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
-        began_ns = self._clock_ns()
-        self._frames_used += 1
-        missed = self._sampler.missed
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._near(), missed)
-        if match is not None and match.accepted and not self._is_whole(match):
+        began_ns, missed = self._clock_ns(), self._sampler.missed
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed)
+        if match is not None and match.accepted and not self._is_verified(match):
             match = None
-        self._tracker.see(match, frame.stamp_ns, distance_m, missed)
-        position = position_of(match, self._route, self._config.rig) if match is not None else None
-        self._watch.note(frame, match, position)
+        self._tracker.update(match, frame.stamp_ns, distance_m, missed)
+        used = frame_used(frame.index, frame.stamp_ns, match, self._route, self._config.rig, missed)
+        position = self._autopilot.vehicle.position(began_ns)
+        self._publish_frame(frame, match, used, position)
         if self._recorder is not None:
-            self._recorder.record(frame, self._autopilot.vehicle.position(began_ns), distance_m)
-        if self._journal and self._config.telemetry.journal_frames:
-            map_row = int(self._recognizer.map_set.places["row"][match.place_index]) if match is not None else None
-            seen = observation(frame.index, frame.stamp_ns, match, position, map_row, missed)
-            self._journal.write({"event": "frame", **msgspec.to_builtins(seen)})
+            self._recorder.record(frame, position, distance_m)
         if match is not None and match.accepted:
             self._newest = match
             if match.event:
-                self._events += 1
-                self._tell_place(match, frame.stamp_ns, position)
+                self._publish_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
         now_ns = self._clock_ns()
-        self.condition.used((now_ns - began_ns) / 1e9)
-        self._memory.keep_if_due(now_ns, self.condition.health.state, self._newest)
+        self.monitor.add_frame((now_ns - began_ns) / 1e9)
+        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._newest)
 
-    def _near(self) -> Near | None:
+    def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
         position = self._autopilot.vehicle.position(self._clock_ns())
         sigma_m = self._autopilot.uncertainty_m
@@ -221,13 +204,13 @@ class Daemon:
         radius_m = max(self._config.map.search_radius_m, SURE_SIGMAS * sigma_m)
         return Near(position.lat_deg, position.lon_deg, radius_m)
 
-    def _is_whole(self, match: PlaceMatch) -> bool:
-        """Nothing is told of a map before every checksum of it holds; False if one had to be excluded."""
+    def _is_verified(self, match: PlaceMatch) -> bool:
+        """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
         behind = self._recognizer.map_set.folders_behind(match.place_index, self._config.sequence.length)
         while not self._checksums.is_verified(behind):
             if not self._check_maps(behind):
                 return False
-            self._tell_manager()
+            self._feed_watchdog()
         return True
 
     def _check_maps(self, first: Sequence[Path]) -> bool:
@@ -236,46 +219,73 @@ class Daemon:
         if damage is None:
             return True
         maps = self._recognizer.map_set.without({damage.path: damage.why})
-        self._tell_excluded(maps.excluded[-1])
+        self._publish_excluded(maps.excluded[-1])
         self._recognizer.use_maps(maps)
         self._follow(maps)
         if self._page is not None:
             self._page.show_map(map_view(maps))
         return False
 
-    def _follow(self, maps: MapSet) -> None:
-        """Follow the vehicle along the drives of these maps from now on."""
-        config = self._config
-        self._route = Route(maps)
-        self._tracker = RouteTracker(self._route, config.tracking, config.rig, config.sequence.length)
-        self._newest = None
+    def _publish_frame(
+        self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, position: VehiclePosition | None
+    ) -> None:
+        """To the live page, and to the journal where it is to have every frame."""
+        self._frames_used += 1
+        self._live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
+        if self._config.telemetry.journal_frames:
+            self._record(used)
 
-    def _tell_excluded(self, excluded: ExcludedMap) -> None:
+    def _publish_place(self, match: PlaceMatch, stamp_ns: int) -> None:
+        """An event, to people and the journal: with the tracked position, or with the place's own."""
+        fix = self._tracker.at_exposure()
+        if fix is None or fix.stamp_ns != stamp_ns:
+            fix = untracked_fix(match, stamp_ns, self._route, self._config.rig)
+        self._events += 1
+        self._record(fix)
+        self._autopilot.publish_place(fix)
+
+    def _publish_excluded(self, excluded: ExcludedMap) -> None:
         excluded.log()
         self._record(MapExcluded(excluded.name, excluded.why))
 
-    def _tell_place(self, match: PlaceMatch, stamp_ns: int, position: Position | None) -> None:
-        """An event, for people and the journal: with the tracked position, or with the place's own."""
-        tracked = self._tracker.at_exposure()
-        if tracked is not None and tracked.stamp_ns == stamp_ns:
-            fix = tracked_fix(match, tracked, self._recognizer.map_set)
-        else:
-            fix = place_fix(match, stamp_ns, position, self._config.rig)
-        self._record(fix)
-        self._autopilot.tell_place(fix)
+    def _update_health(self) -> bool:
+        """Publish the daemon's state; True when what was recognized so far must be dropped."""
+        fault = self._picture_fault
+        return self.monitor.update(
+            self._recognizer.state,
+            self._camera.health,
+            link=(self._autopilot.state, self._autopilot.why_closed),
+            picture_fault=fault.what if fault and fault.sure else "",
+            hang=self._device.hang(self._clock_ns()) if self._device else "",
+        )
 
-    def _tell_position(self) -> None:
+    def _reset(self) -> None:
+        """Begin anew: nothing is published that rests on frames from before a blindness."""
+        self._recognizer.reset()
+        self._tracker.reset()
+        self._newest = None
+
+    def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
         moment = self._autopilot.position_wanted()
-        if moment is None or self._newest is None or not self.condition.sees:
+        if moment is None or self._newest is None or self._picture_fault is not None:
             return
         if moment == "exposure":
-            tracked = self._tracker.at_exposure()
+            fix = self._tracker.at_exposure()
         else:
             now_ns = self._clock_ns()
-            tracked = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
-        if tracked is not None:
-            self._autopilot.send_position(tracked_fix(self._newest, tracked, self._recognizer.map_set))
+            fix = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
+        if fix is not None:
+            self._autopilot.send_position(fix)
+
+    def _update_page(self) -> None:
+        if self._page is not None and self._page.wanted:
+            health = self.monitor.health
+            self._page.show(self._live_status.snapshot(health.state, health.why))
+
+    def _feed_watchdog(self) -> None:
+        """This thread moves all but the camera: had it hung anywhere, it would not come here."""
+        self._supervision.publish(self._autopilot.state != "closed", self.monitor.hangs, self._clock_ns())
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
@@ -283,8 +293,14 @@ class Daemon:
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
-        self._memory.keep(self.condition.health.state, self._newest)
+        self._warm_start.keep(self.monitor.health.state, self._newest)
         return stopped
+
+
+def map_view(maps: MapSet) -> MapView:
+    """What the live page shows of the maps."""
+    starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
+    return MapView(maps.index.places, starts, outline(maps), maps.thumbnail)
 
 
 def run(config: Config, stop: threading.Event, opened: Callable[[], object] = lambda: None) -> Stopped:
@@ -292,23 +308,8 @@ def run(config: Config, stop: threading.Event, opened: Callable[[], object] = la
     with ExitStack() as parts:
         daemon = Daemon(config, parts)
         opened()
-        with daemon.condition.failures():
+        with daemon.monitor.failures():
             while not stop.is_set() and daemon.turn():
                 pass
         notify("STOPPING=1")
         return daemon.last_words()
-
-
-def _run(args: argparse.Namespace) -> int:
-    config = load_config(args.config)
-    stop, opened = threading.Event(), threading.Event()
-
-    def told_to_stop() -> None:
-        stop.set()
-        if not opened.is_set():
-            raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
-
-    with when_told_to_stop(told_to_stop), naming(args.config):
-        stopped = run(config, stop, opened.set)
-    log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
-    return 0

@@ -9,12 +9,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import tomli_w
 
-from edge.journal.journal import read_journal
+from edge.journal.journal import R, records_of
+from edge.journal.records import FixAnswered, FixSent, LinkChanged, PlaceFix, Stopped
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -52,9 +52,9 @@ def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
 
-def journal(folder: Path, event: str) -> list[dict[str, Any]]:
+def journal(folder: Path, kind: type[R]) -> list[R]:
     path = folder / "events.jsonl"
-    return [record for record in read_journal(path) if record["event"] == event] if path.exists() else []
+    return list(records_of(path, kind)) if path.exists() else []
 
 
 def wait_for(condition: Callable[[], object], what: str, timeout_s: float = PATIENCE_S) -> None:
@@ -77,9 +77,9 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
         stop.set()
         flying.join()
     process.communicate()
-    places = journal(tmp_path, "place")
+    places = journal(tmp_path, PlaceFix)
     assert len(places) >= 5
-    assert [place["place"] for place in places] == sorted(place["place"] for place in places)
+    assert [place.place for place in places] == sorted(place.place for place in places)
     fixes = [
         item.message
         for item in autopilot.received
@@ -87,40 +87,40 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
     ]
     assert fixes
     # Between places, as the journal has them: one every 2 m, due north.
-    assert {fix.x for fix in fixes} == {round(sent["lat_deg"] * 1e7) for sent in journal(tmp_path, "fix_sent")}
+    assert {fix.x for fix in fixes} == {round(sent.lat_deg * 1e7) for sent in journal(tmp_path, FixSent)}
     assert all(-270000000 <= fix.x <= -270000000 + FRAMES * 2 * 90.3 for fix in fixes)
-    assert "ACCEPTED" in {answer["result"] for answer in journal(tmp_path, "fix_answered")}
+    assert "ACCEPTED" in {answer.result for answer in journal(tmp_path, FixAnswered)}
     assert all(0 < fix.param2 < OLDEST_S for fix in fixes)
     texts = [item.message.text for item in autopilot.received if item.message.get_type() == "STATUSTEXT"]
     assert texts
-    (stopped,) = journal(tmp_path, "stopped")
-    assert stopped["frames_used"] >= 40
-    assert {"regions", "network", "matching", "search", "telemetry"} <= set(stopped["stages_ms"])
+    (stopped,) = journal(tmp_path, Stopped)
+    assert stopped.frames_used >= 40
+    assert {"regions", "network", "matching", "search", "telemetry"} <= set(stopped.stages_ms)
 
 
 def test_a_port_that_vanishes_costs_the_link_and_nothing_else(street: Path, tmp_path: Path, cable: PtyLink) -> None:
     process = start(street, tmp_path, f"serial:{cable.device}:921600")
-    wait_for(lambda: journal(tmp_path, "place"), "first event")
-    before = len(journal(tmp_path, "place"))
+    wait_for(lambda: journal(tmp_path, PlaceFix), "first event")
+    before = len(journal(tmp_path, PlaceFix))
     cable.close()
-    wait_for(lambda: journal(tmp_path, "link")[-1]["state"] == "closed", "lost link")
-    wait_for(lambda: len(journal(tmp_path, "place")) > before, "event after it")
+    wait_for(lambda: journal(tmp_path, LinkChanged)[-1].state == "closed", "lost link")
+    wait_for(lambda: len(journal(tmp_path, PlaceFix)) > before, "event after it")
     process.send_signal(signal.SIGTERM)
     assert process.wait(PATIENCE_S) == 0
     told = process.communicate()[1]
     assert "Traceback" not in told
     assert [line for line in told.splitlines() if cable.device in line and "trying again" in line]
-    assert journal(tmp_path, "link")[-1]["state"] == "closed"
-    assert len(journal(tmp_path, "place")) > before
+    assert journal(tmp_path, LinkChanged)[-1].state == "closed"
+    assert len(journal(tmp_path, PlaceFix)) > before
 
 
 def test_told_to_stop(street: Path, tmp_path: Path) -> None:
     process = start(street, tmp_path, f"serial:{tmp_path}/no-port:921600")
-    wait_for(lambda: journal(tmp_path, "place"), "first event")
+    wait_for(lambda: journal(tmp_path, PlaceFix), "first event")
     process.send_signal(signal.SIGTERM)
     assert process.wait(PATIENCE_S) == 0
     process.communicate()
-    assert len(journal(tmp_path, "stopped")) == 1
+    assert len(journal(tmp_path, Stopped)) == 1
 
 
 def test_a_map_that_is_not_there_is_one_line_and_exit_78(street: Path, tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ import tomli_w
 from edge.config import SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import PlaceFix, StateChanged
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
@@ -57,7 +58,7 @@ def start(folder: Path, feed: Path, path: Path, connection: str, **of_map: Any) 
 
 
 def states(folder: Path) -> set[str]:
-    return {record["state"] for record in read_journal(folder / "events.jsonl") if record["event"] == "state"}
+    return {record.state for record in records_of(folder / "events.jsonl", StateChanged)}
 
 
 def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(street: Path, tmp_path: Path) -> None:
@@ -70,7 +71,7 @@ def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(str
     assert process.returncode == 78, said
     assert f"{DESCRIPTORS}: damaged" in said.splitlines()[-1]
     assert "Traceback" not in said
-    assert not [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "place"]
+    assert not list(records_of(tmp_path / "events.jsonl", PlaceFix))
 
 
 @pytest.fixture(scope="module", params=["one map", "tiles"])

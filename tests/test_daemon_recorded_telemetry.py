@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 import tomli_w
 
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.pty_link import PtyLink, open_pty
 
@@ -106,7 +107,7 @@ def test_the_daemon_hears_a_real_autopilot(
         played.step()
         cable.close()
     assert daemon.returncode == 0
-    assert "up" in [record["state"] for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "link"]
+    assert "up" in [record.state for record in records_of(tmp_path / "events.jsonl", LinkChanged)]
     asked = {message.param1 for message in played.heard("COMMAND_LONG") if message.command == 511}
     assert asked == STREAMS
     kinds = {message.get_type() for _, message in played.answers}

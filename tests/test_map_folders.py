@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +15,18 @@ import pytest
 import tomli_w
 
 from edge.__main__ import main
-from edge.camera.newest import CameraHealth
 from edge.commands.doctor import examine
 from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig
+from edge.daemon import map_view
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from edge.feed.traverse import traverse
-from edge.health.stage_times import StageTimes
-from edge.journal.journal import read_journal
-from edge.page.snapshot import LiveStatus, map_view
+from edge.journal.journal import records_of
+from edge.journal.records import MapExcluded, PlaceFix
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import open_map_set
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
-from edge.telemetry.autopilot import AutopilotConnection
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 60
 
@@ -131,14 +127,12 @@ def test_the_daemon_goes_on_without_a_damaged_tile(street: Path, damaged: Path) 
         [sys.executable, "-m", "edge", "run", str(config)], capture_output=True, text=True, timeout=120, check=False
     )
     assert process.returncode == 0, process.stderr
-    records = list(read_journal(damaged.parent / "events.jsonl"))
-    excluded = [record for record in records if record["event"] == "map_excluded"]
-    assert [record["map"] for record in excluded] == ["1"]
-    assert f"{DESCRIPTORS}: damaged" in excluded[0]["why"]
+    journal = damaged.parent / "events.jsonl"
+    (excluded,) = records_of(journal, MapExcluded)
+    assert excluded.map == "1"
+    assert f"{DESCRIPTORS}: damaged" in excluded.why
     assert process.stderr.count("excluded") == 1
-    places = [record for record in records if record["event"] == "place"]
-    assert places
-    assert {record["map"] for record in places} == {"0"}
+    assert {place.map for place in records_of(journal, PlaceFix)} == {"0"}
 
 
 def test_info_verify_and_check_of_a_folder(
@@ -202,22 +196,13 @@ def test_the_page_shows_where_the_maps_are(street: Path) -> None:
     assert [view.thumbnail(place) for place in (0, 63, 64, 79)] == [whole.thumbnail(place) for place in (0, 63, 64, 79)]
 
 
-def test_the_page_says_which_map(street: Path, network: Network, tmp_path: Path) -> None:
+def test_a_frame_says_which_map(street: Path, network: Network) -> None:
     config = config_for_map(open_map(street / "map").header, 5, 1.02)
-    telemetry = msgspec.structs.replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600")
-    config = msgspec.structs.replace(
-        config, telemetry=telemetry, map=MapConfig(path="city"), sampling=SamplingConfig(by="frames")
-    )
-    recognizer = open_recognizer(config, network=network, map_set=open_map_set(street / "tiles"))
-    with closing(AutopilotConnection(config.telemetry)) as autopilot:
-        camera = CameraHealth("running", "", 0)
-        status = LiveStatus(config, "a model", recognizer, StageTimes(), lambda: camera, autopilot, None, lambda: 0)
-        for item in traverse(read_feed(street / "last"), config.sampling):
-            status.note(item.frame, recognizer.observe(item.frame.image, item.frame.stamp_ns), None)
-        shown = status.snapshot("on the map", "").status
-    assert shown.map_name == "city, 80 places in 2 maps"
-    assert shown.match is not None
-    assert (shown.match.map, shown.match.row, shown.match.place) == ("1", FRAMES - BORDER - 1, FRAMES - 1)
+    tiles = open_map_set(street / "tiles")
+    recognizer = open_recognizer(config, network=network, map_set=tiles)
+    *_, newest = replay(recognizer, read_feed(street / "last"), SamplingConfig(by="frames"))
+    assert (newest.map, newest.place) == ("1", FRAMES - BORDER - 1)
+    assert map_view(tiles).starts == {"0": 0, "1": BORDER}
 
 
 def test_splitting_is_refused_in_one_line(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 
-from edge.camera.frame import Camera
+from edge.camera.frame import Camera, CameraHealth
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import Frame
 
-__all__ = ["Camera", "Frame", "open_camera"]
+__all__ = ["Camera", "CameraHealth", "Frame", "open_camera"]
 
 
 def open_camera(config: CameraConfig) -> Camera:

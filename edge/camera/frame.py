@@ -2,9 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
 from edge.feed import Frame
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """State of the camera and counts since the start.
+
+    reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
+    since_ns: CLOCK_MONOTONIC of the last change of `state`.
+    delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
+    bad: frames that could not be read, of another size than the first, or whose stamp was not after the last one's or
+    lay in the future (drivers' clocks do that).
+    reopened: how often the camera came back, with a frame: one that opens and gives nothing is still lost.
+    """
+
+    state: Literal["running", "lost", "ended"]
+    reason: str
+    since_ns: int
+    delivered: int = 0
+    overwritten: int = 0
+    bad: int = 0
+    reopened: int = 0
+    differences: tuple[str, ...] = ()
 
 
 class Camera(Protocol):

@@ -45,7 +45,7 @@ class FrozenPictureDetector:
         self._blank_since_ns: int | None = None
         self._reopening = BackOff(REOPEN_FIRST_NS, REOPEN_LAST_NS)
 
-    def see(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> PictureFault | None:
+    def check(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> PictureFault | None:
         """What is wrong with a picture (H, W, 3) uint8; moves: whether the vehicle drives, None where nobody tells.
 
         The same bytes again are a frozen camera, since sensors have noise; but not while the vehicle is known to stand,

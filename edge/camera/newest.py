@@ -10,12 +10,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 from edge.backoff import BackOff
 from edge.camera import open_camera
-from edge.camera.frame import Camera
+from edge.camera.frame import Camera, CameraHealth
 from edge.config import CameraConfig
 from edge.errors import FrameError, LookbackError, LostError, SetupError
 from edge.feed import Frame
@@ -30,28 +30,6 @@ CLOSING_S = 10.0
 GRACE_S = 1.0
 FUTURE_NS = 100_000_000
 """Cameras sync their clocks to ours by estimate."""
-
-
-@dataclass(frozen=True)
-class CameraHealth:
-    """State of the camera and counts since the start.
-
-    reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
-    since_ns: CLOCK_MONOTONIC of the last change of `state`.
-    delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
-    bad: frames that could not be read, of another size than the first, or whose stamp was not after the last one's or
-    lay in the future (drivers' clocks do that).
-    reopened: how often the camera came back, with a frame: one that opens and gives nothing is still lost.
-    """
-
-    state: Literal["running", "lost", "ended"]
-    reason: str
-    since_ns: int
-    delivered: int = 0
-    overwritten: int = 0
-    bad: int = 0
-    reopened: int = 0
-    differences: tuple[str, ...] = ()
 
 
 class NewestFrame:

@@ -20,7 +20,7 @@ from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
 from edge.feed.recorder import DISK_FULL, Recorder, free_bytes_at
 from edge.feed.sampling import Sampler
-from edge.health.service import when_told_to_stop
+from edge.health.service import on_stop_signal
 from edge.telemetry.autopilot import AutopilotConnection
 
 TURN_S = 0.02  # at most this long between two reads of the MAVLink port
@@ -147,7 +147,7 @@ def _log_camera(camera: NewestFrame, logged: str) -> str:
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     stop = threading.Event()
-    with when_told_to_stop(stop.set), naming(args.config):
+    with on_stop_signal(stop.set), naming(args.config):
         done = record(config, args.output, stop, duration_s=args.duration, min_free_bytes=args.min_free_mb * 1e6)
     log.info("%s: %d frames, %d with a position; %s", args.output, done.frames, done.with_position, done.why)
     if done.skipped:

@@ -15,8 +15,8 @@ from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
-from edge.journal.frame_record import Observation, observation
-from edge.localization.place_fix import position_of
+from edge.journal.records import FrameUsed
+from edge.localization.place_fix import frame_used
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
@@ -43,7 +43,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.set_defaults(run=_run)
 
 
-def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[Observation]:
+def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[FrameUsed]:
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
     checksums = recognizer.map_set.checksum_schedule()
     while _exclude_damaged(recognizer, checksums, recognizer.matcher.search.folders_in_use):
@@ -55,9 +55,7 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence.length)
             if _exclude_damaged(recognizer, checksums, behind):
                 match, route = None, Route(recognizer.map_set)
-        position = position_of(match, route, recognizer.config.rig) if match else None
-        map_row = int(recognizer.map_set.places["row"][match.place_index]) if match else None
-        yield observation(item.frame.index, item.frame.stamp_ns, match, position, map_row, item.missed)
+        yield frame_used(item.frame.index, item.frame.stamp_ns, match, route, recognizer.config.rig, item.missed)
 
 
 def _exclude_damaged(recognizer: PlaceRecognizer, checksums: ChecksumSchedule, folders: list[Path]) -> bool:
@@ -70,6 +68,13 @@ def _exclude_damaged(recognizer: PlaceRecognizer, checksums: ChecksumSchedule, f
             recognizer.use_maps(maps)
             return True
     return False
+
+
+def as_line(used: FrameUsed) -> str:
+    """A record as replay writes it: without its tag, since all of them are frames."""
+    fields = msgspec.to_builtins(used)
+    del fields["event"]
+    return msgspec.json.encode(fields).decode() + "\n"
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
@@ -119,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(lines: Iterator[Observation], stream: TextIO, *, every: bool) -> None:
+def _write(lines: Iterator[FrameUsed], stream: TextIO, *, every: bool) -> None:
     for line in lines:
         if every or line.emitted:
-            stream.write(msgspec.json.encode(line).decode() + "\n")
+            stream.write(as_line(line))

@@ -1,26 +1,23 @@
-"""Watches the parts of the running daemon, and tells of its health everywhere in the same words.
+"""Follows the state of the running daemon, and publishes it everywhere in the same words.
 
-What a state means is decided in `health`; here it is asked for, and told: to the journal and the log, to systemd as
-STATUS=, in the heartbeat, and to the pilot as a line.
+What a state means is decided in `health`; here it goes to the journal and the log, to systemd as STATUS=, into the
+heartbeat, and to the pilot as a line.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import logging
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
-import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.camera import Frame
-from edge.camera.frozen_picture import FrozenPictureDetector
-from edge.camera.newest import CameraHealth, NewestFrame
+from edge.camera import CameraHealth
 from edge.health.health import STARTING, Health, HealthInputs, HealthState, derive
 from edge.health.service import notify
 from edge.journal.journal import Journal
-from edge.telemetry.autopilot import AutopilotConnection
+from edge.journal.records import JournalResumed, StateChanged
 
 TEXT_NS = 5_000_000_000
 """At most one line about each state in this time: at the edge of a map it changes with every frame."""
@@ -29,123 +26,105 @@ SEVERITIES: dict[HealthState, int] = {"degraded": mavlink.MAV_SEVERITY_WARNING, 
 log = logging.getLogger(__name__)
 
 
-class StateChanged(msgspec.Struct, frozen=True, tag_field="event", tag="state"):
-    """The daemon's state, or the reason for it, changed; see `edge.health`."""
+@dataclass(frozen=True)
+class Links:
+    """How the state goes out on the MAVLink links.
 
-    state: str
-    why: str = ""
+    set_system_status: MAV_STATE of the heartbeats. send_text: queue a line of a MAV_SEVERITY for the pilot.
+    send_last_words: the same at once, before the program ends.
+    """
 
-
-class JournalResumed(msgspec.Struct, frozen=True, tag_field="event", tag="journal"):
-    """The journal can be written again; so many lines before this one are missing."""
-
-    lost: int
+    set_system_status: Callable[[int], object]
+    send_text: Callable[[str, int], object]
+    send_last_words: Callable[[str, int], object]
 
 
 class HealthMonitor:
-    """The health of the daemon, as told last."""
+    """The newest health of the daemon."""
 
-    def __init__(
-        self,
-        autopilot: AutopilotConnection,
-        journal: Journal | None,
-        clock_ns: Callable[[], int],
-        min_speed_mps: float,
-    ) -> None:
-        """min_speed_mps: above it the vehicle counts as driving."""
-        self._autopilot, self._journal, self._clock_ns = autopilot, journal, clock_ns
-        self._min_speed_mps = min_speed_mps
-        self._picture = FrozenPictureDetector()
-        self._picture_fault = ""
-        self.sees = True
-        """Whether the newest picture was one to go by."""
-        self._reopened = 0
+    def __init__(self, links: Links, journal: Journal | None, clock_ns: Callable[[], int]) -> None:
+        self._links, self._journal, self._clock_ns = links, journal, clock_ns
         self._hang = ""
         self._frame_s = 0.0
         self._frames_used = 0
         self._was_blind = False
+        self._reopened = 0
         self._link_up_ns = clock_ns()
         self._link_was_up = False
-        self._text_told = ""
+        self._published: Health | None = None
+        self._published_text = ""
         self._text_due_ns: dict[HealthState, int] = {}
         self._journal_retry_ns = 0
-        self._told: Health | None = None
         self.health = STARTING
-        self._tell(STARTING)
+        self._publish(STARTING)
 
     @property
     def hangs(self) -> bool:
         """Whether the camera's thread is stuck, so that only a restart of the process helps."""
         return bool(self._hang)
 
-    def see(self, frame: Frame, camera: NewestFrame | None) -> bool:
-        """Look at a frame; False when it must not be used. `camera` is opened again where that may help."""
-        speed_mps = self._autopilot.vehicle.speed_mps(self._clock_ns())
-        moves = None if speed_mps is None else speed_mps >= self._min_speed_mps
-        fault = self._picture.see(frame.image, frame.stamp_ns, moves)
-        self._picture_fault = fault.what if fault and fault.sure else ""
-        if fault and fault.reopen and camera is not None:
-            camera.reopen(fault.what)
-        self.sees = fault is None
-        # The first frame of a camera that came back finds what was seen before, which is forgotten after this turn.
-        returned = camera is not None and camera.health.reopened != self._reopened
-        return self.sees and not returned
-
-    def used(self, frame_s: float) -> None:
-        """A frame has been used, and took so long."""
+    def add_frame(self, took_s: float) -> None:
+        """A frame went through the recognizer, and took so long."""
         self._frames_used += 1
-        self._frame_s = frame_s
+        self._frame_s = took_s
 
-    def update(self, recognizer_state: str, camera: CameraHealth, hang: str = "") -> bool:
-        """Find out how things are, and tell; True when what was seen so far must be forgotten.
+    def is_first_after_gap(self, camera: CameraHealth) -> bool:
+        """Whether a camera came back since the last update: its first frame still meets what was seen before."""
+        return camera.reopened != self._reopened
 
-        That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile.
+    def update(
+        self, recognizer: str, camera: CameraHealth, link: tuple[str, str], picture_fault: str = "", hang: str = ""
+    ) -> bool:
+        """Derive and publish the state; True when what was recognized so far must be dropped.
+
+        That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. recognizer: its
+        state. link: state, and why it is closed. picture_fault: what is wrong with the newest picture, for long enough
+        to say so. hang: what the camera's thread is stuck in.
         """
         if hang and not self._hang:
             log.error("the camera hangs (%s); the watchdog is not fed any more", hang)
         self._hang = hang
-        lost = camera.state == "lost" or bool(hang)
-        signs = HealthInputs(
-            recognizer=recognizer_state,
+        inputs = HealthInputs(
+            recognizer=recognizer,
             frames_used=self._frames_used,
-            camera="lost" if lost else camera.state,
+            camera="lost" if hang else camera.state,
             camera_why=f"it hangs ({hang})" if hang else camera.reason,
-            picture=self._picture_fault,
-            link=self._autopilot.state,
-            link_why=self._autopilot.why_closed,
-            link_down_s=self._link_down_s(),
-            journal=self._journal_trouble(),
+            picture=picture_fault,
+            link=link[0],
+            link_why=link[1],
+            link_down_s=self._link_down_s(is_up=link[0] == "up"),
+            journal=self._journal_fault(),
             frame_s=self._frame_s,
         )
-        gap = bool(signs.blind) != self._was_blind or camera.reopened != self._reopened
-        self._was_blind, self._reopened = bool(signs.blind), camera.reopened
-        if gap:
+        is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)
+        self._was_blind, self._reopened = bool(inputs.blind), camera.reopened
+        if is_gap:
             self._frames_used, self._frame_s = 0, 0.0
-            signs = dataclasses.replace(signs, frames_used=0, frame_s=0.0)
-        self._tell(derive(signs, self.health))
-        return gap
+            inputs = replace(inputs, frames_used=0, frame_s=0.0)
+        self._publish(derive(inputs, self.health))
+        return is_gap
 
     @contextlib.contextmanager
     def failures(self) -> Iterator[None]:
-        """Tells of what ends the program, before it does."""
+        """Publish the error that ends the program, before it does."""
         try:
             yield
         except Exception as error:
             words = str(error) or type(error).__name__
-            self._tell(Health("failed", words.splitlines()[0]))
-            self._autopilot.say_now(f"Lookback {self.health}", SEVERITIES["failed"])
+            self._publish(Health("failed", words.splitlines()[0]))
+            self._links.send_last_words(f"Lookback {self.health}", SEVERITIES["failed"])
             raise
 
-    def _link_down_s(self) -> float:
-        now_ns, is_up = self._clock_ns(), self._autopilot.state == "up"
+    def _link_down_s(self, *, is_up: bool) -> float:
+        now_ns = self._clock_ns()
         if is_up and not self._link_was_up:
-            self._text_told = ""  # who is there now has not heard it
+            self._published_text = ""  # whoever is there now has not received it
         self._link_was_up = is_up
         if is_up:
             self._link_up_ns = now_ns
         return (now_ns - self._link_up_ns) / 1e9
 
-    def _journal_trouble(self) -> str:
+    def _journal_fault(self) -> str:
         """Why the journal cannot be written. Nothing may happen that is worth a line, so try one now and then."""
         journal = self._journal
         if journal is None or not journal.lost:
@@ -155,17 +134,19 @@ class HealthMonitor:
             journal.write(JournalResumed(journal.lost))
         return journal.why_lost if journal.lost else ""
 
-    def _tell(self, health: Health) -> None:
+    def _publish(self, health: Health) -> None:
         self.health = health
-        self._autopilot.system_status = health.mav_state
+        self._links.set_system_status(health.mav_state)
         now_ns = self._clock_ns()
-        if self._told is None or (health.state, health.why) != (self._told.state, self._told.why):
-            self._told = health
+        before = self._published
+        if before is None or (health.state, health.why) != (before.state, before.why):
+            self._published = health
             # Failing and starting have their lines in the log already.
             log.log(logging.DEBUG if health.state in ("failed", "starting") else logging.INFO, "%s", health)
             notify(f"STATUS={health}")
             if self._journal is not None:
                 self._journal.write(StateChanged(health.state, health.why))
-        if str(health) != self._text_told and now_ns >= self._text_due_ns.get(health.state, 0):
-            self._text_told, self._text_due_ns[health.state] = str(health), now_ns + TEXT_NS
-            self._autopilot.status_text(f"Lookback {health}", SEVERITIES.get(health.state, mavlink.MAV_SEVERITY_NOTICE))
+        if str(health) != self._published_text and now_ns >= self._text_due_ns.get(health.state, 0):
+            self._published_text, self._text_due_ns[health.state] = str(health), now_ns + TEXT_NS
+            severity = SEVERITIES.get(health.state, mavlink.MAV_SEVERITY_NOTICE)
+            self._links.send_text(f"Lookback {health}", severity)

@@ -1,4 +1,4 @@
-"""Words to systemd (sd_notify): ready, watchdog, status; silent where it did not start the program. And its signals."""
+"""Messages to systemd (sd_notify), silent where it did not start the program; and the signals that it sends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Supervision:
         self._extended_ns: int | None = None
         self._fed_ns: int | None = None
 
-    def tell(self, can_work: bool, hangs: bool, now_ns: int) -> None:
+    def publish(self, can_work: bool, hangs: bool, now_ns: int) -> None:
         """Ready from the first turn in which it can work; alive unless a part of it hangs.
 
         What it waits for may come much later than the computer: its start must not time out meanwhile.
@@ -47,17 +47,17 @@ class Supervision:
 
 
 @contextlib.contextmanager
-def when_told_to_stop(then: Callable[[], object]) -> Iterator[None]:
+def on_stop_signal(then: Callable[[], object]) -> Iterator[None]:
     """Call `then` at the first SIGTERM or SIGINT; any that follow do nothing.
 
     They come in pairs (timeout(1) sends two), and the second would interrupt the handling of the first: an Event, whose
     lock is taken while it is being set, would be waited for without end.
     """
-    told = False
+    stopped = False
 
     def handle(number: int, at: FrameType | None) -> None:
-        nonlocal told
-        told = True
+        nonlocal stopped
+        stopped = True
         for each in STOPS:
             signal.signal(each, signal.SIG_IGN)
         then()
@@ -66,7 +66,7 @@ def when_told_to_stop(then: Callable[[], object]) -> Iterator[None]:
     try:
         yield
     finally:
-        if not told:  # else they stay ignored until the process is gone
+        if not stopped:  # else they stay ignored until the process is gone
             for each, handler in zip(STOPS, before, strict=True):
                 signal.signal(each, handler)
 
@@ -87,4 +87,4 @@ def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
             sock.connect(name)
             sock.sendall(state.encode())
         except OSError:
-            return  # the service manager being away is no reason to stop recognising places
+            return  # the service manager being away is no reason to stop recognizing places

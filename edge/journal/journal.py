@@ -1,4 +1,4 @@
-"""The journal: what happened, one JSON object a line, only ever appended.
+"""The journal: what happened, one record of `records` per line as a JSON object, only ever appended.
 
 A crash can tear the last line and no other: each line goes out in a single write, and a file that ends in half a
 line gets a new line started at the next opening. A full disk costs the lines that do not fit, and is reported.
@@ -12,17 +12,20 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
+import edge
 from edge.errors import ConfigError
+from edge.journal.records import SCHEMA, FrameUsed, JournalLine, JournalOpened, Record, UnknownRecord
 
 log = logging.getLogger(__name__)
+R = TypeVar("R", bound=Record)
 
 
 class Journal:
-    """An open journal; the folder it lies in is created."""
+    """An open journal, which begins with `JournalOpened`; the folder it lies in is created."""
 
     def __init__(self, path: Path, *, sync: bool = False, unix_time_s: Callable[[], float] = time.time) -> None:
         """`sync` waits for the disk after each line. ConfigError when the file cannot be opened for appending."""
@@ -39,8 +42,9 @@ class Journal:
             _give_to_owner_of(path.parent, self._fd)
         except OSError as error:
             raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
+        self.write(JournalOpened(SCHEMA, edge.__version__))
 
-    def write(self, record: msgspec.Struct | dict[str, Any]) -> bool:
+    def write(self, record: Record) -> bool:
         """Append one record with the wall clock as `unix_s`; False, and reported, when it does not fit on the disk."""
         fields = {"unix_s": round(self._unix_time_s(), 3), **msgspec.to_builtins(record)}
         line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
@@ -86,12 +90,39 @@ def _ends_torn(fd: int) -> bool:
     return stat.S_ISREG(status.st_mode) and status.st_size > 0 and os.pread(fd, 1, status.st_size - 1) != b"\n"
 
 
-def read_journal(path: Path) -> Iterator[dict[str, Any]]:
-    """The records of a journal in order, without lines that a crash or a full disk has torn."""
-    decode = msgspec.json.Decoder(dict[str, Any]).decode
+def read_journal(path: Path) -> Iterator[JournalLine]:
+    """The records of a journal, or of what `lookback replay` wrote, in order.
+
+    Lines that a crash or a full disk has torn are skipped. What this schema does not know is an `UnknownRecord`: other
+    values of `event`, and everything that a run with a newer schema has written.
+    """
+    is_known = True
     with path.open("rb") as lines:
         for line in lines:
             try:
-                yield decode(line)
-            except msgspec.DecodeError:
+                fields = _decode_fields(line)
+            except (msgspec.DecodeError, UnicodeDecodeError):
                 continue
+            record = _as_record(fields)
+            if isinstance(record, JournalOpened):
+                is_known = record.schema <= SCHEMA
+            elif not is_known:
+                record = UnknownRecord(fields)
+            yield JournalLine(fields.get("unix_s"), record)
+
+
+_decode_fields = msgspec.json.Decoder(dict[str, Any]).decode
+
+
+def _as_record(fields: dict[str, Any]) -> Record | UnknownRecord:
+    # The lines of replay are frames without a tag.
+    of_replay = "event" not in fields
+    try:
+        return msgspec.convert(fields, FrameUsed) if of_replay else msgspec.convert(fields, Record)
+    except msgspec.ValidationError:
+        return UnknownRecord(fields)
+
+
+def records_of(path: Path, kind: type[R]) -> Iterator[R]:
+    """The records of one kind, in order."""
+    return (line.record for line in read_journal(path) if isinstance(line.record, kind))

@@ -1,60 +1,217 @@
-"""What the journal says of positions for the autopilot: the way, what was held back, sent, answered and checked.
+"""Every record of the journal: one versioned union, told apart by its key `event`.
 
-place: row of the map. map: its name, where there is a folder of them.
+This module is all there is to know about the journal's format; `python -m tests.docs.journal_page` makes
+docs/journal.md from it. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change
+it, because readers ignore keys and pass over records that they do not know.
+
+Places are given in map coordinates everywhere: `place` is a row of a map, and `map` the name of that map where
+[map] path is a folder of maps. Stamps are CLOCK_MONOTONIC of the vehicle's computer.
 """
 
 from __future__ import annotations
 
+from typing import Annotated, Any, Literal, NamedTuple
+
 import msgspec
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, Meta, UnsetType
+
+SCHEMA = 2
+"""1: journals without `journal_opened`, in which `map_excluded` was called `map_left_out`."""
 
 
-class WayChosen(msgspec.Struct, frozen=True, tag_field="event", tag="way"):
-    """How positions will be told from now on; `report` is no position at all."""
-
-    way: str
-    why: str
+def unit(name: str, about: str) -> Meta:
+    """The unit of a field, "" for what has none, and what it is."""
+    return Meta(description=about, extra={"unit": name})
 
 
-class FixWithheld(msgspec.Struct, frozen=True, tag_field="event", tag="fix_withheld"):
-    """A gate held a position back, for the first time since the last one went or another gate held."""
+Direction = Annotated[
+    Literal["forward", "reverse"], unit("", "direction of travel against the drive that made the map")
+]
+Order = Annotated[
+    Literal["same", "swapped"], unit("", "whether left and right regions matched their own side or the other")
+]
+MapName = Annotated[str | UnsetType, unit("", "name of the map; only where [map] path is a folder of maps")]
+Place = Annotated[int, unit("row", "row of the place in its map")]
+Latitude = Annotated[float | None, unit("deg", "latitude (WGS 84), null where the map has no positions")]
+Longitude = Annotated[float | None, unit("deg", "longitude (WGS 84), null where the map has no positions")]
+Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from north, null where not known")]
+Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none")]
 
-    place: int
-    reason: str
-    distance_m: float | None = None
-    map: str | UnsetType = UNSET
+
+class _Tagged(msgspec.Struct, frozen=True, tag_field="event"):
+    """A record whose key `event` names it."""
 
 
-class FixSent(msgspec.Struct, frozen=True, tag_field="event", tag="fix_sent"):
-    """A position has left for the autopilot; of a steady stream one a second is recorded.
+class JournalOpened(_Tagged, frozen=True, tag="journal_opened"):
+    """The journal was opened for writing: the first record of each run."""
 
-    distance_m: from the autopilot's own position of that moment. again: no answer came to the first try.
+    schema: Annotated[int, unit("", "version of the records that follow")]
+    lookback: Annotated[str, unit("", "version of Lookback that writes them")]
+
+
+class JournalResumed(_Tagged, frozen=True, tag="journal"):
+    """The journal can be written again, after the disk was full or lost."""
+
+    lost: Annotated[int, unit("lines", "how many are missing before this one")]
+
+
+class StateChanged(_Tagged, frozen=True, tag="state"):
+    """The daemon's state, or the reason for it, changed; docs/states.md lists the states."""
+
+    state: Annotated[str, unit("", "starting, warming up, on the map, off the map, degraded or failed")]
+    why: Annotated[str, unit("", 'the reason, "" where there is nothing to say')] = ""
+
+
+class MapExcluded(_Tagged, frozen=True, tag="map_excluded"):
+    """A map of the folder cannot be used; the others are."""
+
+    map: Annotated[str, unit("", "name of the map")]
+    why: Annotated[str, unit("", "what is wrong with it")]
+
+
+class LinkChanged(_Tagged, frozen=True, tag="link"):
+    """The state of a link changed."""
+
+    state: Annotated[str, unit("", '"closed" (opened again with growing pauses), "waiting" (nobody heard) or "up"')]
+    why: Annotated[str, unit("", 'why it is closed, else what was opened; "" where there is nothing to say')] = ""
+    link: Annotated[str, unit("", '"autopilot", or the connection of a further link')] = "autopilot"
+
+
+class FrameUsed(_Tagged, frozen=True, tag="frame"):
+    """A frame went through the recognizer; with [telemetry] journal_frames, and as `lookback replay` writes it.
+
+    The keys from `place` on are null while there is no match: warming up, searching a large map, or standing.
     """
 
-    place: int
-    way: str
-    lat_deg: float
-    lon_deg: float
-    sigma_m: float
-    send_boot_s: float
-    age_s: float
-    distance_m: float | None
-    again: bool = False
-    map: str | UnsetType = UNSET
+    frame: Annotated[int, unit("", "index of the frame in its camera, or its row in the feed")]
+    stamp_ns: Annotated[int, unit("ns", "exposure time")]
+    accepted: Annotated[bool, unit("", "whether the match is believed; false is the answer off the map")] = False
+    emitted: Annotated[bool, unit("", "whether it was published as an event: accepted, and not held off")] = False
+    missed: Annotated[
+        int | UnsetType, unit("places", "passed without a frame before this one; only where there were any")
+    ] = UNSET
+    map: MapName = UNSET
+    place: Annotated[int | None, unit("row", "row of the matched place in its map")] = None
+    map_row: Annotated[int | None, unit("row", "row of that place in the feed that the map was built from")] = None
+    uniqueness: Annotated[
+        float | None, unit("", "lowest cost away from the place over the lowest cost; 1 is ambiguous")
+    ] = None
+    distance: Annotated[float | None, unit("", "mean cosine distance along the matched line")] = None
+    direction: Direction | None = None
+    order: Order | None = None
+    lat_deg: Latitude = None
+    lon_deg: Longitude = None
+    heading_deg: Heading = None
+    category: Annotated[str | None, unit("", "what kind of place it shows; of events only")] = None
 
 
-class FixAnswered(msgspec.Struct, frozen=True, tag_field="event", tag="fix_answered"):
-    """The autopilot's answer to a position, MAV_RESULT's name without its prefix, or "NO_ANSWER"."""
+class PlaceFix(_Tagged, frozen=True, tag="place"):
+    """A position of the vehicle on a map; the journal has those of events."""
 
-    place: int
-    result: str
-    map: str | UnsetType = UNSET
+    stamp_ns: Annotated[int, unit("ns", "the moment of the position: an exposure, or one to which it was moved on")]
+    place: Place
+    lat_deg: Latitude
+    lon_deg: Longitude
+    heading_deg: Heading
+    sigma_along_m: Annotated[float, unit("m", "one standard deviation along the route")]
+    sigma_across_m: Annotated[float, unit("m", "one standard deviation across the route")]
+    direction: Direction
+    order: Order
+    uniqueness: Annotated[float, unit("", "of the newest accepted match, see `frame`")]
+    category: Annotated[str, unit("", 'what kind of place, "" where it was not asked for')] = ""
+    matches: Annotated[int, unit("", "accepted matches in a row that agree with the distance driven")] = 1
+    map: MapName = UNSET
+
+    @property
+    def sigma_m(self) -> float:
+        """The larger of both: autopilots take one number for every direction."""
+        return max(self.sigma_along_m, self.sigma_across_m)
 
 
-class FixChecked(msgspec.Struct, frozen=True, tag_field="event", tag="fix_checked"):
-    """Whether the autopilot's own position moved after it had accepted; remaining_m from where the fix says."""
+class PositionMessageChosen(_Tagged, frozen=True, tag="way"):
+    """Which message will carry positions from now on."""
 
-    place: int
-    moved: bool
-    remaining_m: float
-    map: str | UnsetType = UNSET
+    way: Annotated[
+        str, unit("", "external_position, global_position_sensor or vision_position; report: no position is sent")
+    ]
+    why: Annotated[str, unit("", "the setting, or the firmware and version that it suits")]
+
+
+class FixWithheld(_Tagged, frozen=True, tag="fix_withheld"):
+    """A gate held a position back, for the first time since the last one went or since another gate held."""
+
+    place: Place
+    reason: Annotated[str, unit("", "the first gate that did not hold, see docs/positions.md")]
+    distance_m: Distance = None
+    map: MapName = UNSET
+
+
+class FixSent(_Tagged, frozen=True, tag="fix_sent"):
+    """A position was sent to the autopilot; of a steady stream, one per second is recorded."""
+
+    place: Place
+    way: Annotated[str, unit("", "the message that carried it, as in `way`")]
+    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)")]
+    lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)")]
+    sigma_m: Annotated[float, unit("m", "one standard deviation, the larger of along and across")]
+    send_boot_s: Annotated[float, unit("s", "the autopilot's time since boot when it was sent")]
+    age_s: Annotated[float, unit("s", "time from the moment of the position to sending")]
+    distance_m: Distance
+    again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
+    map: MapName = UNSET
+
+
+class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):
+    """The autopilot answered a position, or did not."""
+
+    place: Place
+    result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
+    map: MapName = UNSET
+
+
+class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
+    """Whether the autopilot's own position moved after it had accepted one."""
+
+    place: Place
+    moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]
+    remaining_m: Annotated[float, unit("m", "how far it still is from where the fix puts it")]
+    map: MapName = UNSET
+
+
+class Stopped(_Tagged, frozen=True, tag="stopped"):
+    """The daemon ended in order: the last record of such a run."""
+
+    frames_used: Annotated[int, unit("frames", "that went through the recognizer")]
+    events: Annotated[int, unit("", "places that were published")]
+    stages_ms: Annotated[dict[str, float], unit("ms", "median time of each stage of a frame")]
+    camera: Annotated[dict[str, int], unit("frames", "delivered, overwritten by a newer one before use, and bad")]
+
+
+Record = (
+    JournalOpened
+    | JournalResumed
+    | StateChanged
+    | MapExcluded
+    | LinkChanged
+    | FrameUsed
+    | PlaceFix
+    | PositionMessageChosen
+    | FixWithheld
+    | FixSent
+    | FixAnswered
+    | FixChecked
+    | Stopped
+)
+
+
+class UnknownRecord(msgspec.Struct, frozen=True):
+    """A line that is whole, but no record of this schema; `fields` is all that it says."""
+
+    fields: dict[str, Any]
+
+
+class JournalLine(NamedTuple):
+    """A record, and when it was written: Unix time in seconds, None in the output of `lookback replay`."""
+
+    unix_s: float | None
+    record: Record | UnknownRecord

@@ -17,7 +17,7 @@ from edge.reference_map import Drive, Route
 from edge.sequence import PlaceMatch
 
 WIDTH_SHARE, WIDTH_SHARE_TURNED = 0.36, 0.06
-"""Deviation over the match's width, alone and once the line is turned: measured on the same drives."""
+"""Deviation over the match's half_width_places, alone and once the line is turned: measured on the same drives."""
 STEEPEST = 0.2
 """A line whose slope differs from the odometer's by more than this share is no sighting: so look the first lines on a
 stretch, which lean on the few frames that are on the map already, and were up to 20 m off."""
@@ -29,7 +29,8 @@ PUSHED = 3.0
 class LineEnd:
     """Metres along the drive at which a line ends, in the drive's own route_m.
 
-    spacing_m: between places there. width_m: what the match's width says of the error, one standard deviation.
+    spacing_m: between places there. width_m: the error that the match's half width
+    stands for, one standard deviation.
     """
 
     segment: int

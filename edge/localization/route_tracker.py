@@ -14,35 +14,28 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import UNSET
 
 from edge.config import RigConfig, TrackingConfig
 from edge.geodesy import moved_left
+from edge.journal.records import PlaceFix
 from edge.localization.line_refinement import LineRefinement
-from edge.reference_map import Route
+from edge.localization.place_fix import position_on_route
+from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 AGREE_SIGMAS = 3.0
-TAKEN_OVER_BY = 3
+RIVAL_MATCHES = 3
 """So many matches in a row that agree with each other but not with the track begin a new one."""
 
 
 @dataclass(frozen=True)
-class TrackedPosition:
-    """Where the vehicle was at `stamp_ns`: degrees (WGS 84), heading of travel clockwise from north.
+class _Matched:
+    """The last match that agreed with the track, its exposure, and the odometer's reading then."""
 
-    place_index: the last place that was recognized, counted through all maps. heading_deg: None where it is not known.
-    sigma_along_m, sigma_across_m: one standard deviation along and across the drive. matches: how many in a row agree.
-    """
-
+    match: PlaceMatch
     stamp_ns: int
-    place_index: int
-    direction: Direction
-    lat_deg: float
-    lon_deg: float
-    heading_deg: float | None
-    sigma_along_m: float
-    sigma_across_m: float
-    matches: int
+    odometer_m: float
 
 
 @dataclass
@@ -74,7 +67,7 @@ class _Track:
         allowed_m = AGREE_SIGMAS * max(self.sigma_m, other.sigma_m) + drifted_m
         return abs(other.offset_m - self.offset_m) <= allowed_m
 
-    def take_in(self, other: _Track) -> None:
+    def merge(self, other: _Track) -> None:
         self.offsets_m.extend(other.offsets_m)
         self.sigmas_m.extend(other.sigmas_m)
         self.matches += other.matches
@@ -91,55 +84,63 @@ class RouteTracker:
         self._rig = rig
         self._track: _Track | None = None
         self._rival: _Track | None = None
-        self._matched: tuple[int, float, int] = (0, 0.0, 0)  # of the last match that agreed: when, odometer, place
+        self._matched: _Matched | None = None
+        self._newest: PlaceMatch | None = None  # that was accepted, whether it agreed or not
 
-    def see(self, match: PlaceMatch | None, stamp_ns: int, driven_m: float | None, missed: int = 0) -> None:
+    def update(self, match: PlaceMatch | None, stamp_ns: int, driven_m: float | None, missed: int = 0) -> None:
         """Take in the answer to one used frame; driven_m is the odometer at its exposure, None where nobody tells.
 
         Without an odometer the line's own slope tells how far the vehicle has come. missed: as `observe` was told.
         """
         if not self._ends.move(match, driven_m, missed):
-            self.forget()
+            self.reset()
         self._lose_if_due(stamp_ns)
         if match is None or not match.accepted:
             return
+        self._newest = match
         sighting = self._sighting(match)
         if sighting is None:
             return
+        matched = _Matched(match, stamp_ns, self._ends.odometer_m)
         if self._track is None:
-            self._follow(sighting, stamp_ns, match.place_index)
-        elif self._track.agrees(
-            sighting, self._config.drift_percent / 100 * (self._ends.odometer_m - self._matched[1])
-        ):
-            self._track.take_in(sighting)
+            self._follow(sighting, matched)
+        elif self._track.agrees(sighting, self._drift_m(self._ends.odometer_m)):
+            self._track.merge(sighting)
             self._rival = None
-            self._matched = stamp_ns, self._ends.odometer_m, match.place_index
+            self._matched = matched
         else:
-            self._dispute(sighting, stamp_ns, match.place_index)
+            self._dispute(sighting, matched)
 
-    def forget(self) -> None:
-        """Nothing that was seen so far counts any more (after a blindness)."""
+    def reset(self) -> None:
+        """Begin anew (after a blindness): nothing that was matched so far counts any more."""
         self._track = self._rival = None
 
-    def at_exposure(self) -> TrackedPosition | None:
+    def at_exposure(self) -> PlaceFix | None:
         """The position at the last match's exposure; None while the vehicle is lost."""
-        stamp_ns, odometer_m, _ = self._matched
-        return self._position(stamp_ns, odometer_m, 0.0)
+        matched = self._matched
+        return None if matched is None else self._fix(matched.stamp_ns, matched.odometer_m)
 
-    def at(self, stamp_ns: int, driven_m: float | None) -> TrackedPosition | None:
+    def at(self, stamp_ns: int, driven_m: float | None) -> PlaceFix | None:
         """The position at another moment, moved on by what has been driven since; None while that is not known."""
         odometer_m = self._ends.odometer_at(driven_m)
-        if odometer_m is None:
+        if odometer_m is None or self._matched is None:
             return None
         self._lose_if_due(stamp_ns)
-        carried_m = odometer_m - self._matched[1]
-        return self._position(stamp_ns, odometer_m, carried_m) if carried_m <= self._config.lost_after_m else None
+        is_near = odometer_m - self._matched.odometer_m <= self._config.lost_after_m
+        return self._fix(stamp_ns, odometer_m) if is_near else None
 
     def _lose_if_due(self, stamp_ns: int) -> None:
-        matched_ns, odometer_m, _ = self._matched
-        silent = not 0 <= stamp_ns - matched_ns <= self._config.lost_after_s * 1e9
-        if silent or self._ends.odometer_m - odometer_m > self._config.lost_after_m:
+        matched = self._matched
+        if matched is None:
+            return
+        is_silent = not 0 <= stamp_ns - matched.stamp_ns <= self._config.lost_after_s * 1e9
+        if is_silent or self._ends.odometer_m - matched.odometer_m > self._config.lost_after_m:
             self._track = None
+
+    def _drift_m(self, odometer_m: float) -> float:
+        """What the odometer may be wrong by since the last match that agreed."""
+        assert self._matched is not None
+        return self._config.drift_percent / 100 * (odometer_m - self._matched.odometer_m)
 
     def _sighting(self, match: PlaceMatch) -> _Track | None:
         """A track of this one match."""
@@ -154,42 +155,48 @@ class RouteTracker:
         offsets_m = deque([along_m - sign * self._ends.odometer_m], maxlen=kept)
         return _Track(end.segment, match.direction, offsets_m, deque([sigma_m], maxlen=kept), matches=1)
 
-    def _follow(self, track: _Track, stamp_ns: int, place: int) -> None:
-        self._track, self._rival = track, None
-        self._matched = stamp_ns, self._ends.odometer_m, place
+    def _follow(self, track: _Track, matched: _Matched) -> None:
+        self._track, self._rival, self._matched = track, None, matched
 
-    def _dispute(self, sighting: _Track, stamp_ns: int, place: int) -> None:
+    def _dispute(self, sighting: _Track, matched: _Matched) -> None:
         """A match that disagrees with the track: an error, unless more of its kind follow."""
         if self._rival is not None and self._rival.agrees(sighting, 0.0):
-            self._rival.take_in(sighting)
+            self._rival.merge(sighting)
         else:
             self._rival = sighting
-        if self._rival.matches >= TAKEN_OVER_BY:
-            self._follow(self._rival, stamp_ns, place)
+        if self._rival.matches >= RIVAL_MATCHES:
+            self._follow(self._rival, matched)
 
-    def _position(self, stamp_ns: int, odometer_m: float, carried_m: float) -> TrackedPosition | None:
-        track = self._track
-        if track is None:
+    def _fix(self, stamp_ns: int, odometer_m: float) -> PlaceFix | None:
+        track, matched, newest = self._track, self._matched, self._newest
+        if track is None or matched is None or newest is None:
             return None
-        place = self._matched[2]
+        place_index = matched.match.place_index
         along_m = track.offset_m + track.sign * odometer_m
-        found = self._route.position(place, along_m - self._route.route_m(place))
-        if found is None or not self._route.reaches(place, along_m):
+        offset_m = along_m - self._route.route_m(place_index)
+        found = position_on_route(self._route, place_index, offset_m, track.direction)
+        if found is None or not self._route.reaches(place_index, along_m):
             return None
-        reverse = track.direction == "reverse"
-        heading_deg = None if found.heading_deg is None else (found.heading_deg + 180 * reverse) % 360
-        lat_deg, lon_deg = found.lat_deg, found.lon_deg
-        if heading_deg is not None:
-            left_m = self._rig.left_reverse_m if reverse else self._rig.left_forward_m
-            lat_deg, lon_deg = moved_left(lat_deg, lon_deg, heading_deg, left_m)
-        return TrackedPosition(
-            stamp_ns,
-            place,
-            track.direction,
-            lat_deg,
-            lon_deg,
-            heading_deg,
-            math.hypot(track.sigma_m, self._config.drift_percent / 100 * carried_m),
-            self._rig.sigma_across_m,
-            track.matches,
+        lat_deg, lon_deg = self._to_the_left(found, track.direction)
+        return PlaceFix(
+            stamp_ns=stamp_ns,
+            place=matched.match.place,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            heading_deg=found.heading_deg,
+            sigma_along_m=round(math.hypot(track.sigma_m, self._drift_m(odometer_m)), 2),
+            sigma_across_m=self._rig.sigma_across_m,
+            direction=track.direction,
+            order=newest.order,
+            uniqueness=round(newest.uniqueness, 4),
+            category=newest.category or "",
+            matches=track.matches,
+            map=UNSET if matched.match.map is None else matched.match.map,
         )
+
+    def _to_the_left(self, position: Position, direction: Direction) -> tuple[float, float]:
+        """Latitude and longitude moved by the rig's offset to the left, seen in the direction of travel."""
+        if position.heading_deg is None:
+            return position.lat_deg, position.lon_deg
+        left_m = self._rig.left_reverse_m if direction == "reverse" else self._rig.left_forward_m
+        return moved_left(position.lat_deg, position.lon_deg, position.heading_deg, left_m)

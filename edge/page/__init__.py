@@ -1,1 +1,35 @@
-"""The live page: `server` is the thread, `snapshot` what it shows."""
+"""The live page: `server` is its thread, `snapshot` what it shows, `metrics` the same for Prometheus."""
+
+from __future__ import annotations
+
+import logging
+import os
+from typing import TYPE_CHECKING
+
+from edge.config import PageConfig
+from edge.page.snapshot import LiveStatus, MapView, Snapshot, Sources
+
+if TYPE_CHECKING:
+    from edge.page.server import StatusPage
+
+__all__ = ["LiveStatus", "MapView", "Snapshot", "Sources", "open_page"]
+log = logging.getLogger(__name__)
+
+
+def open_page(config: PageConfig, map_view: MapView) -> StatusPage | None:
+    """The live page, or None and a line in the log: without it places are recognized just as well."""
+    if config.port == 0:
+        return None
+    try:
+        # Imported here: a vehicle without the page never loads a web server.
+        from edge.page.server import StatusPage
+
+        page = StatusPage(config, map_view)
+    except ModuleNotFoundError as error:
+        log.info("no live page: it needs %s: pip install 'lookback[page]'", error.name)
+        return None
+    except OSError as error:
+        log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))
+        return None
+    log.info("live page: http://%s:%d", f"[{config.bind}]" if ":" in config.bind else config.bind, page.port)
+    return page

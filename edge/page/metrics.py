@@ -8,7 +8,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from edge.page.status import Status
+from edge.page.snapshot import Status
 
 STATES = ("starting", "warming up", "on the map", "off the map", "degraded", "failed")
 
@@ -28,10 +28,10 @@ class _OneStatus(Collector):
         status = self._status
         yield _gauge("info", "1; what runs", {"version": status.version, "map": status.map_name}, 1)
         yield _gauge("start_time_seconds", "Unix time at which the daemon started", {}, status.started_unix_s)
-        yield _counter("frames_used", "Frames that went through the recogniser", {"": status.frames_used})
-        yield _counter("events", "Places that were told to the robot", {"": status.events})
+        yield _counter("frames_used", "Frames that went through the recognizer", {"": status.frames_used})
+        yield _counter("events", "Places that were published", {"": status.events})
         yield _gauge("used_frames_per_second", "Rate of used frames, recently", {}, status.fps)
-        yield from self._recogniser(status)
+        yield from self._recognizer(status)
         camera = status.camera
         yield _gauge("camera_up", "Whether the camera delivers", {}, float(camera.state == "running"))
         outcomes = {"delivered": camera.delivered, "overwritten": camera.overwritten, "bad": camera.bad}
@@ -39,20 +39,22 @@ class _OneStatus(Collector):
         yield _counter("camera_reopened", "How often a lost camera came back", {"": camera.reopened})
         yield _gauge("link_up", "Whether an autopilot is heard", {}, float(status.link.state == "up"))
         yield _gauge("gps_healthy", "Whether the autopilot has a 3-D fix", {}, float(status.link.gps_healthy))
-        yield _gauge("journal_lines_lost", "Lines that did not fit on the disk, of late", {}, status.journal_lost)
+        yield _gauge(
+            "journal_lines_lost", "Lines that could not be written since the last one that was", {}, status.journal_lost
+        )
 
     @staticmethod
-    def _recogniser(status: Status) -> Iterable[Metric]:
+    def _recognizer(status: Status) -> Iterable[Metric]:
         states = GaugeMetricFamily("lookback_state", "1 for the state it is in", labels=["state"])
         for state in dict.fromkeys((*STATES, status.state)):
             states.add_metric([state], float(state == status.state))
         yield states
-        yield _gauge("uniqueness_min", "Uniqueness from which a match is believed", {}, status.uniqueness_min)
-        if status.match is not None:
-            yield _gauge("uniqueness", "Of the newest match", {}, status.match.uniqueness)
-            match = status.match
-            of_map, row = ({}, match.place) if match.map is None else ({"map": match.map}, match.row or 0)
-            yield _gauge("place", "Row of the map that was matched last", of_map, row)
+        yield _gauge("uniqueness_min", "Uniqueness from which on a match is believed", {}, status.uniqueness_min)
+        newest = status.newest
+        if newest is not None and newest.place is not None:
+            yield _gauge("uniqueness", "Of the newest match", {}, newest.uniqueness or 0.0)
+            of_map = {"map": newest.map} if newest.map else {}
+            yield _gauge("place", "Row of the map that was matched last", of_map, newest.place)
         stages = GaugeMetricFamily("lookback_stage_seconds", "Median time of a stage of a frame", labels=["stage"])
         for stage, took_ms in status.stages_ms.items():
             stages.add_metric([stage], took_ms / 1e3)

@@ -2,7 +2,7 @@
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
 requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A look of the page's
-takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recogniser's time.
+takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
 
 Only GET, no files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of
 [page] hosts, so that no foreign web site can read the page by a name that it points here. Who sends or reads slower
@@ -39,8 +39,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from edge.config import PageConfig
 from edge.page.metrics import as_metrics
-from edge.page.status import MapView, Snapshot
-from edge.page.status_json import route_as_json, status_as_json
+from edge.page.snapshot import MapView, Snapshot
 
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
@@ -78,7 +77,7 @@ class StatusPage:
     def show(self, snapshot: Snapshot) -> None:
         """Hand over what was wanted; called by the daemon's loop."""
         self.wanted = False
-        self._loop.call_soon_threadsafe(self._take, snapshot)
+        self._loop.call_soon_threadsafe(self._receive, snapshot)
 
     def show_map(self, map_view: MapView) -> None:
         """Show other maps from now on, after one was excluded."""
@@ -88,7 +87,7 @@ class StatusPage:
         """Stop serving, at once; more than once is harmless."""
         self._server.should_exit = self._server.force_exit = True
         with contextlib.suppress(RuntimeError):  # it has ended already
-            self._loop.call_soon_threadsafe(self._server.told_to_stop.set)
+            self._loop.call_soon_threadsafe(self._server.stop_wanted.set)
         self._thread.join(5.0)
         self._socket.close()
 
@@ -103,7 +102,7 @@ class StatusPage:
         finally:
             self._loop.close()
 
-    def _take(self, snapshot: Snapshot) -> None:
+    def _receive(self, snapshot: Snapshot) -> None:
         self._snapshot, self._shown_s = snapshot, time.monotonic()
         if self._pending is not None and not self._pending.done():
             self._pending.set_result(None)
@@ -132,9 +131,9 @@ class StatusPage:
             for name, stamp in stamps.items():
                 if not re.fullmatch(r"-?\d{1,19}", stamp):
                     return PlainTextResponse(f"{name}: not a stamp\n", 400)
-            asked = "shown" in request.query_params and snapshot.status.frame_stamp_ns != int(stamps["shown"])
+            asked = "shown" in request.query_params and _stamp_ns(snapshot) != int(stamps["shown"])
             picture = self._picture(snapshot) if asked else b""
-            return Response(status_as_json(snapshot, int(stamps["since"]), picture), media_type="application/json")
+            return Response(snapshot.as_json(int(stamps["since"]), picture), media_type="application/json")
 
         async def metrics(request: Request, snapshot: Snapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
@@ -143,13 +142,13 @@ class StatusPage:
             data = self._picture(snapshot)
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no frame yet\n", 404)
 
-        async def place(request: Request) -> Response:
-            index = request.path_params["place"]
+        async def thumbnail(request: Request) -> Response:
+            index = request.path_params["place_index"]
             data = self._map.thumbnail(index) if index < self._map.places else b""
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no such place\n", 404)
 
         async def route(request: Request) -> Response:
-            return Response(route_as_json(self._map), media_type="application/json")
+            return Response(self._map.as_json(), media_type="application/json")
 
         return Starlette(
             routes=[
@@ -157,7 +156,7 @@ class StatusPage:
                 Route("/status.json", self._with_snapshot(status)),
                 Route("/metrics", self._with_snapshot(metrics)),
                 Route("/frame.jpg", self._with_snapshot(frame)),
-                Route("/place/{place:int}.jpg", place),
+                Route("/thumbnail/{place_index:int}.jpg", thumbnail),
                 Route("/route.json", route),
             ]
         )
@@ -168,14 +167,14 @@ class StatusPage:
         async def endpoint(request: Request) -> Response:
             snapshot = await self._fresh()
             if snapshot is None:
-                return PlainTextResponse("the recogniser does not answer\n", 503)
+                return PlainTextResponse("the recognizer does not answer\n", 503)
             return await answer(request, snapshot)
 
         return endpoint
 
     def _picture(self, snapshot: Snapshot) -> bytes:
         """The newest frame as a small JPEG; encoded once however many look."""
-        stamp_ns, image = snapshot.status.frame_stamp_ns, snapshot.image
+        stamp_ns, image = _stamp_ns(snapshot), snapshot.image
         if image is None:
             return b""
         if self._jpeg[0] != stamp_ns:
@@ -189,17 +188,21 @@ class StatusPage:
         return self._jpeg[1]
 
 
+def _stamp_ns(snapshot: Snapshot) -> int | None:
+    return snapshot.status.newest.stamp_ns if snapshot.status.newest else None
+
+
 class _Server(uvicorn.Server):
     """Sleeps until somebody asks or it is told to stop; uvicorn's own looks ten times a second whether it should."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
-        self.told_to_stop = asyncio.Event()
+        self.stop_wanted = asyncio.Event()
 
     async def main_loop(self) -> None:
         """Begin as uvicorn does, and wait."""
         if not await self.on_tick(0):
-            await self.told_to_stop.wait()
+            await self.stop_wanted.wait()
 
 
 class _OnlyForUs:

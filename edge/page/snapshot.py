@@ -1,223 +1,199 @@
-"""What the live page shows of the daemon: a short history of used frames, and a snapshot when somebody looks."""
+"""What the live page shows: a short history of used frames, and a snapshot of the daemon when somebody looks.
+
+The records are immutable: the daemon's loop makes them, and the page's thread reads them and writes them as JSON.
+"""
 
 from __future__ import annotations
 
-import logging
-import os
 import time
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 import edge
-from edge.camera import Frame
-from edge.camera.newest import CameraHealth
-from edge.config import Config, PageConfig
-from edge.health.stage_times import StageTimes
-from edge.journal.journal import Journal
-from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, MatchStatus, Snapshot, Status
-from edge.recognizer import PlaceRecognizer
-from edge.reference_map import COST_ONE, Bounds, MapSet, Position
-from edge.sequence import PlaceMatch
-from edge.telemetry.autopilot import AutopilotConnection
-
-if TYPE_CHECKING:
-    from edge.page.server import StatusPage
+from edge.camera import CameraHealth, Frame
+from edge.journal.records import FrameUsed
+from edge.sequence import CostView, PlaceMatch
+from edge.telemetry import LinkStatus
 
 HISTORY = 2400
 RATE_FRAMES = 20
-WINDOW_PLACES = 60
-"""So many places on either side of the match are shown of the cost matrix."""
-DRIVE_POINTS = 2000
-log = logging.getLogger(__name__)
+ROW_POINTS = 300
+"""A cost row of a large map is drawn as the lowest of so many stretches."""
 
 
-def open_page(config: PageConfig, map_set: MapSet) -> StatusPage | None:
-    """The live page, or None and a line in the log: without it places are recognised just as well."""
-    if config.port == 0:
-        return None
-    try:
-        # Imported here: a vehicle without the page never loads a web server.
-        from edge.page.server import StatusPage
+class HistoryFrame(msgspec.Struct, frozen=True):
+    """One used frame, and where the autopilot said the vehicle then was: degrees (WGS 84), None where not known."""
 
-        page = StatusPage(config, map_view(map_set))
-    except ModuleNotFoundError as error:
-        log.info("no live page: it needs %s: pip install 'lookback[page]'", error.name)
-        return None
-    except OSError as error:
-        log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))
-        return None
-    log.info("live page: http://%s:%d", f"[{config.bind}]" if ":" in config.bind else config.bind, page.port)
-    return page
+    used: FrameUsed
+    vehicle: tuple[float, float] | None
 
 
-def map_view(map_set: MapSet) -> MapView:
-    """The map's drives as lines, thinned out where they are long; of maps in a folder, the bounds."""
-    index = map_set.index
-    if map_set.is_folder:
-        drives = [_outline(header.bounds) for header in map_set.headers if header.bounds]
-    else:
-        pieces = [map_set.places[start:end] for _, start, end in index.by_segment([(0, index.places)])]
-        drives = [_line(drive[:: max(1, len(drive) // DRIVE_POINTS)]) for drive in pieces]
-    return MapView(index.places, tuple(drives), map_set.thumbnail)
+class Status(msgspec.Struct, frozen=True):
+    """Everything about the daemon that is words and numbers.
+
+    stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s tells one run of the daemon from the next. newest: the
+    newest used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames
+    per second over the recent ones. category: of the last event. stages_ms: medians. history: oldest first.
+    """
+
+    stamp_ns: int
+    started_unix_s: float
+    version: str
+    map_name: str
+    model: str
+    state: str
+    why: str
+    newest: FrameUsed | None
+    slope: float | None
+    frames_used: int
+    events: int
+    fps: float
+    category: str
+    uniqueness_min: float
+    stages_ms: dict[str, float]
+    journal_lost: int
+    camera: CameraHealth
+    link: LinkStatus
+    history: tuple[HistoryFrame, ...]
 
 
-def _line(drive: NDArray[np.void]) -> tuple[tuple[float, float], ...]:
-    known = drive[~np.isnan(drive["lat_deg"])]
-    return tuple(zip(known["lat_deg"].tolist(), known["lon_deg"].tolist(), strict=True))
+@dataclass(frozen=True)
+class Snapshot:
+    """A status with the newest used frame (H, W, 3) uint8 BGR, and the costs behind its match."""
+
+    status: Status
+    image: NDArray[np.uint8] | None
+    costs: CostView
+
+    def as_json(self, since_ns: int, picture: bytes = b"") -> bytes:
+        """The status, its history after `since_ns`, the cost row, and the cost matrix window; as cosine distances.
+
+        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already.
+        """
+        history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
+        fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
+        row, window = _cost_row(self.costs), _cost_window(self.costs)
+        return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture})
 
 
-def _outline(bounds: Bounds) -> tuple[tuple[float, float], ...]:
-    south, west, north, east = bounds.south, bounds.west, bounds.north, bounds.east
-    return (south, west), (south, east), (north, east), (north, west), (south, west)
+@dataclass(frozen=True)
+class MapView:
+    """What the page shows of the map.
+
+    places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
+    drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
+    all maps (any thread may ask); b"" where there is none.
+    """
+
+    places: int
+    starts: dict[str, int]
+    drives: tuple[tuple[tuple[float, float], ...], ...]
+    thumbnail: Callable[[int], bytes]
+
+    def as_json(self) -> bytes:
+        """All but the thumbnails."""
+        return msgspec.json.encode({"places": self.places, "starts": self.starts, "drives": self.drives})
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where a snapshot gets the rest of what it shows; they are asked only when somebody looks.
+
+    costs: of the newest match. stages_ms: median time of each stage of a frame. journal_lost: lines.
+    """
+
+    costs: Callable[[PlaceMatch | None], CostView]
+    camera: Callable[[], CameraHealth]
+    link: Callable[[], LinkStatus]
+    stages_ms: Callable[[], dict[str, float]]
+    journal_lost: Callable[[], int]
+    clock_ns: Callable[[], int]
 
 
 class LiveStatus:
-    """Takes a note of every used frame, which costs microseconds, and makes a snapshot when it is asked for one."""
+    """Keeps every used frame for a while, which costs microseconds, and makes a snapshot when it is asked for one."""
 
     def __init__(
         self,
-        config: Config,
-        model_name: str,
-        recognizer: PlaceRecognizer,
-        times: StageTimes,
-        camera_health: Callable[[], CameraHealth],
-        autopilot: AutopilotConnection,
-        journal: Journal | None,
-        clock_ns: Callable[[], int],
+        map_name: str,
+        model: str,
+        uniqueness_min: float,
+        sources: Sources,
         unix_time_s: Callable[[], float] = time.time,
     ) -> None:
-        self._config, self._recognizer, self._times = config, recognizer, times
-        self._camera_health, self._autopilot = camera_health, autopilot
-        self._journal, self._clock_ns = journal, clock_ns
-        self._model_name = model_name
+        """map_name, model: for people. uniqueness_min: from which on a match is accepted."""
+        self._map_name, self._model, self._uniqueness_min = map_name, model, uniqueness_min
+        self._sources = sources
         self._started_unix_s = round(unix_time_s(), 3)
-        self._history: deque[FrameSample] = deque(maxlen=HISTORY)
+        self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
         self._match: PlaceMatch | None = None
-        self._position: Position | None = None
         self._category = ""
         self._frames_used = self._events = 0
 
-    def note(self, frame: Frame, match: PlaceMatch | None, found: Position | None) -> None:
-        """A frame was used, `match` is what it gave, and `found` where that puts the vehicle."""
-        self._frame, self._match, self._position = frame, match, found
+    def add(self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, vehicle: tuple[float, float] | None) -> None:
+        """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude."""
+        self._frame, self._match = frame, match
         self._frames_used += 1
-        position = self._autopilot.vehicle.position(self._clock_ns())
-        lat_deg = position.lat_deg if position else found.lat_deg if found and match and match.accepted else None
-        lon_deg = position.lon_deg if position else found.lon_deg if found and match and match.accepted else None
-        event = match is not None and match.event
-        self._events += event
-        if match is not None and match.category:
-            self._category = match.category
-        uniqueness = round(match.uniqueness, 4) if match else None
-        place = match.place_index if match else None
-        state = self._recognizer.state
-        fix = (found.lat_deg, found.lon_deg) if found and event else (None, None)
-        self._history.append(FrameSample(frame.stamp_ns, state, uniqueness, place, event, lat_deg, lon_deg, *fix))
+        self._events += used.emitted
+        self._category = used.category or self._category
+        self._history.append(HistoryFrame(used, vehicle))
 
     def snapshot(self, state: str, why: str) -> Snapshot:
         """What is to be shown now; `state` is the daemon's, and why it is so."""
-        frame, match, search = self._frame, self._match, self._recognizer.matcher.search
-        window, window_start = self._window(match)
-        places = search.part.places if search.part is not None else np.zeros(0, dtype=np.intp)
-        costs = search.newest_costs if search.newest_costs.shape[1] == len(places) else np.zeros((0, 0), np.int32)
-        return Snapshot(
-            status=self._status(state, why),
-            image=frame.image if frame else None,
-            costs=costs,
-            places=places[: costs.shape[1]],
-            window=window,
-            window_start=window_start,
-            cost_one=COST_ONE,
-        )
+        image = self._frame.image if self._frame else None
+        return Snapshot(self._status(state, why), image, self._sources.costs(self._match))
 
     def _status(self, state: str, why: str) -> Status:
-        now_ns = self._clock_ns()
-        frame = self._frame
+        sources, match = self._sources, self._match
+        now_ns = sources.clock_ns()
         return Status(
             stamp_ns=now_ns,
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
-            map_name=f"{Path(self._config.map.path).name}, {self._recognizer.map_set}",
-            model=self._model_name,
+            map_name=self._map_name,
+            model=self._model,
             state=state,
             why=why,
-            frame_stamp_ns=frame.stamp_ns if frame else None,
+            newest=self._history[-1].used if self._history else None,
+            slope=round(match.slope, 4) if match else None,
             frames_used=self._frames_used,
             events=self._events,
             fps=self._fps(now_ns),
             category=self._category,
-            uniqueness_min=self._config.acceptance.uniqueness_min,
-            stages_ms=self._times.medians_ms(),
-            journal_lost=self._journal.lost if self._journal else 0,
-            camera=self._camera_status(),
-            link=self._link_status(now_ns),
-            match=self._match_status(),
+            uniqueness_min=self._uniqueness_min,
+            stages_ms=sources.stages_ms(),
+            journal_lost=sources.journal_lost(),
+            camera=sources.camera(),
+            link=sources.link(),
             history=tuple(self._history),
         )
 
-    def _match_status(self) -> MatchStatus | None:
-        match, position = self._match, self._position
-        if match is None:
-            return None
-        return MatchStatus(
-            place=match.place_index,
-            direction=match.direction,
-            order=match.order,
-            slope=round(match.slope, 4),
-            distance=round(match.distance, 4),
-            uniqueness=round(match.uniqueness, 4),
-            accepted=match.accepted,
-            lat_deg=position.lat_deg if position else None,
-            lon_deg=position.lon_deg if position else None,
-            map=match.map,
-            row=match.place,
-        )
-
-    def _window(self, match: PlaceMatch | None) -> tuple[np.ndarray, int]:
-        """The cost rows of the line of the newest match, around its place."""
-        part = self._recognizer.matcher.search.part
-        if match is None or part is None:
-            return np.zeros((0, 0), dtype=np.int32), 0
-        at = int(np.searchsorted(part.places, match.place_index))
-        first = max(0, at - WINDOW_PLACES)
-        rows = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
-        return rows, int(part.places[min(first, len(part.places) - 1)])
-
     def _fps(self, now_ns: int) -> float:
-        stamps_ns = [used.stamp_ns for used in list(self._history)[-RATE_FRAMES:]]
+        stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]
         if len(stamps_ns) < 2:
             return 0.0
         # A camera that stopped shows as a rate that falls.
         return round((len(stamps_ns) - 1) * 1e9 / max(max(stamps_ns[-1], now_ns - 1e9) - stamps_ns[0], 1), 2)
 
-    def _camera_status(self) -> CameraStatus:
-        health = self._camera_health()
-        return CameraStatus(
-            health.state,
-            health.reason,
-            health.differences,
-            health.delivered,
-            health.overwritten,
-            health.bad,
-            health.reopened,
-        )
 
-    def _link_status(self, now_ns: int) -> LinkStatus:
-        config, vehicle = self._config.telemetry, self._autopilot.vehicle
-        position = vehicle.position(now_ns)
-        return LinkStatus(
-            state=self._autopilot.state,
-            connection=config.connection,
-            emit=config.emit,
-            lat_deg=position.lat_deg if position else None,
-            lon_deg=position.lon_deg if position else None,
-            heading_deg=position.heading_deg if position else None,
-            speed_mps=vehicle.speed_mps(now_ns),
-            gps_healthy=vehicle.gps_healthy(now_ns),
-        )
+def _cost_row(view: CostView) -> dict[str, Any]:
+    """The lowest cost of each stretch of the map, for each region order, and the place that it is at."""
+    places = view.costs.shape[1]
+    if places == 0:
+        return {"places": [], "orders": []}
+    starts = np.unique(np.linspace(0, places, min(places, ROW_POINTS), endpoint=False).astype(int))
+    lowest = np.minimum.reduceat(view.costs, starts, axis=1) / view.cost_one
+    return {"places": view.place_index[starts].tolist(), "orders": lowest.round(3).tolist()}
+
+
+def _cost_window(view: CostView) -> dict[str, Any]:
+    """Rows of the cost matrix, oldest first, as whole thousandths."""
+    rows = np.rint(view.window * (1000 / view.cost_one)).astype(int)
+    return {"start": view.window_start, "rows": rows.tolist()}

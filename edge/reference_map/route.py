@@ -58,6 +58,10 @@ class Route:
         """Meters along the place's drive, NaN where unknown."""
         return float(self._places["route_m"][place_index])
 
+    def map_row(self, place_index: int) -> int:
+        """The row of the feed that a place was made of."""
+        return int(self._places["row"][place_index])
+
     def reaches(self, place_index: int, along_m: float) -> bool:
         """Whether the drive of a place goes as far, and begins as early, as `along_m` of its route_m."""
         drive = self.drive(place_index)

@@ -8,6 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 Direction = Literal["forward", "reverse"]
 Order = Literal["same", "swapped"]
 Alignment = tuple[Direction, Order]
@@ -52,3 +55,19 @@ class PlaceMatch:
     map: str | None = None
     event: bool = False
     category: str | None = None
+
+
+@dataclass(frozen=True)
+class CostView:
+    """What the newest match was found in, for people; costs are in units of 1 / cost_one of a cosine distance.
+
+    costs: (orders, n) int32 of the newest frame against the places `place_index` (n,), the part of the maps that is
+    searched. window: (L, W) int32, the rows of the line of the newest match, oldest first, of the places from
+    `window_start` on; empty while there is none. None of these arrays is written again.
+    """
+
+    costs: NDArray[np.int32]
+    place_index: NDArray[np.intp]
+    window: NDArray[np.int32]
+    window_start: int
+    cost_one: int

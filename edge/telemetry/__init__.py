@@ -10,7 +10,23 @@ the one object that the daemon polls, and `journal` keeps what happened.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from edge.telemetry.link import Link, parse_connection
+
+
+@dataclass(frozen=True)
+class LinkStatus:
+    """state: closed | waiting | up. Degrees (WGS 84), heading clockwise from north; None where not known."""
+
+    state: str
+    connection: str
+    emit: str
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    heading_deg: float | None = None
+    speed_mps: float | None = None
+    gps_healthy: bool = False
 
 
 def open_link(connection: str) -> Link:

@@ -8,19 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig, LinkConfig, TelemetryConfig
+from edge.journal.records import LinkChanged, Record
 from edge.localization import PlaceFix
-from edge.telemetry import encoders
+from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
 from edge.telemetry.port import Port
 from edge.telemetry.position_messages import Moment
 from edge.telemetry.position_sender import PositionSender
-from edge.telemetry.report_link import LinkChanged, ReportLink
+from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.status_texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
@@ -39,13 +39,14 @@ class AutopilotConnection:
         self,
         config: TelemetryConfig,
         clock_ns: Callable[[], int] = time.monotonic_ns,
-        record: Callable[[msgspec.Struct], object] = lambda record: None,
+        record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
     ) -> None:
         """`record` keeps what happens (`Journal.write`). ConfigError for a malformed connection, or a key."""
         self._clock_ns = clock_ns
         self._record = record
         self._component_id = config.component_id
+        self._connection, self._emit = config.connection, config.emit
         self.vehicle = Vehicle()
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
@@ -69,18 +70,28 @@ class AutopilotConnection:
         """One standard deviation of the autopilot's own position, None where nobody knows."""
         return self._positions.uncertainty_m(self._clock_ns())
 
+    def status(self) -> LinkStatus:
+        """The link, and what the autopilot says of itself, for people."""
+        now_ns = self._clock_ns()
+        position = self.vehicle.position(now_ns)
+        return LinkStatus(
+            state=self.state,
+            connection=self._connection,
+            emit=self._emit,
+            lat_deg=position.lat_deg if position else None,
+            lon_deg=position.lon_deg if position else None,
+            heading_deg=position.heading_deg if position else None,
+            speed_mps=self.vehicle.speed_mps(now_ns),
+            gps_healthy=self.vehicle.gps_healthy(now_ns),
+        )
+
     @property
     def positions_enabled(self) -> bool:
         """Whether positions go out at all: there is a way, and the autopilot has not refused it for good."""
         return self._positions.enabled
 
-    @property
-    def system_status(self) -> int:
-        """MAV_STATE for our heartbeat, on every link."""
-        return self._system_status
-
-    @system_status.setter
-    def system_status(self, status: int) -> None:
+    def set_system_status(self, status: int) -> None:
+        """MAV_STATE of our heartbeats from now on, on every link."""
         self._system_status = status
         for link in self._others:
             link.system_status = status
@@ -99,14 +110,14 @@ class AutopilotConnection:
         for link in self._others:
             link.poll()
 
-    def tell_place(self, fix: PlaceFix) -> None:
+    def publish_place(self, fix: PlaceFix) -> None:
         """Tell people of a place, on every link: a line, if it is time for one, and values to plot."""
         now_ns = self._clock_ns()
         if self.state == "up":
             self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
             self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
         for link in self._others:
-            link.tell_place(fix)
+            link.publish_place(fix)
 
     def position_wanted(self) -> Moment | None:
         """Whether the autopilot could be told a position, and of which moment: the last exposure's, or this one's."""

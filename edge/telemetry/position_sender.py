@@ -10,11 +10,9 @@ import logging
 import math
 from collections.abc import Callable
 
-import msgspec
-
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, WayChosen
+from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import PlaceFix
 from edge.localization.fix_consistency import FixConsistency
 from edge.localization.integrity import GPS_SIGMA_M, Refusal, Situation, Uncertainty, distance_from, offset_m, refusal
@@ -45,7 +43,7 @@ class PositionSender:
         telemetry: TelemetryConfig,
         gates: GatesConfig,
         vehicle: Vehicle,
-        record: Callable[[msgspec.Struct], object],
+        record: Callable[[Record], object],
         tell_pilot: Callable[[str], object],
     ) -> None:
         self._telemetry = telemetry
@@ -89,7 +87,7 @@ class PositionSender:
             way, why = POSITION_MESSAGES.get(emit), f"[telemetry] emit = {emit}"
         if (way, why) != (self.way, self.why):
             self.way, self.why = way, why
-            self._record(WayChosen(way.name if way else "report", why))
+            self._record(PositionMessageChosen(way.name if way else "report", why))
             if emit == "auto" and self._vehicle.version is not None:
                 self._tell_pilot(f"Lookback: {why}")
 

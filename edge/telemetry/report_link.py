@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.journal.records import LinkChanged, Record
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
@@ -14,14 +14,6 @@ from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, HEARTBEAT_NS
 from edge.telemetry.port import Port
 from edge.telemetry.status_texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
-
-
-class LinkChanged(msgspec.Struct, frozen=True, tag_field="event", tag="link"):
-    """A link's state changed: "closed" (tried again with growing pauses), "waiting" (nobody heard) or "up"."""
-
-    state: str
-    why: str = ""
-    link: str = "autopilot"
 
 
 class ReportLink:
@@ -32,7 +24,7 @@ class ReportLink:
         port: Port,
         vehicle: Vehicle,
         clock_ns: Callable[[], int],
-        record: Callable[[msgspec.Struct], object],
+        record: Callable[[Record], object],
     ) -> None:
         """`vehicle` is the one that the autopilot's link has found: we speak as its system, on its boot clock."""
         self._port = port
@@ -62,7 +54,7 @@ class ReportLink:
                 LinkChanged("up" if self._was_open else "closed", self._port.why_closed, str(self._port.connection))
             )
 
-    def tell_place(self, fix: PlaceFix) -> None:
+    def publish_place(self, fix: PlaceFix) -> None:
         """A line, if it is time for one, and the values."""
         now_ns = self._clock_ns()
         self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)

@@ -15,7 +15,8 @@ import tomli_w
 
 from edge.errors import FeedError
 from edge.feed import FeedHeader, FeedWriter
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import Stopped
 from edge.reference_map.store import ModelKey
 from sim.bench.network_rows import smooth_picture
 from sim.bench.rows import Row, Section, Target
@@ -84,7 +85,7 @@ def start_daemon(folder: Path, feed: Path, map_path: Path, period_ms: int, page_
 
 def _used(folder: Path) -> int:
     """Frames that the daemon used, by its own last words."""
-    return next(int(record["frames_used"]) for record in read_journal(folder / JOURNAL) if "frames_used" in record)
+    return next(records_of(folder / JOURNAL, Stopped)).frames_used
 
 
 def watch(process: subprocess.Popen[str]) -> list[Resident]:

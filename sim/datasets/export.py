@@ -16,8 +16,7 @@ import numpy as np
 from edge.errors import ConfigError, FeedError
 from edge.geodesy import east_north
 from edge.journal.journal import read_journal
-
-EVENT, FRAME = "place", "frame"
+from edge.journal.records import FrameUsed, JournalLine, PlaceFix
 
 
 @dataclass(frozen=True)
@@ -64,20 +63,23 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def read_track(path: Path) -> list[TrackPoint]:
     """The events and accepted frames of a journal or of replay's output, in order, where they have a position."""
     try:
-        points = [_point(record) for record in read_journal(path)]
+        points = [_point(line) for line in read_journal(path)]
     except OSError as error:
         raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
     return [point for point in points if point is not None]
 
 
-def _point(record: dict[str, Any]) -> TrackPoint | None:
-    # Lines of replay have no kind; those that were emitted are events.
-    kind = record.get("event", EVENT if record.get("emitted") else FRAME)
-    if kind not in (EVENT, FRAME) or record.get("lat_deg") is None or not record.get("accepted", True):
+def _point(line: JournalLine) -> TrackPoint | None:
+    record, is_replay = line.record, line.unix_s is None
+    if not isinstance(record, PlaceFix | FrameUsed) or record.lat_deg is None or record.lon_deg is None:
         return None
-    stamp_ns = round(record["unix_s"] * 1e9) if "unix_s" in record else record["stamp_ns"]
-    place = (record["lat_deg"], record["lon_deg"], record.get("heading_deg"))
-    return TrackPoint(stamp_ns, *place, record, kind == EVENT)
+    if isinstance(record, FrameUsed) and not record.accepted:
+        return None
+    # A journal has a record of its own for an event, replay has only the frame.
+    is_event = isinstance(record, PlaceFix) or (is_replay and record.emitted)
+    stamp_ns = record.stamp_ns if line.unix_s is None else round(line.unix_s * 1e9)
+    fields = {"unix_s": line.unix_s, **msgspec.to_builtins(record)}
+    return TrackPoint(stamp_ns, record.lat_deg, record.lon_deg, record.heading_deg, fields, is_event)
 
 
 def as_geojson(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.commands.replay import config_for_map
-from edge.journal.frame_record import Observation
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import FrameUsed, Stopped
 from edge.recognizer import open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap
 from edge.sequence import PlaceMatch
@@ -31,7 +31,7 @@ class Review:
     pictures: some of the frames, by row.
     """
 
-    seen: list[Observation]
+    seen: list[FrameUsed]
     route_m: NDArray[np.float64]
     error_m: NDArray[np.float64]
     costs: NDArray[np.float32]
@@ -60,18 +60,14 @@ class Review:
         return float((self.accepted & (self.error_m <= TOLERANCE_M)).mean())
 
 
-def used_frames(live: DaemonDrive) -> list[Observation]:
+def used_frames(live: DaemonDrive) -> list[FrameUsed]:
     """Every frame that the daemon used, from its journal."""
-    return [
-        msgspec.convert({key: value for key, value in record.items() if key not in ("event", "unix_s")}, Observation)
-        for record in read_journal(live.journal)
-        if record["event"] == "frame"
-    ]
+    return list(records_of(live.journal, FrameUsed))
 
 
 def stages_ms(live: DaemonDrive) -> dict[str, float]:
     """Median time of each stage of a frame, from the last record of the daemon's journal."""
-    return next(dict(record["stages_ms"]) for record in read_journal(live.journal) if record["event"] == "stopped")
+    return next(records_of(live.journal, Stopped)).stages_ms
 
 
 def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:

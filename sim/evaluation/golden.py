@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 
 from edge.commands.map_build import add_spacing_options, build_map, sampling_from
-from edge.commands.replay import config_for_map, replay
+from edge.commands.replay import as_line, config_for_map, replay
 from edge.config import DescriptorConfig, SamplingConfig, SequenceConfig, checked_option
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
@@ -73,7 +73,7 @@ def replay_golden(folder: Path, golden: Golden) -> str:
         network = Network.load()
         recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
         seen = replay(recognizer, query, golden.sampling)
-        return "".join(msgspec.json.encode(line).decode() + "\n" for line in seen)
+        return "".join(as_line(used) for used in seen)
 
 
 def first_difference(expected: str, now: str) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from edge.journal.records import FixAnswered, FixSent, FixWithheld, JournalLine, PlaceFix
 from sim.vehicle.daemon_drive import DaemonDrive
 
 MEDIAN_M, MOST_M, SIGMAS = 3.0, 10.0, 3.0
@@ -37,28 +38,28 @@ class RunScore:
     answers: dict[str, int]
 
 
-def judge(seed: int, run: DaemonDrive, planted: tuple[int, int], journal: list[dict[str, Any]]) -> RunScore:
+def judge(seed: int, run: DaemonDrive, planted: tuple[int, int], journal: Sequence[JournalLine]) -> RunScore:
     """Compare the journal of a run, and what the autopilot did, with the true drive. planted: rows [start, end)."""
-    sent = [record for record in journal if record["event"] == "fix_sent"]
+    records = [line.record for line in journal]
+    sent = [record for record in records if isinstance(record, FixSent)]
+    places = [record.place for record in records if isinstance(record, PlaceFix)]
     booted_s = run.autopilot.booted_s - run.epoch_s
-    errors_m = [
-        run.drive.error_m(booted_s + item["send_boot_s"] - item["age_s"], item["lat_deg"], item["lon_deg"])
-        for item in sent
-    ]
+    errors_m = [run.drive.error_m(booted_s + fix.send_boot_s - fix.age_s, fix.lat_deg, fix.lon_deg) for fix in sent]
     taken = run.autopilot.resets + run.autopilot.inputs.fused
     first, end = planted
-    withheld = Counter(record["reason"] for record in journal if record["event"] == "fix_withheld")
+    withheld = Counter(record.reason for record in records if isinstance(record, FixWithheld))
+    answers = Counter(record.result for record in records if isinstance(record, FixAnswered))
     return RunScore(
         seed=seed,
         light=run.scenario.light,
         fix_error_m=tuple(errors_m),
-        fix_sigmas=tuple(error / item["sigma_m"] for error, item in zip(errors_m, sent, strict=True)),
+        fix_sigmas=tuple(error / fix.sigma_m for error, fix in zip(errors_m, sent, strict=True)),
         before_m=tuple(item.error_before_m for item in taken),
         after_m=tuple(item.error_after_m for item in taken),
-        false_fixes=sum(first <= item["place"] < end for item in sent),
-        planted_seen=sum(first <= item["place"] < end for item in journal if item["event"] == "place"),
+        false_fixes=sum(first <= fix.place < end for fix in sent),
+        planted_seen=sum(first <= place < end for place in places),
         withheld=dict(withheld),
-        answers=dict(Counter(record["result"] for record in journal if record["event"] == "fix_answered")),
+        answers=dict(answers),
     )
 
 

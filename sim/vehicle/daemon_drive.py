@@ -20,8 +20,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from edge.camera import Frame
-from edge.camera.newest import CameraHealth
+from edge.camera import CameraHealth, Frame
 from edge.config import CameraConfig, Config
 from edge.daemon import Daemon
 from edge.descriptor.network import Network

@@ -22,7 +22,7 @@ def watch(
     watch: FrozenPictureDetector, images: list[NDArray[np.uint8]], moves: bool | None = True, from_s: float = 0.0
 ) -> list[PictureFault | None]:
     """What is said of pictures that come five a second."""
-    return [watch.see(image, round((from_s + index / 5) * SECOND), moves) for index, image in enumerate(images)]
+    return [watch.check(image, round((from_s + index / 5) * SECOND), moves) for index, image in enumerate(images)]
 
 
 def test_pictures_that_differ_only_by_noise_are_sound() -> None:
@@ -68,6 +68,6 @@ def test_real_recordings_are_sound(shared: Path, name: str) -> None:
     feed = read_feed(shared / "feeds" / name)
     images = FeedImages(feed)
     eyes = FrozenPictureDetector()
-    assert [eyes.see(images.read(index), row.stamp_ns, None) for index, row in enumerate(feed.rows)] == [None] * len(
+    assert [eyes.check(images.read(index), row.stamp_ns, None) for index, row in enumerate(feed.rows)] == [None] * len(
         feed.rows
     )

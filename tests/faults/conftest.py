@@ -27,8 +27,7 @@ import tomli_w
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from edge.camera import Frame
-from edge.camera.newest import CameraHealth
+from edge.camera import CameraHealth, Frame
 from edge.config import SamplingConfig, load_config
 from edge.daemon import Daemon
 from edge.descriptor.normalize import normalize

@@ -24,7 +24,8 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import LookbackError
-from edge.journal.journal import Journal, read_journal
+from edge.journal.journal import Journal, records_of
+from edge.journal.records import StateChanged
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
@@ -72,13 +73,13 @@ def read_state(folder: Path) -> int:
 
 def write_journal(folder: Path, version: int) -> None:
     journal = Journal(folder / "events.jsonl")
-    journal.write({"event": "place", "version": version, "padding": "x" * 300})
+    journal.write(StateChanged(str(version), "x" * 300))
     journal.close()
 
 
 def read_last_line(folder: Path) -> int:
     """The newest version; every older one must be there as well, in order."""
-    versions = [record["version"] for record in read_journal(folder / "events.jsonl")]
+    versions = [int(record.state) for record in records_of(folder / "events.jsonl", StateChanged)]
     if versions != list(range(1, len(versions) + 1)):
         raise LookbackError(f"lines are missing: {versions[-5:]}")
     return int(versions[-1])

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import read_journal
+from edge.journal.journal import read_journal, records_of
+from edge.journal.records import FrameUsed, PlaceFix
 
 SHIM = Path(__file__).with_name("clock_shim.c")
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
@@ -63,24 +64,24 @@ def test_the_wall_clock_is_stepped(
     while told(tmp_path) < before + 5:
         process.wait_for_word("WATCHDOG=1")
     assert process.end()[0] == 0, process.told()
-    records = list(read_journal(tmp_path / "events.jsonl"))
-    frames = [record for record in records if record["event"] == "frame"]
-    places = [record for record in records if record["event"] == "place"]
+    lines = list(read_journal(tmp_path / "events.jsonl"))
+    frames = [line.record for line in lines if isinstance(line.record, FrameUsed)]
+    places = [(line.unix_s, line.record.stamp_ns) for line in lines if isinstance(line.record, PlaceFix)]
 
     # The step has been seen, once.
-    jumps_s = [after["unix_s"] - before["unix_s"] for before, after in itertools.pairwise(records)]
+    jumps_s = [after.unix_s - before.unix_s for before, after in itertools.pairwise(lines)]
     assert [round(jump_s / step_s) for jump_s in jumps_s if abs(jump_s) > HOUR_S / 2] == [1]
-    stamps_ns = [frame["stamp_ns"] for frame in frames]
+    stamps_ns = [frame.stamp_ns for frame in frames]
     assert stamps_ns == sorted(set(stamps_ns))
     # Every frame that was believed is an event, unless it came within the hold-off of the one before.
     due, last_ns = [], -(10**18)
     for frame in frames:
-        if frame["accepted"] and frame["stamp_ns"] - last_ns >= HOLD_OFF_S * 1e9:
-            due.append(frame["stamp_ns"])
-            last_ns = frame["stamp_ns"]
-    assert [place["stamp_ns"] for place in places] == due
+        if frame.accepted and frame.stamp_ns - last_ns >= HOLD_OFF_S * 1e9:
+            due.append(frame.stamp_ns)
+            last_ns = frame.stamp_ns
+    assert [stamp_ns for _, stamp_ns in places] == due
     # Told when they were seen: the journal's clock, less the step, runs with the frames' clock.
-    late_s = [place["unix_s"] - place["stamp_ns"] / 1e9 for place in places]
+    late_s = [unix_s - stamp_ns / 1e9 for unix_s, stamp_ns in places]
     late_s = [
         late - step_s if late - late_s[0] > HOUR_S / 2 or late - late_s[0] < -HOUR_S / 2 else late for late in late_s
     ]
@@ -92,4 +93,4 @@ def test_the_wall_clock_is_stepped(
 
 def told(folder: Path) -> int:
     """How many events there are."""
-    return sum(record["event"] == "place" for record in read_journal(folder / "events.jsonl"))
+    return len(list(records_of(folder / "events.jsonl", PlaceFix)))

@@ -13,7 +13,8 @@ import pytest
 
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import PlaceFix
 
 DAY = 24 * 3600 * 5
 SLOPE_BYTES = 1_000_000 / 100_000
@@ -54,7 +55,7 @@ def test_a_day(
             resident.append(proc.resident_bytes())
     slope = float(np.polyfit(at, resident, 1)[0])
     took_s = time.monotonic() - began_s
-    events = sum(record["event"] == "place" for record in read_journal(tmp_path / "events.jsonl"))
+    events = len(list(records_of(tmp_path / "events.jsonl", PlaceFix)))
     figures(
         f"{frames} frames in {took_s:.0f} s, {events} events, {told[0]} messages; RSS {resident[0] / 1e6:.1f} to "
         f"{resident[-1] / 1e6:.1f} MB, {slope / 10:.2f} MB in 100,000 frames"

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from edge.journal.journal import read_journal
+from edge.journal.records import FrameUsed, Stopped
 
 WORDS = "journal: File too large"
 
@@ -36,12 +37,12 @@ def test_a_full_disk(
     assert process.end()[0] == 0, process.told()
     assert process.told().count("cannot write the journal") == 1
     assert "writing again" in process.told()
-    records = list(read_journal(journal))
+    records = [line.record for line in read_journal(journal)]
     lines = journal.read_bytes().splitlines()
     torn = len(lines) - len(records)
     assert torn <= 1, "only the line that was being written"
-    assert records[-1]["event"] == "stopped"
-    numbers = [record["frame"] for record in records if record["event"] == "frame"]
+    assert isinstance(records[-1], Stopped)
+    numbers = [record.frame for record in records if isinstance(record, FrameUsed)]
     lost = numbers[-1] + 1 - len(numbers)
     figures(f"{lost} frame lines lost while the disk was full, {torn} torn")
     assert 0 < lost < numbers[-1] / 2

@@ -23,7 +23,8 @@ from edge.descriptor.network import Network
 from edge.errors import CameraLost
 from edge.feed import FeedImages, read_feed
 from edge.health.health import MAV_STATES, Health
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import StateChanged
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE
 
 LENGTH = 10
@@ -64,7 +65,7 @@ class Witness:
         fixes, heartbeats, before = self._fixes(), len(self._heard("HEARTBEAT")), self.states[-1:]
         self._bench.step(image, number)
         self.fixes_at += [number] * (self._fixes() - fixes)
-        self.states.append(self._bench.daemon.condition.health)
+        self.states.append(self._bench.daemon.monitor.health)
         may_be = {MAV_STATES[state.state] for state in (*before, self.states[-1])}
         beats = {beat.system_status for beat in self._heard("HEARTBEAT")[heartbeats:]}
         assert beats <= may_be or len(beats) > 1, "unless they have waited for an autopilot that did not listen"
@@ -75,10 +76,8 @@ class Witness:
         """The states in their order, after all voices have been compared; `words` are a reason among them."""
         spoken = [str(state) for state in self.states]
         changes = [spoken[at] for at in range(1, len(spoken)) if spoken[at] != spoken[at - 1]]
-        journalled = [record for record in read_journal(self._journal) if record["event"] == "state"]
-        assert [f"{line['state']}: {line['why']}" if line["why"] else line["state"] for line in journalled][
-            1:
-        ] == changes
+        journalled = [Health(record.state, record.why) for record in records_of(self._journal, StateChanged)]  # type: ignore[arg-type]
+        assert [str(health) for health in journalled][1:] == changes
         assert any(state.state == "degraded" and state.why.startswith(words) for state in self.states), changes
         texts = "".join(message.text for message in self._heard("STATUSTEXT"))
         assert texts.count(f"Lookback degraded: {words}") == 1

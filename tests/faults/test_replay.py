@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.replay_guard import TICKS_PER_S
 from edge.telemetry.signing import KEPT_AHEAD, Signer
@@ -62,9 +63,7 @@ def unread(cable: PtyLink) -> Iterator[Callable[[], int]]:
 
 def told_up(folder: Path) -> int:
     """How often the journal says that an autopilot was heard."""
-    return sum(
-        record["event"] == "link" and record["state"] == "up" for record in read_journal(folder / "events.jsonl")
-    )
+    return sum(record.state == "up" for record in records_of(folder / "events.jsonl", LinkChanged))
 
 
 def drive_until(autopilot: SimulatedAutopilot, cable: PtyLink, done: Callable[[], bool], process: Any) -> None:

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import PlaceFix
 
 CALLS = (
     "connect,sendto,sendmsg,bind,openat,open,creat,mkdir,mkdirat,rename,renameat,renameat2,"
@@ -52,7 +53,7 @@ def test_what_a_run_touches(
     if process.popen.poll() is not None and "ptrace" in process.told():
         pytest.skip("strace is not permitted here")
     process.wait_for_word("STATUS=on the map")
-    while sum(record["event"] == "place" for record in read_journal(tmp_path / "events.jsonl")) < 12:
+    while len(list(records_of(tmp_path / "events.jsonl", PlaceFix))) < 12:
         process.wait_for_word("WATCHDOG=1")  # until there are statistics worth keeping
     (daemon,) = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children").read_text().split()
     os.kill(int(daemon), signal.SIGTERM)  # strace keeps signals to itself

@@ -19,7 +19,8 @@ from edge.config import CameraConfig
 from edge.feed import read_feed
 from edge.feed.recorder import QUEUE_FRAMES, Recorder, run_folder
 from edge.geodesy import VehiclePosition
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import Stopped
 
 PATIENCE_S = 60.0
 NOON_S = 1_700_000_000.0
@@ -117,5 +118,5 @@ def test_the_daemon_records_what_it_uses(make_street: Callable[..., Path], tmp_p
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (run,) = (tmp_path / "runs").iterdir()
-    stopped = [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "stopped"]
-    assert len(read_feed(run).rows) == stopped[0]["frames_used"] >= 10
+    (stopped,) = records_of(tmp_path / "events.jsonl", Stopped)
+    assert len(read_feed(run).rows) == stopped.frames_used >= 10

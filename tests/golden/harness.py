@@ -28,8 +28,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.__main__ import main
-from edge.camera import Frame
-from edge.camera.newest import CameraHealth
+from edge.camera import CameraHealth, Frame
 from edge.config import load_config
 from edge.daemon import Daemon
 
@@ -240,8 +239,9 @@ def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames) 
 
 
 def stable(journal: Path) -> str:
-    """The journal but for what is measured by clocks that cannot be simulated: `unix_s`, and values of `stages_ms`."""
+    """The journal but for the version, and what clocks measure that are not simulated: `unix_s`, and `stages_ms`."""
     text = re.sub(r'^\{"unix_s":[0-9.e+]+,', "{", journal.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text = re.sub(r'(?<="lookback":)"[^"]*"', '""', text)
     return re.sub(r'(?<="stages_ms":)\{[^}]*\}', lambda found: re.sub(r":[0-9.e-]+", ":0", found[0]), text)
 
 

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import Config, MapConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.errors import MapError
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import StateChanged
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.pty_link import open_pty
 
@@ -35,8 +36,7 @@ def test_a_failure_to_start_is_told_to_everybody(tmp_path: Path, monkeypatch: py
     failed = f"failed: {tmp_path}/no-map: no such map"
     assert told[0] == "STATUS=starting"
     assert told[1].startswith(f"STATUS={failed}")
-    states = [record for record in read_journal(tmp_path / "events.jsonl") if record["event"] == "state"]
-    assert [record["state"] for record in states] == ["starting", "failed"]
+    assert [record.state for record in records_of(tmp_path / "events.jsonl", StateChanged)] == ["starting", "failed"]
     assert heard[0].get_type() == "HEARTBEAT"
     assert heard[0].system_status == mavlink.MAV_STATE_EMERGENCY
     text = "".join(message.text for message in heard if message.get_type() == "STATUSTEXT")

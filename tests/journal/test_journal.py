@@ -4,16 +4,34 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import pytest
 
+import edge
+from edge.commands.replay import as_line
 from edge.errors import ConfigError
-from edge.journal.journal import Journal, read_journal
-
-
-class Note(msgspec.Struct, tag_field="event", tag="note"):
-    text: str
+from edge.journal.journal import Journal, read_journal, records_of
+from edge.journal.records import (
+    SCHEMA,
+    FixAnswered,
+    FixChecked,
+    FixSent,
+    FixWithheld,
+    FrameUsed,
+    JournalLine,
+    JournalOpened,
+    JournalResumed,
+    LinkChanged,
+    MapExcluded,
+    PlaceFix,
+    PositionMessageChosen,
+    Record,
+    StateChanged,
+    Stopped,
+    UnknownRecord,
+)
 
 
 @pytest.fixture
@@ -23,27 +41,30 @@ def path(tmp_path: Path) -> Path:
 
 def write(path: Path, *texts: str, sync: bool = False) -> None:
     journal = Journal(path, sync=sync, unix_time_s=lambda: 1_700_000_000.1234)
-    assert all(journal.write(Note(text)) for text in texts)
+    assert all(journal.write(StateChanged(text)) for text in texts)
     journal.close()
 
 
 def texts(path: Path) -> list[str]:
-    return [record["text"] for record in read_journal(path)]
+    return [record.state for record in records_of(path, StateChanged)]
 
 
 @pytest.mark.parametrize("sync", [False, True])
 def test_each_record_is_a_line_and_openings_append(path: Path, sync: bool) -> None:
     write(path, "one", "two\nlines", sync=sync)
     write(path, "three")
-    assert path.read_text().splitlines()[0] == '{"unix_s":1700000000.123,"event":"note","text":"one"}'
-    assert path.read_text().count("\n") == 3
+    assert path.read_text().splitlines()[:2] == [
+        f'{{"unix_s":1700000000.123,"event":"journal_opened","schema":{SCHEMA},"lookback":"{edge.__version__}"}}',
+        '{"unix_s":1700000000.123,"event":"state","state":"one","why":""}',
+    ]
+    assert path.read_text().count("\n") == 2 + 3
     assert texts(path) == ["one", "two\nlines", "three"]
 
 
 def test_a_crash_at_any_byte_of_the_last_line_costs_that_line_only(path: Path) -> None:
     write(path, "one", "two")
     whole = path.read_bytes()
-    first = whole.index(b"\n") + 1
+    first = whole.rindex(b"\n", 0, -1) + 1
     for size in range(first, len(whole)):
         path.write_bytes(whole[:size])
         assert texts(path) == (["one"] if size < len(whole) - 1 else ["one", "two"])
@@ -54,9 +75,9 @@ def test_a_crash_at_any_byte_of_the_last_line_costs_that_line_only(path: Path) -
 
 def test_a_full_disk_is_reported_once_and_is_not_fatal(caplog: pytest.LogCaptureFixture) -> None:
     journal = Journal(Path("/dev/full"))
-    assert not journal.write(Note("one"))
-    assert not journal.write(Note("two"))
-    assert journal.lost == 2
+    assert not journal.write(StateChanged("one"))
+    assert not journal.write(StateChanged("two"))
+    assert journal.lost == 3, "with journal_opened"
     assert [record.getMessage() for record in caplog.records] == [
         "/dev/full: cannot write the journal: No space left on device"
     ]
@@ -70,15 +91,16 @@ def test_a_disk_that_fills_inside_a_line_leaves_the_next_line_whole(
     import signal
 
     journal = Journal(path)
+    opened = path.stat().st_size
     before = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20, before[0][1]))  # the kernel then writes 20 bytes of the line
-        assert not journal.write(Note("one"))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (opened + 20, before[0][1]))  # the kernel then writes 20 bytes
+        assert not journal.write(StateChanged("one"))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before[0])
         signal.signal(signal.SIGXFSZ, before[1])
-    assert path.stat().st_size == 20
-    assert journal.write(Note("two"))
+    assert path.stat().st_size == opened + 20
+    assert journal.write(StateChanged("two"))
     assert texts(path) == ["two"]
     assert "1 lines were lost" in caplog.text
     journal.close()
@@ -95,7 +117,78 @@ def test_what_root_begins_in_a_services_folder_is_the_services(path: Path) -> No
     os.chown(path.parent, 4242, 4343)
     for _ in range(2):
         journal = Journal(path)
-        journal.write(Note("one"))
+        journal.write(StateChanged("one"))
         journal.close()
     assert (path.stat().st_uid, path.stat().st_gid) == (4242, 4343)
     assert texts(path) == ["one", "one"]
+
+
+EVERY_KIND: tuple[Record, ...] = (
+    JournalOpened(SCHEMA, "1.2.3"),
+    JournalResumed(7),
+    StateChanged("degraded", "camera: it is gone"),
+    MapExcluded("tile-3", "damaged"),
+    LinkChanged("up", "", "udp:127.0.0.1:14550"),
+    FrameUsed(5, 9_000_000_000),
+    FrameUsed(
+        6, 9_100_000_000, True, True, 2, "tile-3", 4, 8, 1.25, 0.5, "reverse", "swapped", -27.0, 153.0, 90.0, "street"
+    ),
+    PlaceFix(9, 4, None, None, None, 2.0, 1.0, "forward", "same", 1.3),
+    PlaceFix(9, 4, -27.0, 153.0, 90.0, 2.0, 1.0, "forward", "same", 1.3, "street", 5, "tile-3"),
+    PositionMessageChosen("report", "[telemetry] emit = report"),
+    FixWithheld(4, "standing"),
+    FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
+    FixAnswered(4, "ACCEPTED"),
+    FixChecked(4, True, 0.5),
+    Stopped(120, 7, {"network": 8.5}, {"delivered": 130, "overwritten": 10, "bad": 0}),
+)
+
+
+def test_every_kind_of_record_is_read_as_it_was_written(path: Path) -> None:
+    assert {type(record) for record in EVERY_KIND} == set(get_args(Record))
+    journal = Journal(path, unix_time_s=lambda: 1.5)
+    assert all(journal.write(record) for record in EVERY_KIND)
+    journal.close()
+    opened, *lines = read_journal(path)
+    assert opened.record == JournalOpened(SCHEMA, edge.__version__)
+    assert lines == [JournalLine(1.5, record) for record in EVERY_KIND]
+    assert list(records_of(path, FixAnswered)) == [FixAnswered(4, "ACCEPTED")]
+
+
+def test_what_is_not_known_is_passed_on_as_it_is(path: Path) -> None:
+    write(path, "one")
+    with path.open("ab") as file:
+        file.write(b'{"unix_s":2.0,"event":"horn","loud":true}\n{"unix_s":3.0,"event":"state"}\n\xff\n[1]\n')
+    write(path, "two")
+    unknown = [line for line in read_journal(path) if isinstance(line.record, UnknownRecord)]
+    assert [line.unix_s for line in unknown] == [2.0, 3.0]
+    assert unknown[0].record == UnknownRecord({"unix_s": 2.0, "event": "horn", "loud": True})
+    assert texts(path) == ["one", "two"]
+
+
+def test_keys_that_are_not_known_are_ignored(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_text('{"unix_s":1.0,"event":"state","state":"one","why":"","since_s":4}\n')
+    assert texts(path) == ["one"]
+
+
+def test_a_newer_schema_may_mean_something_else(path: Path) -> None:
+    """Its records are not read as ours; those of the next run of this version are."""
+    path.parent.mkdir()
+    newer = JournalOpened(SCHEMA + 1, "9.0")
+    path.write_bytes(msgspec.json.encode(newer) + b"\n" + msgspec.json.encode(StateChanged("one")) + b"\n")
+    write(path, "two")
+    assert texts(path) == ["two"]
+    assert [type(line.record) for line in read_journal(path)] == [
+        JournalOpened,
+        UnknownRecord,
+        JournalOpened,
+        StateChanged,
+    ]
+
+
+def test_the_output_of_replay_is_read_as_frames(path: Path) -> None:
+    path.parent.mkdir()
+    used = FrameUsed(5, 9_000_000_000, place=3)
+    path.write_text(as_line(used))
+    assert list(read_journal(path)) == [JournalLine(None, used)]

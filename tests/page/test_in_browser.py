@@ -143,7 +143,7 @@ PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).n
 def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark: bool) -> None:
     with daemon(config), autopilot(config), browser(width, height, dark=dark) as driver:
         driver.get(url_of(config))
-        until(driver, "status !== null && status.match !== null && status.match.accepted && past.length > 20")
+        until(driver, "status !== null && newestMatch() !== null && newestMatch().accepted && past.length > 20")
         until(driver, PICTURES_SHOWN)
         assert until(driver, DRAWN)
         until(driver, f"status.frames_used > {driver.execute_script('return status.frames_used')}")

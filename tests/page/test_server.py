@@ -20,19 +20,28 @@ pytest.importorskip("starlette")
 
 from prometheus_client.parser import text_string_to_metric_families
 
+from edge.camera import CameraHealth
 from edge.config import PageConfig
+from edge.journal.records import FrameUsed
 from edge.page.server import CONNECTIONS, StatusPage
-from edge.page.status import CameraStatus, FrameSample, LinkStatus, MapView, MatchStatus, Snapshot, Status
+from edge.page.snapshot import HistoryFrame, MapView, Snapshot, Status
+from edge.sequence import CostView
+from edge.telemetry import LinkStatus
 
 PATIENCE_S = 0.5
 CUT_OFF_S = 20.0
 """After this long the other side has not ended the connection; a busy machine takes its time."""
 THUMBNAIL = cv2.imencode(".jpg", np.full((9, 12, 3), 90, np.uint8))[1].tobytes()
-MAP = MapView(500, (((1.0, 2.0), (1.001, 2.0)), ()), lambda place: THUMBNAIL if place < 400 else b"")
+MAP = MapView(
+    500, {"north": 0, "south": 300}, (((1.0, 2.0), (1.001, 2.0)), ()), lambda place: THUMBNAIL if place < 400 else b""
+)
 
 
 def snapshot(number: int) -> Snapshot:
-    history = tuple(FrameSample(1000 * k, "on the map", 1.1 + k / 100, k, k == 2, 1.0, 2.0) for k in range(1, 4))
+    history = tuple(
+        HistoryFrame(FrameUsed(k, 1000 * k, True, k == 2, place=k, uniqueness=1.1 + k / 100), (1.0, 2.0))
+        for k in range(1, 4)
+    )
     status = Status(
         stamp_ns=5000,
         started_unix_s=1.5,
@@ -41,7 +50,8 @@ def snapshot(number: int) -> Snapshot:
         model="a model",
         state="on the map",
         why="",
-        frame_stamp_ns=3000 + number,
+        newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2),
+        slope=1.0,
         frames_used=number,
         events=1,
         fps=4.0,
@@ -49,14 +59,13 @@ def snapshot(number: int) -> Snapshot:
         uniqueness_min=1.08,
         stages_ms={"network": 9.5},
         journal_lost=0,
-        camera=CameraStatus("running", "", (), 10, 2, 1, 0),
+        camera=CameraHealth("running", "", 0, delivered=10, overwritten=2, bad=1),
         link=LinkStatus("closed", "serial:/dev/none:57600", "report"),
-        match=MatchStatus(7, "forward", "swapped", 1.0, 0.8, 1.2, True, 1.0, 2.0),
         history=history,
     )
     costs = np.arange(2 * 500, dtype=np.int32).reshape(2, 500) % 997
     image = np.full((480, 640, 3), (10, 120, 240), np.uint8)
-    return Snapshot(status, image, costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4, 16384)
+    return Snapshot(status, image, CostView(costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4, 16384))
 
 
 class Loop:
@@ -104,17 +113,20 @@ def test_the_status_has_all_of_the_snapshot(page: StatusPage, loop: Loop) -> Non
     code, body, headers = get(page, "/status.json")
     status = json.loads(body)
     assert (code, headers["content-type"], headers["cache-control"]) == (200, "application/json", "no-store")
-    assert (status["state"], status["match"]["place"], status["camera"]["overwritten"]) == ("on the map", 7, 2)
+    assert (status["state"], status["newest"]["place"], status["camera"]["overwritten"]) == ("on the map", 7, 2)
     assert status["window"] == {"start": 4, "rows": [[500] * 5] * 3}
     row = status["row"]
     assert len(row["places"]) == len(row["orders"][0]) == len(row["orders"][1]) == 300
     assert row["places"][0] == 0
     assert min(row["orders"][1]) == 0  # the lowest of each stretch, not any of it: 997 % 997 is at place 497
-    assert [used[0] for used in status["history"]] == [1000, 2000, 3000]
+    assert [one["used"]["stamp_ns"] for one in status["history"]] == [1000, 2000, 3000]
 
 
 def test_history_is_sent_once(page: StatusPage, loop: Loop) -> None:
-    assert [used[0] for used in json.loads(get(page, "/status.json?since=1000")[1])["history"]] == [2000, 3000]
+    assert [one["used"]["stamp_ns"] for one in json.loads(get(page, "/status.json?since=1000")[1])["history"]] == [
+        2000,
+        3000,
+    ]
     assert get(page, "/status.json?since=yesterday")[0] == 400
 
 
@@ -123,9 +135,9 @@ def test_the_picture_comes_with_the_status_to_who_has_not_shown_it(page: StatusP
     picture = cv2.imdecode(np.frombuffer(base64.b64decode(status["picture"]), np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (240, 320, 3)
     shown = 0
-    while status["frame_stamp_ns"] != shown:  # another snapshot where the last is no longer fresh
+    while status["newest"]["stamp_ns"] != shown:  # another snapshot where the last is no longer fresh
         assert status["picture"]
-        shown = status["frame_stamp_ns"]
+        shown = status["newest"]["stamp_ns"]
         status = json.loads(get(page, f"/status.json?shown={shown}")[1])
     assert status["picture"] == ""
     assert json.loads(get(page, "/status.json")[1])["picture"] == ""
@@ -137,12 +149,16 @@ def test_pictures(page: StatusPage, loop: Loop) -> None:
     picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
     assert (code, headers["content-type"], picture.shape) == (200, "image/jpeg", (240, 320, 3))
     assert np.abs(picture[180, 240].astype(int) - (10, 120, 240)).max() < 6
-    assert get(page, "/place/3.jpg")[:2] == (200, THUMBNAIL)
-    assert get(page, "/place/450.jpg")[0] == get(page, "/place/500.jpg")[0] == 404
+    assert get(page, "/thumbnail/3.jpg")[:2] == (200, THUMBNAIL)
+    assert get(page, "/thumbnail/450.jpg")[0] == get(page, "/thumbnail/500.jpg")[0] == 404
 
 
 def test_the_route_and_the_page_itself(page: StatusPage) -> None:
-    assert json.loads(get(page, "/route.json")[1]) == {"places": 500, "drives": [[[1.0, 2.0], [1.001, 2.0]], []]}
+    assert json.loads(get(page, "/route.json")[1]) == {
+        "places": 500,
+        "starts": {"north": 0, "south": 300},
+        "drives": [[[1.0, 2.0], [1.001, 2.0]], []],
+    }
     code, body, headers = get(page, "/")
     assert code == 200
     assert b"<title>Lookback</title>" in body
@@ -160,6 +176,7 @@ def test_metrics_are_what_prometheus_reads(page: StatusPage, loop: Loop) -> None
     assert states["on the map"] == 1
     assert sum(states.values()) == 1
     assert families["lookback_stage_seconds"].samples[0].value == pytest.approx(0.0095)
+    assert [(sample.labels, sample.value) for sample in families["lookback_place"].samples] == [({"map": "south"}, 7)]
     assert families["lookback_link_up"].samples[0].value == 0
 
 
@@ -174,7 +191,7 @@ def test_nothing_is_made_until_somebody_looks_and_many_share_one(page: StatusPag
 
 
 def test_a_loop_that_hangs_is_said(page: StatusPage) -> None:
-    assert get(page, "/status.json")[:2] == (503, b"the recogniser does not answer\n")
+    assert get(page, "/status.json")[:2] == (503, b"the recognizer does not answer\n")
     assert get(page, "/")[0] == 200
 
 
@@ -202,9 +219,9 @@ def test_a_name_in_the_config_is_served() -> None:
     [
         "/../../etc/passwd",
         "/%2e%2e/%2e%2e/etc/passwd",
-        "/place/../page.py",
-        "/place/-1.jpg",
-        "/place/1e3.jpg",
+        "/thumbnail/../page.py",
+        "/thumbnail/-1.jpg",
+        "/thumbnail/1e3.jpg",
         "//",
         "/page.py",
     ],

@@ -6,26 +6,25 @@ import logging
 import socket
 import tracemalloc
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 pytest.importorskip("starlette")
 
-from edge.camera.newest import CameraHealth
-from edge.config import Config, PageConfig, SamplingConfig, SequenceConfig
+from edge.camera import CameraHealth, Frame
+from edge.config import Config, PageConfig, RigConfig, SamplingConfig, SequenceConfig
+from edge.daemon import map_view
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.feed.traverse import traverse
-from edge.health.stage_times import StageTimes
-from edge.localization.place_fix import position_of
-from edge.page.snapshot import LiveStatus, map_view, open_page
-from edge.recognizer import open_recognizer
+from edge.journal.records import FrameUsed
+from edge.localization.place_fix import frame_used
+from edge.page import LiveStatus, Sources, open_page
+from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
-from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry import LinkStatus
 
 FRAMES, LENGTH = 30, 10
 
@@ -36,64 +35,71 @@ def street(make_street: Callable[..., Path]) -> ReferenceMap:
 
 
 @pytest.fixture
-def watched(street: ReferenceMap, network: Network, tmp_path: Path) -> LiveStatus:
+def recognizer(street: ReferenceMap, network: Network) -> PlaceRecognizer:
+    return open_recognizer(Config(sequence=SequenceConfig(length=LENGTH)), network=network, map_set=MapSet.of(street))
+
+
+@pytest.fixture
+def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
     """The status after a drive along the map."""
-    config = Config(sequence=SequenceConfig(length=LENGTH))
-    config = replace(config, telemetry=replace(config.telemetry, connection=f"serial:{tmp_path}/none:57600"))
-    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(street))
-    route = Route(recognizer.map_set)
-    with closing(AutopilotConnection(config.telemetry)) as autopilot:
-        status = LiveStatus(
-            config,
-            "a model",
-            recognizer,
-            StageTimes(),
-            lambda: CameraHealth("running", "", 0, delivered=FRAMES),
-            autopilot,
-            None,
-            lambda: 10**9 * FRAMES,
-        )
-        for item in traverse(read_feed(street.path.with_name("feed")), config.sampling):
-            match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-            status.note(item.frame, match, position_of(match, route, config.rig) if match else None)
-        return status
+    sources = Sources(
+        costs=recognizer.cost_view,
+        camera=lambda: CameraHealth("running", "", 0, delivered=FRAMES),
+        link=lambda: LinkStatus("closed", "serial:none:57600", "report"),
+        stages_ms=lambda: {"network": 8.5},
+        journal_lost=lambda: 0,
+        clock_ns=lambda: 10**9 * FRAMES,
+    )
+    status = LiveStatus("a map", "a model", 1.08, sources)
+    for item in traverse(read_feed(street.path.with_name("feed")), SamplingConfig()):
+        show(status, recognizer, item.frame)
+    return status
+
+
+def show(status: LiveStatus, recognizer: PlaceRecognizer, frame: Frame) -> None:
+    match = recognizer.observe(frame.image, frame.stamp_ns)
+    used = frame_used(frame.index, frame.stamp_ns, match, Route(recognizer.map_set), RigConfig())
+    status.add(frame, match, used, (-27.0, 153.0))
 
 
 def test_a_snapshot_shows_the_newest_frame_and_how_it_came_to_its_place(watched: LiveStatus) -> None:
     snapshot = watched.snapshot("on the map", "")
     status = snapshot.status
     assert (status.frames_used, status.state, status.camera.delivered) == (FRAMES, "on the map", FRAMES)
-    assert status.match is not None
-    assert status.match.place == FRAMES - 1
+    assert status.newest is not None
+    assert status.newest.place == FRAMES - 1
+    assert status.slope == pytest.approx(1.0, abs=0.1)
     assert snapshot.image is not None
-    assert snapshot.costs.shape == (2, FRAMES)
-    assert snapshot.places.tolist() == list(range(FRAMES))
-    assert snapshot.window.shape == (LENGTH, FRAMES)
+    assert snapshot.costs.costs.shape == (2, FRAMES)
+    assert snapshot.costs.place_index.tolist() == list(range(FRAMES))
+    assert snapshot.costs.window.shape == (LENGTH, FRAMES)
     # On its own map every frame is nearest to its own place: the chosen line is the diagonal of the window.
     rows = np.arange(LENGTH)
-    assert (snapshot.window.argmin(axis=1) == FRAMES - LENGTH + rows).all()
-    assert snapshot.window[rows, FRAMES - LENGTH + rows].max() < 0.2 * COST_ONE
-    assert [used.uniqueness is None for used in status.history] == [True] * (LENGTH - 1) + [False] * (
+    assert (snapshot.costs.window.argmin(axis=1) == FRAMES - LENGTH + rows).all()
+    assert snapshot.costs.window[rows, FRAMES - LENGTH + rows].max() < 0.2 * COST_ONE
+    assert [sample.used.uniqueness is None for sample in status.history] == [True] * (LENGTH - 1) + [False] * (
         FRAMES - LENGTH + 1
     )
 
 
-def test_a_snapshot_is_not_changed_by_later_frames(watched: LiveStatus, street: ReferenceMap) -> None:
+def test_a_snapshot_is_not_changed_by_later_frames(
+    watched: LiveStatus, recognizer: PlaceRecognizer, street: ReferenceMap
+) -> None:
     before = watched.snapshot("on the map", "")
-    window, costs, history = before.window.copy(), before.costs.copy(), before.status.history
+    window, costs, history = before.costs.window.copy(), before.costs.costs.copy(), before.status.history
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
-    watched.note(item.frame, watched._recognizer.observe(item.frame.image[:, ::-1], 60 * 10**9), None)
-    assert (before.window == window).all()
-    assert (before.costs == costs).all()
+    show(watched, recognizer, Frame(np.ascontiguousarray(item.frame.image[:, ::-1]), 60 * 10**9, FRAMES))
+    assert (before.costs.window == window).all()
+    assert (before.costs.costs == costs).all()
     assert before.status.history == history
 
 
-def test_a_note_keeps_the_picture_and_copies_nothing(watched: LiveStatus, street: ReferenceMap) -> None:
+def test_adding_a_frame_keeps_the_picture_and_copies_nothing(watched: LiveStatus, street: ReferenceMap) -> None:
     """It runs for every frame, whether somebody looks or not: the work waits for a snapshot."""
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
     tracemalloc.start()
     for _ in range(100):
-        watched.note(item.frame, None, None)
+        watched.add(item.frame, None, FrameUsed(item.frame.index, item.frame.stamp_ns), None)
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert watched.snapshot("on the map", "").image is item.frame.image
@@ -108,9 +114,9 @@ def test_the_map_of_the_page_is_thinned_out(street: ReferenceMap) -> None:
 
 
 def test_no_page_is_no_reason_to_stop(street: ReferenceMap, caplog: pytest.LogCaptureFixture) -> None:
-    assert open_page(PageConfig(port=0), MapSet.of(street)) is None
+    assert open_page(PageConfig(port=0), map_view(MapSet.of(street))) is None
     with socket.create_server(("127.0.0.1", 0)) as taken, caplog.at_level(logging.INFO):
-        assert open_page(PageConfig(port=taken.getsockname()[1]), MapSet.of(street)) is None
+        assert open_page(PageConfig(port=taken.getsockname()[1]), map_view(MapSet.of(street))) is None
         assert "no live page: [page] 127.0.0.1:" in caplog.text
         assert "Address already in use" in caplog.text
-        assert open_page(PageConfig(bind="203.0.113.1", port=8642), MapSet.of(street)) is None
+        assert open_page(PageConfig(bind="203.0.113.1", port=8642), map_view(MapSet.of(street))) is None

@@ -21,6 +21,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
 from edge.feed import FeedHeader, FeedWriter, read_feed
 from edge.journal.journal import read_journal
+from edge.journal.records import Stopped
 
 UNIT = (Path(__file__).parents[2] / "systemd" / "lookback.service").read_text()
 WATCHDOG_S, STOP_S = (
@@ -128,7 +129,7 @@ def test_ready_then_watchdog_then_stopping(manager: Manager, config: Path) -> No
     assert any(word.startswith("STATUS=") for word in heard)
     assert max(np.diff(fed_s)) < WATCHDOG_S / 2
     assert stopped_in_s < STOP_S
-    assert [record["event"] for record in read_journal(config.with_name("events.jsonl"))][-1] == "stopped"
+    assert isinstance(list(read_journal(config.with_name("events.jsonl")))[-1].record, Stopped)
 
 
 WITHOUT = """

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.journal import Journal, read_journal
+from edge.journal.journal import Journal, R, records_of
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -64,9 +64,8 @@ class Rig:
     def received(self, name: str) -> list[Any]:
         return [entry.message for entry in self.autopilot.received if entry.message.get_type() == name]
 
-    def journalled(self, event: str) -> list[dict[str, Any]]:
-        path = self.port.with_name("events.jsonl")
-        return [record for record in read_journal(path) if record["event"] == event]
+    def journalled(self, kind: type[R]) -> list[R]:
+        return list(records_of(self.port.with_name("events.jsonl"), kind))
 
     def fix(self, age_s: float = 0.5, **changes: Any) -> PlaceFix:
         exposed_ns = self.now_ns - round(age_s * 1e9)

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import TelemetryConfig
 from edge.errors import ConfigError
+from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SILENT
@@ -29,7 +30,7 @@ def test_heartbeats_go_out_and_the_link_comes_up_with_streams(rig: Rig) -> None:
     assert {(m.get_srcSystem(), m.get_srcComponent(), m.type, m.autopilot) for m in heartbeats} == {(1, 191, 18, 8)}
     assert {int(m.param1) for m in rig.received("COMMAND_LONG") if m.command == 511} == STREAMS
     assert {int(m.param1) for m in rig.received("COMMAND_LONG") if m.command == 512} == {148, 49}
-    assert [record["state"] for record in rig.journalled("link")] == ["waiting", "up"]
+    assert [record.state for record in rig.journalled(LinkChanged)] == ["waiting", "up"]
 
 
 def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig) -> None:
@@ -56,7 +57,7 @@ def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> 
 
 def test_report_sends_text_and_no_position(rig: Rig) -> None:
     rig.run(4.0)
-    rig.connection.tell_place(rig.fix())
+    rig.connection.publish_place(rig.fix())
     assert rig.connection.position_wanted() is None
     assert not rig.connection.send_position(rig.fix())
     rig.run(2.0)
@@ -78,7 +79,7 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
     assert command.param2 == pytest.approx(1.5, abs=0.02)
     assert command.param3 == pytest.approx(6.0)
     assert [reset.error_after_m for reset in rig.autopilot.resets] == [pytest.approx(0.0, abs=0.3)]
-    assert [(record["place"], record["result"]) for record in rig.journalled("fix_answered")] == [(42, "ACCEPTED")]
+    assert [(record.place, record.result) for record in rig.journalled(FixAnswered)] == [(42, "ACCEPTED")]
 
 
 @external
@@ -93,7 +94,7 @@ def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, 
 @external
 def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> None:
     assert not rig.connection.send_position(rig.fix())
-    rig.connection.tell_place(rig.fix())
+    rig.connection.publish_place(rig.fix())
     rig.run(6.0)
     assert not rig.received("COMMAND_INT")
     assert not rig.received("STATUSTEXT")
@@ -115,7 +116,7 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
     rig.autopilot.reject_fixes_with = SILENT
     assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
-    assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
+    assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
     assert rig.connection.positions_enabled
 
 
@@ -129,7 +130,7 @@ def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     rig.pty.send(MavlinkCodec(1, 1).encode(denied))
     rig.run(0.5)
     assert rig.connection.positions_enabled
-    assert not rig.journalled("fix_answered")
+    assert not rig.journalled(FixAnswered)
 
 
 @external
@@ -173,7 +174,7 @@ def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytes
     after_m = rig.connection.vehicle.distance_m(rig.now_ns)
     assert driven_m is not None and after_m is not None
     assert after_m > driven_m
-    assert [record["state"] for record in rig.journalled("link")] == ["waiting", "up", "closed", "waiting", "up"]
+    assert [record.state for record in rig.journalled(LinkChanged)] == ["waiting", "up", "closed", "waiting", "up"]
 
 
 def test_a_silent_autopilot_is_reported(rig: Rig) -> None:
@@ -222,7 +223,7 @@ def test_recorded_autopilots_played_into_the_port(
         sent += codec.decode(rig.pty.receive())
         if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
             next_fix_ns = rig.now_ns + 1_000_000_000
-            rig.connection.tell_place(rig.fix())
+            rig.connection.publish_place(rig.fix())
             assert rig.connection.position_wanted() is None
             assert not rig.connection.send_position(rig.fix())
     assert rig.connection.state == "up"

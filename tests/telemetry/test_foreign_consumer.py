@@ -140,7 +140,7 @@ def test_every_message_of_ours_is_decoded_with_the_right_fields(setting: Setting
     foreigner.say("SYSTEM_TIME", time_boot_ms=4_000_000, time_unix_usec=0)
     setting.until(lambda: ours.vehicle.session > session and ours.vehicle.boot_time_s(0) is not None)
     fix = place_fix(time.monotonic_ns() - 300_000_000)
-    ours.tell_place(fix)
+    ours.publish_place(fix)
     assert ours.send_position(fix)
     ours.status_text(LONG_TEXT)
     setting.until(lambda: len(foreigner.read("STATUSTEXT")) == 4 and len(foreigner.read("HEARTBEAT")) >= 2)

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import LinkConfig
 from edge.errors import ConfigError
+from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 
 OpenRig: TypeAlias = Callable[..., Any]
@@ -57,7 +58,7 @@ def test_a_further_link_is_told_events_and_never_a_position(open_rig: OpenRig, s
     links = (LinkConfig(f"udp:127.0.0.1:{station.port}"),)
     rig = open_rig(emit="external_position", gps=False, system_id=7, config={"links": links})
     rig.run(4.0, station.listen)
-    rig.connection.tell_place(rig.fix())
+    rig.connection.publish_place(rig.fix())
     assert rig.connection.send_position(rig.fix())
     rig.connection.status_text("for everybody")
     rig.run(2.0, station.listen)
@@ -66,13 +67,13 @@ def test_a_further_link_is_told_events_and_never_a_position(open_rig: OpenRig, s
     assert {message.get_srcComponent() for message in station.heard} == {191}
     texts = [message.text for message in station.heard if message.get_type() == "STATUSTEXT"]
     assert texts == ["Place 42 backwards, street, 1.31", "for everybody"]
-    states = {(record["link"], record["state"]) for record in rig.journalled("link")}
+    states = {(record.link, record.state) for record in rig.journalled(LinkChanged)}
     assert (f"udp:127.0.0.1:{station.port}", "up") in states
 
 
 def test_a_status_for_the_heartbeat_reaches_every_link(open_rig: OpenRig, station: GroundStation) -> None:
     rig = open_rig(config={"links": (LinkConfig(f"udp:127.0.0.1:{station.port}"),)})
-    rig.connection.system_status = mavlink.MAV_STATE_CRITICAL
+    rig.connection.set_system_status(mavlink.MAV_STATE_CRITICAL)
     rig.run(3.0, station.listen)
     assert {message.system_status for message in station.heard} == {mavlink.MAV_STATE_CRITICAL}
     assert rig.received("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_CRITICAL
@@ -81,9 +82,9 @@ def test_a_status_for_the_heartbeat_reaches_every_link(open_rig: OpenRig, statio
 def test_a_further_link_that_cannot_be_opened_costs_the_autopilots_nothing(open_rig: OpenRig) -> None:
     rig = open_rig(config={"links": (LinkConfig("serial:/dev/no-such-port:57600"),)})
     assert rig.run(4.0, lambda: rig.connection.state == "up")
-    (closed,) = [record for record in rig.journalled("link") if record["link"] != "autopilot"]
-    assert closed["state"] == "closed"
-    assert "no such port" in closed["why"]
+    (closed,) = [record for record in rig.journalled(LinkChanged) if record.link != "autopilot"]
+    assert closed.state == "closed"
+    assert "no such port" in closed.why
 
 
 def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) -> None:
@@ -116,7 +117,7 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
     assert rig.connection.send_position(rig.fix())
     rig.run(2.0, talk)
     assert rig.connection.positions_enabled
-    assert [record["result"] for record in rig.journalled("fix_answered")] == ["ACCEPTED"]
+    assert [record.result for record in rig.journalled(FixAnswered)] == ["ACCEPTED"]
     assert not [message for message in rig.received("TIMESYNC") if message.ts1 == 5], "asked by another, not for us"
 
 

@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
+from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
 from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
@@ -47,7 +48,7 @@ def offer_for(rig: Rig, seconds: float, **changes: Any) -> int:
 def test_auto_picks_what_the_firmware_takes_and_says_so(open_rig: OpenRig, firmware: str, way: str, why: str) -> None:
     rig = open_rig(emit="auto", firmware=firmware)
     rig.run(5.0)
-    assert rig.journalled("way")[-1] == {**rig.journalled("way")[-1], "way": way, "why": why}
+    assert rig.journalled(PositionMessageChosen)[-1] == PositionMessageChosen(way, why)
     assert f"Lookback: {why}" in [message.text for message in rig.received("STATUSTEXT")]
 
 
@@ -57,11 +58,11 @@ def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, fir
     rig.run(4.0)
     offer_for(rig, 30.0)
     assert len(fixes_received(rig)) == 5, "pauses of 1, 2, 4, 8 and 16 s"
-    assert {record["result"] for record in rig.journalled("fix_answered")} == {answer}
+    assert {record.result for record in rig.journalled(FixAnswered)} == {answer}
     assert not rig.received("STATUSTEXT")
     rig.autopilot.gps = False
     offer_for(rig, 20.0)
-    assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+    assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.autopilot.resets
 
 
@@ -75,8 +76,8 @@ def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: 
     assert (second.x, second.y) == (first.x, first.y)
     assert second.param1 - second.param2 == pytest.approx(first.param1 - first.param2, abs=0.02), "the same exposure"
     assert second.param2 == pytest.approx(1.5, abs=0.05)
-    assert [record["again"] for record in rig.journalled("fix_sent")] == [False, True]
-    assert [record["result"] for record in rig.journalled("fix_answered")] == ["NO_ANSWER"]
+    assert [record.again for record in rig.journalled(FixSent)] == [False, True]
+    assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
 
 
 def test_px4_1_15_never_answers_and_is_told_nevertheless(open_rig: OpenRig) -> None:
@@ -92,9 +93,9 @@ def test_accepted_and_moved(open_rig: OpenRig) -> None:
     rig.run(30.0)
     assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
-    (checked,) = rig.journalled("fix_checked")
-    assert checked["moved"]
-    assert checked["remaining_m"] < 2.0
+    (checked,) = rig.journalled(FixChecked)
+    assert checked.moved
+    assert checked.remaining_m < 2.0
 
 
 def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -> None:
@@ -104,14 +105,14 @@ def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -
     rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
     assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
-    (answered,) = rig.journalled("fix_answered")
-    (checked,) = rig.journalled("fix_checked")
-    assert answered["result"] == "ACCEPTED"
-    assert not checked["moved"]
+    (answered,) = rig.journalled(FixAnswered)
+    (checked,) = rig.journalled(FixChecked)
+    assert answered.result == "ACCEPTED"
+    assert not checked.moved
     assert any("fix accepted, position" in message.text for message in rig.received("STATUSTEXT"))
     rig.run(10.0)
     offer_for(rig, 6.0)
-    assert {record["result"] for record in rig.journalled("fix_answered")[1:]} == {"FAILED"}, "it has stopped aiding"
+    assert {record.result for record in rig.journalled(FixAnswered)[1:]} == {"FAILED"}, "it has stopped aiding"
 
 
 def test_a_fix_beyond_reason_is_held_back_and_told_once(open_rig: OpenRig) -> None:
@@ -122,9 +123,9 @@ def test_a_fix_beyond_reason_is_held_back_and_told_once(open_rig: OpenRig) -> No
     rig.run(5.0)
     offer_for(rig, 5.0, lat_deg=-27.48, matches=500)
     assert not fixes_received(rig)
-    (withheld,) = rig.journalled("fix_withheld")
-    assert withheld["reason"] == "impossibly far"
-    assert withheld["distance_m"] > 200
+    (withheld,) = rig.journalled(FixWithheld)
+    assert withheld.reason == "impossibly far"
+    assert withheld.distance_m > 200
     texts = [message.text for message in rig.received("STATUSTEXT")]
     assert len([text for text in texts if "not sent" in text]) == 1
     assert offer_for(rig, 2.0) >= 2, "a good one goes at once"
@@ -136,7 +137,7 @@ def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig
     assert offer_for(rig, 5.0) == 0
     rig.autopilot.gps = False
     assert offer_for(rig, 8.0) >= 4
-    assert [record["reason"] for record in rig.journalled("fix_withheld")] == ["GPS is healthy"]
+    assert [record.reason for record in rig.journalled(FixWithheld)] == ["GPS is healthy"]
 
 
 def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) -> None:
@@ -145,8 +146,8 @@ def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) ->
     offer_for(rig, 2.0, map="tile-3")
     rig.autopilot.gps = False
     offer_for(rig, 8.0, map="tile-3")
-    for event in ("fix_withheld", "fix_sent", "fix_answered"):
-        assert {record["map"] for record in rig.journalled(event)} == {"tile-3"}, event
+    for kind in (FixWithheld, FixSent, FixAnswered):
+        assert {record.map for record in rig.journalled(kind)} == {"tile-3"}, kind
 
 
 def test_px4_is_told_five_times_a_second_and_follows(open_rig: OpenRig) -> None:
@@ -161,7 +162,7 @@ def test_px4_is_told_five_times_a_second_and_follows(open_rig: OpenRig) -> None:
     assert len(messages) == pytest.approx(50, abs=3)
     assert rig.autopilot.estimate.error_m < 3.0
     assert not rig.received("COMMAND_INT")
-    assert len(rig.journalled("fix_sent")) <= 11, "one a second is recorded"
+    assert len(rig.journalled(FixSent)) <= 11, "one a second is recorded"
 
 
 def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:
@@ -204,7 +205,7 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
     assert rig.connection.vehicle.origin is not None
     assert rig.connection.send_position(rig.fix())
     rig.run(1.0)
-    assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+    assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.autopilot.resets[-1].error_after_m < 1.0
 
 
@@ -222,7 +223,7 @@ def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
     rig.autopilot.reject_fixes_with = mavlink.MAV_RESULT_IN_PROGRESS
     assert rig.connection.send_position(rig.fix())
     rig.run(0.5)
-    assert not rig.journalled("fix_answered")
+    assert not rig.journalled(FixAnswered)
 
 
 def test_an_exposure_is_told_once(open_rig: OpenRig) -> None:
@@ -253,7 +254,7 @@ def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: O
     rig.run(4.0)
     off_deg = claimed_off_m / 111_000
     assert not offer_for(rig, 6.0, lat_deg=rig.fix().lat_deg + off_deg)
-    assert [record["reason"] for record in rig.journalled("fix_withheld")] == ["not confirmed by another place yet"]
+    assert [record.reason for record in rig.journalled(FixWithheld)] == ["not confirmed by another place yet"]
     rig.run(10.0)
     sent = offer_for(rig, 6.0)
     if claimed_off_m:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from edge.errors import ConfigError
+from edge.journal.records import FixAnswered
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.replay_guard import TICKS_PER_S
@@ -169,7 +170,7 @@ def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes,
         assert rig.received("HEARTBEAT")
         assert rig.connection.send_position(rig.fix())
         rig.run(0.5)
-        assert rig.journalled("fix_answered")[-1]["result"] == "ACCEPTED"
+        assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     else:
         assert not rig.received("HEARTBEAT"), "and what we sign is nothing to a peer with another key"
     assert (tmp_path / "clock.0").exists()

@@ -15,11 +15,12 @@ pytest.importorskip("simplekml")
 import gpxpy
 
 from edge.__main__ import main
-from edge.journal.frame_record import Observation
+from edge.commands.replay import as_line
 from edge.journal.journal import Journal
+from edge.journal.records import FrameUsed, PlaceFix, StateChanged
 
-FRAME = Observation(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)
-EVENT = {"event": "place", "stamp_ns": 10_000_000_000, "place": 4, "lat_deg": -27.001, "lon_deg": 153.0}
+FRAME = FrameUsed(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)
+EVENT = PlaceFix(10_000_000_000, 4, -27.001, 153.0, 180.0, 3.0, 1.0, "forward", "same", 1.3, "street")
 
 
 @pytest.fixture
@@ -29,10 +30,10 @@ def journal(tmp_path: Path) -> Path:
     journal = Journal(path, unix_time_s=lambda: 1_700_000_000.25)
     doubted = msgspec.structs.replace(FRAME, accepted=False)
     unknown = msgspec.structs.replace(FRAME, lat_deg=None, lon_deg=None)
-    for frame in (FRAME, doubted, unknown, Observation(6, 9_100_000_000)):
-        journal.write({"event": "frame", **msgspec.to_builtins(frame)})
-    journal.write({"event": "state", "state": "on the map"})
-    journal.write({**EVENT, "heading_deg": 180.0, "uniqueness": 1.3, "direction": "forward", "category": "street"})
+    for frame in (FRAME, doubted, unknown, FrameUsed(6, 9_100_000_000)):
+        journal.write(frame)
+    journal.write(StateChanged("on the map"))
+    journal.write(EVENT)
     journal.close()
     return path
 
@@ -78,7 +79,7 @@ def test_events_only_and_lines_of_replay(journal: Path, tmp_path: Path) -> None:
     assert len(json.loads(export(journal, "events.geojson", "--events-only"))["features"]) == 1
     lines = tmp_path / "replay.jsonl"
     emitted = msgspec.structs.replace(FRAME, emitted=True)
-    lines.write_bytes(msgspec.json.encode(FRAME) + b"\n" + msgspec.json.encode(emitted) + b"\n")
+    lines.write_text(as_line(FRAME) + as_line(emitted))
     assert len(json.loads(export(lines, "replay.geojson"))["features"]) == 2
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from edge.errors import ConfigError
-from edge.journal.journal import read_journal
+from edge.journal.journal import records_of
+from edge.journal.records import FixChecked
 from edge.reference_map.store import open_map
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.trial import command
@@ -53,9 +54,7 @@ def test_the_whole_daemon_drives_home(world: World, network: MemoizingNetwork, t
     assert not run.false_fixes
     assert run.withheld["impossibly far"] >= 1
     assert run.answers == {"ACCEPTED": len(run.after_m)}
-    checked = [
-        record["moved"] for record in read_journal(tmp_path / "journal.jsonl") if record["event"] == "fix_checked"
-    ]
+    checked = [record.moved for record in records_of(tmp_path / "journal.jsonl", FixChecked)]
     assert checked and all(checked)
 
 

@@ -1,0 +1,36 @@
+"""`lookback run`: the daemon, until it is stopped or its camera comes to its end."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import threading
+from pathlib import Path
+
+from edge.config import load_config, naming
+from edge.daemon import run
+from edge.health.service import on_stop_signal
+
+log = logging.getLogger(__name__)
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback run` to the command line."""
+    parser = commands.add_parser("run", help="recognize places and send positions to the autopilot, until stopped")
+    parser.add_argument("config", type=Path, metavar="CONFIG")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    config = load_config(args.config)
+    stop, opened = threading.Event(), threading.Event()
+
+    def request_stop() -> None:
+        stop.set()
+        if not opened.is_set():
+            raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
+
+    with on_stop_signal(request_stop), naming(args.config):
+        stopped = run(config, stop, opened.set)
+    log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
+    return 0
