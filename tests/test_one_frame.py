@@ -30,7 +30,7 @@ from sim.vehicle.pty_link import open_pty
 EDGE = Path(edge.__file__).parent
 FRAMES, LENGTH = 80, 10
 PERIOD_NS, STEP_NS = 200_000_000, 20_000_000
-FRAME_FUNCTIONS = (Daemon._use, Daemon._tell_position)
+FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 """What a frame goes through once the camera has handed it over: to its match, its position and the journal.
 
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
@@ -97,7 +97,7 @@ class Drive:
 
     def journaled(self) -> Counter[str]:
         """How many records of each kind the journal has."""
-        return Counter(record["event"] for record in read_journal(self.journal))
+        return Counter(type(line.record).__name__ for line in read_journal(self.journal))
 
     def show(self, image: NDArray[np.uint8], index: int) -> None:
         """Put a frame before the camera; the next turn uses it."""
@@ -151,7 +151,7 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
             drive.show(images.read(index) ^ 1, index)
             before = drive.journaled()
             files = profiled(drive.daemon.turn)
-            if drive.journaled() - before >= Counter(("frame", "place", "fix_sent")):
+            if drive.journaled() - before >= Counter(("FrameUsed", "PlaceFix", "FixSent")):
                 return files
             drive.wait()
     pytest.fail("no turn used a frame, reported its place and sent a position")

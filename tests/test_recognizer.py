@@ -23,7 +23,7 @@ from edge.config import (
 from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
-from edge.localization.place_fix import position_of
+from edge.localization.place_fix import match_position
 from edge.recognizer import PlaceMatch, PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
@@ -74,7 +74,7 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
     last = matches[-1]
     assert last and last.accepted and last.event and last.category
     assert (last.map, last.place_index) == (None, last.place)
-    position = position_of(last, Route(MapSet.of(street_map)), CONFIG.rig)
+    position = match_position(last, Route(MapSet.of(street_map)), CONFIG.rig)
     assert position is not None
     assert position.lat_deg == pytest.approx(-27.0 + last.place * 2 / 110_800)
     assert position.heading_deg == 0.0
@@ -86,7 +86,7 @@ def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, fra
     matches = drive(recognizer(network, street_map, rear), frames[59:0:-1])
     last = matches[-1]
     assert last and last.accepted
-    position = position_of(last, Route(MapSet.of(street_map)), rear.rig)
+    position = match_position(last, Route(MapSet.of(street_map)), rear.rig)
     assert position is not None
     assert (last.direction, last.order, position.heading_deg) == ("reverse", "same", 180.0)
     assert abs(last.place - 1) <= 1

@@ -44,7 +44,8 @@ def _places(maps: MapSet, config: Config) -> Iterator[Diagnostic]:
     places, length = maps.index.places, config.sequence.length
     if places < 2 * length:
         words = f"{places} places are too few for sequences of {length}"
-        yield bad("map", words, "record a longer drive, or lower [sequence] length")
+        found = bad if places < length else note  # with fewer places than frames no sequence ends anywhere
+        yield found("map", words, "record a longer drive, or lower [sequence] length")
     otherwise = [index for index, one in enumerate(maps.maps) if one.header.sampling != config.sampling]
     if otherwise:
         words = f"{maps.spell(otherwise)}: not sampled as [sampling] says"

@@ -15,7 +15,7 @@ from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
 from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near, PlaceSearch
 from sim.bench.rows import Row, Section, Target
-from sim.bench.simulated_map import map_bytes, position_of, seen_at, write_simulated_map, write_simulated_tiles
+from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race, wall_ns
 
 RADIUS_M = 500.0
@@ -41,7 +41,7 @@ class Drive:
     def step(self) -> PlaceMatch | None:
         """One frame."""
         self._ring = [*self._ring, self._look()][-self._length :]
-        near = Near(*position_of(self._place), RADIUS_M) if self._known else None
+        near = Near(*match_position(self._place), RADIUS_M) if self._known else None
         change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
         self._place += 1
         return self.search.push(change, lambda: np.stack(self._ring), near)

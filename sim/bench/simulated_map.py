@@ -114,7 +114,7 @@ def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
     return np.stack([half_sum + half_difference, half_sum - half_difference])
 
 
-def position_of(place: int) -> tuple[float, float]:
+def match_position(place: int) -> tuple[float, float]:
     """Latitude and longitude of a place."""
     street, along_m = divmod(place * SPACING_M, STREET_M)
     lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
