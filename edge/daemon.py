@@ -161,6 +161,7 @@ class Daemon:
             self._reset()
         self._publish_position()
         self._update_page()
+        self._warm_start.keep_if_due(self._clock_ns(), self.monitor.health.state, self._newest)
         self._feed_watchdog()
         return not self._camera.ended
 
@@ -191,9 +192,7 @@ class Daemon:
             if match.event:
                 self._publish_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
-        now_ns = self._clock_ns()
-        self.monitor.add_frame((now_ns - began_ns) / 1e9)
-        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._newest)
+        self.monitor.add_frame((self._clock_ns() - began_ns) / 1e9)
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""

@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class NormalizedRows:
-    """What one frame changes: rows (n, R, D), oldest first; they replace the whole ring, or add one row to it."""
+    """What one frame changes in the ring.
+
+    rows: (n, R, D) float32, normalized. ages: of each row, how many rows came after it. The new frame's comes first,
+    with age 0; the others replace rows that are in the ring already.
+    """
 
     rows: NDArray[np.float32]
-    replaces_ring: bool
+    ages: tuple[int, ...] = (0,)

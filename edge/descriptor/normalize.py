@@ -1,11 +1,16 @@
 """The normalised set of descriptors (NSD), equation 1: for a whole set, and online for the query.
 
 The map is normalised over its whole set. The query's mean and deviation are updated with every frame (section
-III-B). By default the whole ring of recent frames is then normalised again with the newest statistics: nearly all
-that the online form loses against the whole set is its first frames, which were normalised with hardly any data.
+III-B). By default the rows of the ring whose statistics have become stale are normalized again, a few with each
+frame: nearly all that the online form loses against the whole set is its first frames, which were normalized with
+hardly any data.
 """
 
 from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +20,12 @@ from edge.descriptor import NormalizedRows
 DEAD_DEVIATION = 1e-4
 """A dimension that varies less than this share of the mean deviation is dead after ReLU, and counts for nothing."""
 
-RENORMALIZE_GROWTH = 0.05
-"""The ring is normalised again when the frames behind the statistics have grown by this share: below it the mean
-moves by under a twentieth of a deviation, and matching the whole ring again would cost L times a frame."""
+STALE_GROWTH = 0.05
+"""A row of the ring is stale when the frames behind the statistics have grown by this share since it was normalized:
+below it the mean moves by under a twentieth of a deviation."""
+RENEWED_PER_FRAME = 4
+"""Stale rows that are normalized again with one frame. Matching five rows takes twice as long as matching one, matching
+a ring of forty at once takes eight times as long."""
 
 
 def normalize(
@@ -62,26 +70,51 @@ class RunningStatistics:
         return np.sqrt(self._squares / max(self.count, 1))
 
 
+@dataclass
+class _RingRow:
+    """A raw descriptor (R, D), what it is after normalization, and how many frames the statistics then had."""
+
+    raw: NDArray[np.float32]
+    normalized: NDArray[np.float32]
+    count: float
+
+
 class OnlineNormalizer:
-    """Normalises the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
+    """Normalizes the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
 
     def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
         """`enabled` False hands raw descriptors on as they are (Raw-fc6 of the paper)."""
-        self._length = length
         self._renormalize_ring = renormalize_ring and enabled
         self._enabled = enabled
-        self._ring: list[NDArray[np.float32]] = []
-        self._normalized: list[NDArray[np.float32]] = []
+        self._ring: deque[_RingRow] = deque(maxlen=length)
         self._statistics: RunningStatistics | None = None
-        self._count_at_renormalization = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
-        """Take in one raw descriptor (R, D) and give back the rows it changes."""
-        self._ring = [*self._ring[1 - self._length :], raw]
-        change = self._change(raw)
-        self._normalized = list(change.rows) if change.replaces_ring else [*self._normalized, change.rows[0]]
-        self._normalized = self._normalized[-self._length :]
-        return change
+        """Add one raw descriptor (R, D); the rows of the ring that change with it."""
+        if not self._enabled:
+            self._ring.append(_RingRow(raw, raw, 0))
+            return NormalizedRows(raw[np.newaxis])
+        if self._statistics is None:
+            self._statistics = RunningStatistics(raw.shape)
+        self._statistics.update(raw)
+        self._ring.append(_RingRow(raw, raw, 0))
+        ages = (0, *self._stale_ages())
+        rows = self._normalized(np.stack([self._ring[-1 - age].raw for age in ages]))
+        for age, row in zip(ages, rows, strict=True):
+            self._ring[-1 - age].normalized, self._ring[-1 - age].count = row, self._statistics.count
+        return NormalizedRows(rows, ages)
+
+    def _stale_ages(self) -> list[int]:
+        """The ages of the rows that are renewed now: those whose statistics have grown most since."""
+        if not self._renormalize_ring or self._statistics is None:
+            return []
+        limit = self._statistics.count / (1 + STALE_GROWTH)
+        stale = [age for age in range(1, len(self._ring)) if self._ring[-1 - age].count < limit]
+        return sorted(stale, key=lambda age: self._ring[-1 - age].count)[:RENEWED_PER_FRAME]
+
+    def _normalized(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
+        assert self._statistics is not None
+        return normalize(raw, self._statistics.mean, self._statistics.deviation)
 
     def skip(self) -> bool:
         """Leave a row of NaN for a place of which there is no frame; False at the beginning, which needs none.
@@ -90,32 +123,17 @@ class OnlineNormalizer:
         """
         if not self._ring:
             return False
-        nothing = np.full_like(self._ring[0], np.nan)
-        self._ring = [*self._ring[1 - self._length :], nothing]
-        self._normalized = [*self._normalized, nothing][-self._length :]
+        nothing = np.full_like(self._ring[0].raw, np.nan)
+        self._ring.append(_RingRow(nothing, nothing, math.inf))
         return True
 
-    def _change(self, raw: NDArray[np.float32]) -> NormalizedRows:
-        if not self._enabled:
-            return NormalizedRows(raw[np.newaxis], replaces_ring=False)
-        if self._statistics is None:
-            self._statistics = RunningStatistics(raw.shape)
-        statistics = self._statistics
-        statistics.update(raw)
-        stale = statistics.count > self._count_at_renormalization * (1 + RENORMALIZE_GROWTH)
-        if self._renormalize_ring and stale:
-            self._count_at_renormalization = statistics.count
-            rows = normalize(np.stack(self._ring), statistics.mean, statistics.deviation)
-            return NormalizedRows(rows, replaces_ring=True)
-        return NormalizedRows(normalize(raw[np.newaxis], statistics.mean, statistics.deviation), replaces_ring=False)
-
     def rows(self) -> NDArray[np.float32]:
-        """The whole ring as it was last normalised, (n, R, D), oldest first."""
-        return np.stack(self._normalized)
+        """The whole ring as it was last normalized, (n, R, D), oldest first."""
+        return np.stack([row.normalized for row in self._ring])
 
     @property
     def statistics(self) -> RunningStatistics | None:
-        """Of all frames so far; None before the first, and where nothing is normalised."""
+        """Of all frames so far; None before the first, and where nothing is normalized."""
         return self._statistics
 
     def begin_with(self, statistics: RunningStatistics) -> None:
@@ -126,8 +144,8 @@ class OnlineNormalizer:
     @property
     def is_full(self) -> bool:
         """Whether there are as many frames as a sequence needs."""
-        return len(self._ring) == self._length
+        return len(self._ring) == self._ring.maxlen
 
     def clear_ring(self) -> None:
-        """Forget the recent frames (after a gap); the statistics stay."""
-        self._ring, self._normalized = [], []
+        """Discard the recent frames (after a gap); the statistics stay."""
+        self._ring.clear()

@@ -6,12 +6,15 @@ the next is one segment.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import accumulate, pairwise
 
-from edge.reference_map.spatial_index import Ranges, widened
+from edge.reference_map.spatial_index import Ranges
 from edge.reference_map.store import MapHeader
+
+STEEPEST = 2.0  # places per frame, above the steepest slope of the default limits
 
 
 class PlaceIndex:
@@ -87,3 +90,20 @@ def _follows(before: MapHeader, after: MapHeader) -> bool:
         and first.map_sha256 == second.map_sha256
         and first.start + before.places == second.start
     )
+
+
+def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Ranges:
+    """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
+
+    breaks: 0, the number of places, and in between the places that no sequence crosses.
+    """
+    margin = math.ceil(STEEPEST * sequence_length)
+    out: Ranges = []
+    for start, end in ranges:
+        floor, ceiling = breaks[bisect_right(breaks, start) - 1], breaks[bisect_left(breaks, end)]
+        first, last = max(floor, start - margin), min(ceiling, end + margin)
+        if out and first <= out[-1][1]:
+            out[-1] = (out[-1][0], last)
+        else:
+            out.append((first, last))
+    return out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import msgspec
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from edge.geodesy import apart_m, unwrapped
 
 BLOCK = 64
-STEEPEST = 2.0  # places per frame, above the steepest slope of the default limits
 MARGIN_SHARE, MARGIN_M = 1e-3, 1.0
 """By how much the bounds of a block may look farther away than they are: they are no straight lines on the ground."""
 LEAST_M_PER_DEG = 110_000.0
@@ -100,20 +98,3 @@ def _extremes(
 
 def _edges(bounds: Bounds | None) -> tuple[float, float, float, float]:
     return (bounds.south, bounds.west, bounds.north, bounds.east) if bounds else (math.nan,) * 4
-
-
-def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Ranges:
-    """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
-
-    breaks: 0, the number of places, and in between the places that no sequence crosses.
-    """
-    margin = math.ceil(STEEPEST * sequence_length)
-    out: Ranges = []
-    for start, end in ranges:
-        floor, ceiling = breaks[bisect_right(breaks, start) - 1], breaks[bisect_left(breaks, end)]
-        first, last = max(floor, start - margin), min(ceiling, end + margin)
-        if out and first <= out[-1][1]:
-            out[-1] = (out[-1][0], last)
-        else:
-            out.append((first, last))
-    return out

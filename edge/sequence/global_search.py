@@ -44,7 +44,7 @@ class GlobalSearch:
         # Lines that end in the slice may begin before it, or after it on the way back.
         ranges = self._map_set.index.widened([(self._next, end)], self._config.sequence.length)
         slice_of_maps = Submap(ranges, self._map_set, self._config, frame)
-        match = slice_of_maps.advance(self._map_set.costs(ring, ranges), replaces_ring=True)
+        match = slice_of_maps.refill(self._map_set.costs(ring, ranges))
         self._found += [match] if match else []
         self._next = end
         if end < self._map_set.index.places:

@@ -121,12 +121,14 @@ class PlaceSearch:
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
         if self.part is None:
             return None
-        rows = NormalizedRows(ring(), replaces_ring=True) if self._is_fresh else change
-        self._is_fresh = False
-        costs = self._map_set.costs(rows.rows, self.part.ranges)
+        rows = ring() if self._is_fresh else change.rows
+        costs = self._map_set.costs(rows, self.part.ranges)
         self._stopwatch("matching")
-        self.newest_costs = costs[-1]
-        return self.part.advance(costs, replaces_ring=rows.replaces_ring)
+        if not self._is_fresh:
+            self.newest_costs = costs[0]
+            return self.part.push(costs, change.ages)
+        self._is_fresh, self.newest_costs = False, costs[-1]
+        return self.part.refill(costs)
 
     def _look_around(self, near: Near) -> None:
         """Search around the position, if the part does not reach as far as it must."""

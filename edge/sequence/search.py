@@ -154,6 +154,18 @@ class SequenceSearch:
                 if offset < self._places:
                     self._sums.of(k)[:, offset:] += row[:, : self._places - offset]
 
+    def replace(self, age: int, costs: NDArray[np.int32]) -> None:
+        """Replace the cost row (orders, N) that was pushed `age` rows ago, and correct every running sum by it."""
+        frame = self._frame - age
+        row = self._ring[frame % self.length]
+        entering = self._by_plane(costs)
+        change = entering - row
+        row[:] = entering
+        for k, slope in enumerate(self._slopes):
+            offset = _rounded(slope, self._frame) - _rounded(slope, frame)
+            if offset < self._places:
+                self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
+
     def lines(self) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full."""
         if self._rows < self.length:

@@ -1,7 +1,8 @@
-"""Some ranges of the places of a set of maps, or all of them, searched as if there were no others."""
+"""Cost rows in, matches out: the search of equations 2 and 3 and the uniqueness test, on a part of the maps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,10 +10,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map import MapSet, Ranges
-from edge.sequence import PlaceMatch
-from edge.sequence.acceptance import Neighbourhood
-from edge.sequence.row_matcher import RowMatcher
+from edge.reference_map import COST_ONE, MapSet, Ranges
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
+from edge.sequence.acceptance import Neighbourhood, best_match
+from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
+
+
+class RowMatcher:
+    """Matches rows of costs to places that are counted from 0; whatever the costs were made of.
+
+    lines: the best line that ends at each place, after the newest row; None before the ring is full.
+    """
+
+    lines: Lines | None = None
+
+    def __init__(
+        self,
+        segments: Sequence[tuple[int, int]],
+        views: Sequence[str],
+        regions: int,
+        neighbourhood: Neighbourhood,
+        config: Config,
+        frame: int = 0,
+    ) -> None:
+        """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
+
+        config: [sequence], [acceptance], and the view of [camera]. frame: how many frames came before the first row.
+        """
+        self.neighbourhood = neighbourhood
+        self._count = segments[-1][1]
+        self._per_frame_order = config.sequence.region_order == "frame"
+        self._acceptance = config.acceptance
+        planes, possible = _planes(segments, views, regions, config)
+        slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
+        self._search = SequenceSearch(segments, planes, config.sequence.length, slopes, possible, frame)
+
+    def push(self, costs: NDArray[np.int32], ages: Sequence[int] = (0,)) -> PlaceMatch | None:
+        """Add cost rows (n, orders, N), the new one first, and replace older ones; the best match.
+
+        ages: see `NormalizedRows`.
+        """
+        searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
+        self._search.push(searched[0])
+        for age, row in zip(ages[1:], searched[1:], strict=True):
+            self._search.replace(age, row)
+        return self._match(costs[0])
+
+    def refill(self, costs: NDArray[np.int32]) -> PlaceMatch | None:
+        """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match."""
+        self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
+        return self._match(costs[-1])
+
+    def _match(self, newest: NDArray[np.int32]) -> PlaceMatch | None:
+        self.lines = self._search.lines()
+        if self.lines is None:
+            return None
+        match = best_match(self._search, self.lines, self.neighbourhood, self._acceptance)
+        if match is None or not self._per_frame_order:
+            return match
+        # Where every frame took its better order, the line is said to have that of the newest.
+        return replace(match, order=ORDERS[int(newest[:, match.place].argmin())])
+
+    def skip(self) -> None:
+        """Add a row of which nothing is known: every place is as far as one with nothing in common."""
+        self._search.push(np.full((len(ORDERS), self._count), COST_ONE, dtype=np.int32))
+
+    def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
+        """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
+        return self._search.recent((direction, "same" if self._per_frame_order else order))
+
+    def clear(self) -> None:
+        """Remove all rows."""
+        self._search.clear()
+        self.lines = None
 
 
 class Submap(RowMatcher):
@@ -35,11 +105,30 @@ class Submap(RowMatcher):
         views = [map_set.index.view(number) for number, _, _ in pieces]
         super().__init__(segments, views, map_set.headers[0].regions.count, neighbourhood, config, frame)
 
-    def advance(self, costs: NDArray[np.int32], *, replaces_ring: bool) -> PlaceMatch | None:
-        """Add cost rows (n, orders, places of the part); the best match now, in coordinates of the maps."""
-        match = self.push(costs, replaces_ring=replaces_ring)
+    def _match(self, newest: NDArray[np.int32]) -> PlaceMatch | None:
+        match = super()._match(newest)
         if match is None:
             return None
         place_index = int(self.places[match.place])
         name, row = self._map_set.locate(place_index)
         return replace(match, place_index=place_index, map=name, place=row)
+
+
+def _planes(
+    segments: Sequence[tuple[int, int]], views: Sequence[str], regions: int, config: Config
+) -> tuple[list[Alignment], NDArray[np.bool_]]:
+    """The directions and region orders to search in, and where (planes, N) each of them is possible."""
+    sequence = config.sequence
+    # One region has no order; and where the better order of each frame counts, the search sees but one.
+    orders = ORDERS if regions == 2 and sequence.region_order != "frame" else ORDERS[:1]
+    directions: tuple[Direction, ...] = ("forward", "reverse")
+    planes = [
+        (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
+    ]
+    possible = np.ones((len(planes), segments[-1][1]), dtype=bool)
+    if sequence.region_order == "rig" and len(orders) == 2:
+        for (start, end), view in zip(segments, views, strict=True):
+            allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
+            possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
+    used = np.flatnonzero(possible.any(axis=1))
+    return [planes[index] for index in used], possible[used]

@@ -42,7 +42,7 @@ class Drive:
         """One frame."""
         self._ring = [*self._ring, self._look()][-self._length :]
         near = Near(*match_position(self._place), RADIUS_M) if self._known else None
-        change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
+        change = NormalizedRows(self._ring[-1][np.newaxis])
         self._place += 1
         return self.search.push(change, lambda: np.stack(self._ring), near)
 

@@ -92,7 +92,7 @@ def _uniqueness_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
             costs[..., part.neighbourhood.around(place)] = missing
-            match = part.advance(costs, replaces_ring=False)
+            match = part.push(costs)
             if match is None or match.distance * COST_ONE * config.sequence.length >= missing:
                 continue
             alone = match.uniqueness * match.distance * COST_ONE * config.sequence.length >= missing

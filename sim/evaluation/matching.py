@@ -13,8 +13,8 @@ from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
 from edge.sequence.acceptance import Neighbourhood
-from edge.sequence.row_matcher import RowMatcher
 from edge.sequence.search import NO_LINE
+from edge.sequence.submap import RowMatcher
 from sim.evaluation import seqslam
 from sim.evaluation.metrics import Answers
 
@@ -68,8 +68,8 @@ def match(rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher
     found = []
     for change in rows:
         costs = costs_of(change.rows)
-        best = matcher.push(costs, replaces_ring=change.replaces_ring)
-        newest = costs[-1].min(axis=0).astype(np.float32)
+        best = matcher.push(costs, change.ages)
+        newest = costs[0].min(axis=0).astype(np.float32)
         if best is None or matcher.lines is None:
             found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
         else:
@@ -105,7 +105,7 @@ def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_pl
     least, most = float(costs.min()), float(costs.max())
     low = min(least, 0.0)
     scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
-    rows = (NormalizedRows(row[np.newaxis, np.newaxis], replaces_ring=False) for row in scaled)
+    rows = (NormalizedRows(row[np.newaxis, np.newaxis]) for row in scaled)
     places = np.arange(len(costs), dtype=np.float64)
     matcher = open_matcher(np.full((len(costs), 2), np.nan), places, window_places, sequence)
     return match(rows, lambda row: row.astype(np.int32), matcher)

@@ -132,7 +132,7 @@ def query_rows(
     if method.query in ("none", "set", "segments"):
         apart = segments if method.query == "segments" else [(0, len(raw))]
         rows = raw if method.query == "none" else _normalized_apart(raw, apart, method.deviation)
-        yield from (NormalizedRows(row[np.newaxis], replaces_ring=False) for row in rows)
+        yield from (NormalizedRows(row[np.newaxis]) for row in rows)
     elif not method.deviation:
         yield from _mean_only(raw)
     else:
@@ -159,7 +159,7 @@ def _mean_only(raw: Raw) -> Iterator[NormalizedRows]:
     for one in raw:
         statistics.update(one)
         rows = normalize(one[np.newaxis], statistics.mean, np.ones(one.shape))
-        yield NormalizedRows(rows, replaces_ring=False)
+        yield NormalizedRows(rows)
 
 
 CHANGE = 0.01

@@ -21,7 +21,7 @@ from edge.errors import MapError
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import STATISTICS, ReferenceMap, open_map
 from edge.sequence.acceptance import Neighbourhood
-from edge.sequence.row_matcher import RowMatcher
+from edge.sequence.submap import RowMatcher
 from sim.evaluation.matching import int8_matcher
 
 LENGTH = 5

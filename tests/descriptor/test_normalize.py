@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics, normalize
+from edge.descriptor.normalize import (
+    RENEWED_PER_FRAME,
+    STALE_GROWTH,
+    OnlineNormalizer,
+    RunningStatistics,
+    normalize,
+)
 
 
 def descriptors(count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -38,29 +44,43 @@ def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
     np.testing.assert_allclose(normalized, nsd(raw), atol=1e-4)
 
 
-def test_online_as_the_paper_has_it_normalises_each_frame_with_what_came_before() -> None:
+def test_online_as_the_paper_has_it_normalizes_each_frame_with_the_frames_up_to_it() -> None:
     raw = descriptors(40)
     online = OnlineNormalizer(10, renormalize_ring=False)
     for count, row in enumerate(raw, start=1):
-        rows = online.push(row)
-        assert not rows.replaces_ring
-        np.testing.assert_allclose(rows.rows[0], nsd(raw[:count])[-1], atol=1e-3)
+        change = online.push(row)
+        assert change.ages == (0,)
+        np.testing.assert_allclose(change.rows[0], nsd(raw[:count])[-1], atol=1e-3)
 
 
-def test_the_ring_is_normalised_again_with_the_newest_statistics() -> None:
-    raw = descriptors(100)
+def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics() -> None:
+    raw = descriptors(400)
     online = OnlineNormalizer(10, renormalize_ring=True)
-    renewed = []
+    ring: list[tuple[int, NDArray[np.float32]]] = []  # when it was last normalized, and the row
     for count, row in enumerate(raw, start=1):
-        rows = online.push(row)
-        expected = nsd(raw[:count])[max(0, count - 10) :]
-        if rows.replaces_ring:
-            renewed.append(count)
-            np.testing.assert_allclose(rows.rows, expected, atol=1e-3)
-        else:
-            np.testing.assert_allclose(rows.rows[0], expected[-1], atol=1e-3)
-    assert renewed[:20] == list(range(1, 21))  # every frame, while each changes the statistics by over 5 %
-    assert 45 <= len(renewed) <= 55
+        change = online.push(row)
+        expected = nsd(raw[:count])
+        assert len(change.ages) <= 1 + RENEWED_PER_FRAME
+        ring = [*ring, (0, row)][-10:]
+        for age, normalized in zip(change.ages, change.rows, strict=True):
+            np.testing.assert_allclose(normalized, expected[count - 1 - age], atol=1e-3)
+            ring[-1 - age] = count, normalized
+        np.testing.assert_array_equal(online.rows(), np.stack([normalized for _, normalized in ring]))
+        if count > 10:  # four a frame are enough for ten rows, three frames later
+            assert min(when for when, _ in ring) >= min(count - 3, count / (1 + STALE_GROWTH) - 3)
+    assert change.ages == (0,)
+
+
+def test_a_place_without_a_frame_stays_a_row_of_nan() -> None:
+    raw = descriptors(30)
+    online = OnlineNormalizer(10, renormalize_ring=True)
+    assert not online.skip()
+    online.push(raw[0])
+    assert online.skip()
+    for row in raw[1:9]:
+        online.push(row)
+    assert np.isnan(online.rows()[1]).all()
+    assert not np.isnan(online.rows()[[0, 2, 9]]).any()
 
 
 def test_first_frame_is_exactly_zero() -> None:

@@ -30,5 +30,14 @@ def test_whole_image_of_any_size(height: int, width: int) -> None:
     image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
     (whole,) = cut_regions(image, "whole", 0.4)
     assert whole.shape == (224, 224, 3)
-    if (height, width) == (480, 640):
-        np.testing.assert_array_equal(whole, cv2.resize(image, (224, 224), interpolation=cv2.INTER_AREA))
+
+
+@pytest.mark.parametrize(("height", "width"), [(480, 640), (720, 1280), (1080, 1920)])
+def test_a_large_image_is_averaged_and_not_thinned(height: int, width: int) -> None:
+    """Thin stripes become an even gray: nearest neighbors would make bands of black and white of them."""
+    image = np.zeros((height, width, 3), dtype=np.uint8)
+    image[::2] = 200
+    (whole,) = cut_regions(image, "whole", 0.4)
+    assert abs(float(whole.mean()) - 100) < 3
+    nearest = cv2.resize(image, (224, 224), interpolation=cv2.INTER_NEAREST)
+    assert float(whole.std()) < 0.7 * float(nearest.std())

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.geodesy import apart_m
-from edge.reference_map.spatial_index import SpatialIndex, bounds_of, widened
+from edge.reference_map.place_index import widened
+from edge.reference_map.spatial_index import SpatialIndex, bounds_of
 from edge.reference_map.store import PLACE
 
 

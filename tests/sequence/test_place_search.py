@@ -66,7 +66,7 @@ class Drive:
 
     def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
-        change = NormalizedRows(self._ring[-1][np.newaxis], replaces_ring=False)
+        change = NormalizedRows(self._ring[-1][np.newaxis])
         return self.search.push(change, lambda: np.stack(self._ring), near)
 
     def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:

@@ -78,6 +78,9 @@ def test_running_sums_are_the_direct_sums(
             search.refill(np.stack(rows))
         else:
             search.push(rows[-1])
+        for age in rng.integers(0, len(rows), int(rng.integers(0, 4))).tolist():  # some normalized again
+            rows[-1 - age] = rng.integers(0, 2**15 + 1, rows[0].shape, dtype=np.int32)
+            search.replace(age, rows[-1 - age])
         if len(rows) < length:
             assert search.lines() is None
     direct = direct_lines(rows, frames + 1, segments, all_slopes, planes)

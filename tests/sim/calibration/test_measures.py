@@ -148,7 +148,7 @@ def test_the_map_against_itself_tells_what_another_street_would(tmp_path: Path) 
     reference_map, config = open_map(tmp_path / "map"), Config(sequence=SequenceConfig(length=20))
     search = PlaceSearch(MapSet.of(reference_map), config)
     another = smooth_street(2)[:, np.newaxis]
-    rows = (search.push(NormalizedRows(raw, replaces_ring=False), lambda: another[0], None) for raw in another)
+    rows = (search.push(NormalizedRows(raw), lambda: another[0], None) for raw in another)
     elsewhere = [match.uniqueness for match in rows if match]
     curve = curve_of_map(reference_map, config)
     for share in (0.9, 0.99):
