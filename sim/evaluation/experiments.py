@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.commands.map_build import build_map
-from edge.commands.replay import replay
 from edge.config import Config, SamplingConfig
 from edge.feed import FeedImages
-from edge.recognizer import open_recognizer
-from edge.reference_map import MapSet
-from edge.reference_map.store import open_map
 from sim.evaluation import figures
 from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
 from sim.evaluation.bench import Bench, Outcome
 from sim.evaluation.comparison import Results, thumbnail
+from sim.evaluation.golden import replay_on_new_map
 from sim.evaluation.methods import METHODS, query_rows
 from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.evaluation.plan import ActivationMap, Pair, Plan
@@ -210,16 +204,11 @@ def _halting(bench: Bench, pair: Pair, sampling: SamplingConfig, gate: float) ->
     network = bench.descriptions.network(next(iter(bench.plan.networks)), "fc6")
     config = msgspec.structs.replace(
         Config(),
-        camera=msgspec.structs.replace(Config().camera, view=query.feed.header.view),
-        descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate, model=str(network.path)),
+        sampling=bench.plan.sampling,
+        descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate),
         sequence=msgspec.structs.replace(Config().sequence, length=bench.sequence_length(pair)),
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "map"
-        build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
-        reference_map = open_map(path)
-        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
-        lines = list(replay(recognizer, query.feed, sampling))
+    lines = replay_on_new_map([reference.feed], query.feed, config, sampling=sampling, network=network)
     errors = true_errors(reference, query, pair)
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)

@@ -139,7 +139,7 @@ def test_pictures_beyond_the_positions_have_none_and_are_left_out(
     assert [row.lat_deg is None for row in rows] == [False] * 17 + [True] * 16
     sim_import("robotcar", traverse_path, "-o", tmp_path / "feed", "--crop-bottom", 4)
     assert len(read_feed(tmp_path / "feed").rows) == 5
-    assert "16 of 33 pictures were taken where no position is known; left out" in caplog.text
+    assert "16 of 33 pictures have no position; skipped" in caplog.text
 
 
 def test_positions_of_another_day_are_one_line_that_names_both(traverse_path: Path, degrees_at: Degrees) -> None:
