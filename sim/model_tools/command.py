@@ -82,6 +82,7 @@ def _import(args: argparse.Namespace) -> int:
         calibration=_spell_calibration(args),
     )
     file = args.output if args.output.suffix == ".onnx" else args.output / f"{args.tap}_int8.onnx"
+    _make_folder(file)  # before the long work
     exact = onnx_graph.build_float(weights, info)
     greatest = quantize.read_ranges(args.ranges) if args.ranges else _measure(exact, args.calibrate)
     if args.float:
@@ -128,10 +129,16 @@ def _regions(feed: Feed, kind: Regions, step: int = 1) -> Iterator[NDArray[np.ui
         images.close()
 
 
+def _make_folder(file: Path) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
+
+
 def _write(model: onnx.ModelProto, file: Path) -> str:
     """Write a network in one step, read it back, and return its sha256."""
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as stream:
             stream.write(model.SerializeToString(deterministic=True))
     except OSError as error:
