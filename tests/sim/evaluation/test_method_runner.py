@@ -16,7 +16,7 @@ from sim.evaluation.comparison import median_ahead
 from sim.evaluation.golden import replay_on_new_map
 from sim.evaluation.matching import judge
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
-from sim.evaluation.run import Folders, open_bench
+from sim.evaluation.run import Folders, open_runner
 
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
@@ -31,7 +31,7 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         pairs=[Pair("p", "reference", "query", "rows", tolerance=TOLERANCE, length=LENGTH)],
         sampling=SamplingConfig(by="frames"),
     )
-    outcome = open_bench(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Lookback")
+    outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Lookback")
 
     default = Config()
     config = msgspec.structs.replace(
@@ -64,7 +64,7 @@ def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: P
         pairs=[Pair("p", "there", "here", "positions", tolerance=9.0, length=1)],
         sampling=SamplingConfig(by="frames"),
     )
-    outcome = open_bench(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path)).run(plan.pairs[0], "SeqSLAM")
+    outcome = open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path)).run(plan.pairs[0], "SeqSLAM")
     # The truth is places 5 to 8; answers lie 1, 3 and 4 places on, and one is wrong.
     places = np.array([6, 9, 11, 0])
     for reverse, ahead_m in ((False, 6.0), (True, -6.0)):
