@@ -16,10 +16,10 @@ from sim.world.scenario import load_scenario
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `sim` to the commands of `lookback`; the entry point of `lookback.commands`."""
-    parser = commands.add_parser("sim", help="the simulator: record a drive, or be an autopilot")
+    parser = commands.add_parser("sim", help="record simulated drives, simulate an autopilot, import data sets")
     sim_commands = parser.add_subparsers(required=True, metavar="COMMAND")
     drive = sim_commands.add_parser("drive", help="drive through the street world and record a feed")
-    drive.add_argument("scenario", type=Path, help="TOML file; its keys are described in sim/world/scenario.py")
+    drive.add_argument("scenario", type=Path, help="TOML file; sim/world/scenario.py describes its keys")
     drive.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     pace = drive.add_mutually_exclusive_group()
     pace.add_argument(

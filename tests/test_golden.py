@@ -65,4 +65,4 @@ def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "golden.toml").write_text("query = 3\n")
     assert main(["golden", str(tmp_path)]) == 78
     assert main(["golden", str(tmp_path), "--query", "x", "--reference", "y"]) == 78
-    assert "there is one here already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err

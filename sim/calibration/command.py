@@ -59,11 +59,14 @@ def _share(text: str) -> float:
 
 
 def measure_rig(
-    reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None
+    reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None, network: Network | None = None
 ) -> tuple[list[Offset], list[Sighting]]:
-    """The offsets of the drives, and the sightings they are measured on. FeedError, MapError, ModelError."""
+    """The offsets of the drives, and the sightings they are measured on. FeedError, MapError, ModelError.
+
+    network: instead of the one that the config names.
+    """
     config = config or config_for_map(reference_map.header)
-    network = Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+    network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
     seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
     return measure_offsets(seen), seen
 

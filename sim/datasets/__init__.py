@@ -1,7 +1,7 @@
-"""Published recordings as feeds, and what is true between two of them.
+"""Published recordings as feeds, and the ground truth between two of them.
 
-Each kind of recording is one small module with `open_traverse(path, options)`, whose docstring says where the layout
-is specified; `open_dataset` finds it by name.
+Each kind of recording is a module with `open_traverse(path, options)`, whose docstring names the specification of the
+layout; `open_dataset` finds it by name.
 
     a recording in its own layout -> Traverse -> importing.write_feed -> a feed, as the simulator writes it
     two feeds -> truth.truth_between -> which rows show the same place
@@ -28,9 +28,9 @@ TruthKind = Literal["positions", "rows", "route_m"]
 class Traverse:
     """One drive of a data set: rows as a feed has them, one for every picture, and the pictures.
 
-    rows: `file` says which picture a row is of; what is not known of a row is None. Where a data set gives meters
-    and not degrees, `extra` has `local_x_m` and `local_y_m`; where it gives the meters along a route that both
-    directions share, `route_m`; where its pictures are numbered alike in all traverses, `source_frame`.
+    rows: `file` names the picture; unknown values are None. `extra` has `local_x_m` and `local_y_m` where a data set
+    has meters and no degrees; `route_m`, meters along a route that both directions share; `source_frame` where
+    pictures of the same place have the same number in all traverses.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Traverse:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a layout leaves open; each kind takes some of them, see `KINDS`. None is the kind's own default."""
+    """Options of reading; each kind has some of them, see `KINDS`. None is the kind's own default."""
 
     camera: str | None = None
     """Which camera (RobotCar: stereo/left; KITTI: image_2) or topic (ROS)."""
@@ -58,7 +58,7 @@ class ReadOptions:
     crop_bottom: int | None = None
     """Rows of pixels to cut off below, where the vehicle itself is seen."""
     view: View | None = None
-    """Where the camera looks; the default is front, or what the camera's name says."""
+    """Direction of the camera; the default is front, or that of the camera's name."""
 
     def given(self) -> set[str]:
         """Names of the options that are not None."""
@@ -67,7 +67,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class DatasetKind:
-    """One layout: its reader, what it takes, and the truth that is usual for it."""
+    """One layout: its reader, its options, and the usual ground truth."""
 
     module: str
     what: str
@@ -115,12 +115,11 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         raise FeedError(f"{kind}: no such kind of data set; it is one of {', '.join(sorted(KINDS))}")
     unused = sorted(options.given() - KINDS[kind].options)
     if unused:
-        raise FeedError(f"--{unused[0].replace('_', '-')}: means nothing for {kind}")
+        raise FeedError(f"--{unused[0].replace('_', '-')}: is no option of {kind}")
     if not path.exists():
         raise FeedError(f"{path}: no such file or folder")
     try:
-        # Imported here, as each reader needs another library, and most people have one kind of recording.
-        # Absolute, as readers name a traverse after its folder and look for files beside it.
+        # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     except ModuleNotFoundError as error:
         raise FeedError(

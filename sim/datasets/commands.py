@@ -1,4 +1,4 @@
-"""`lookback sim import`: a recording in its own layout, written as a feed."""
+"""`lookback sim import`: a published recording, written as a feed."""
 
 from __future__ import annotations
 
@@ -25,42 +25,42 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         epilog=_kinds(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout, see below")
-    parser.add_argument("path", metavar="PATH", type=Path, help="the folder or file that the layout says")
+    parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout; see below")
+    parser.add_argument("path", metavar="PATH", type=Path, help="folder or file of the recording")
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     _add_read_options(parser)
     add_spacing_options(parser)
     parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M meters")
-    parser.add_argument("--width", metavar="PIXELS", type=int, help="make the pictures smaller")
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave pictures out that cannot be read")
-    parser.add_argument("--lossless", action="store_true", help="keep the pictures as PNG, not as JPEG")
+    parser.add_argument("--width", metavar="PIXELS", type=int, help="resize the pictures to this width")
+    parser.add_argument("--skip-unreadable", action="store_true", help="skip pictures that cannot be read")
+    parser.add_argument("--lossless", action="store_true", help="write PNG instead of JPEG")
     parser.set_defaults(run=import_dataset)
 
 
 def _add_read_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--camera", help="which camera or topic, e.g. stereo/left, mono_rear, image_2")
-    parser.add_argument("--positions", help="which positions: a log, a file, a topic, or ins | gps")
-    parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures that this list names")
-    parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, where there are no times")
+    parser.add_argument("--camera", help="camera or topic, such as stereo/left, mono_rear, image_2")
+    parser.add_argument("--positions", help="source of positions: a log, a file, a topic, or ins | gps")
+    parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures in this list")
+    parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, for layouts without times")
     parser.add_argument(
-        "--start-s", metavar="S", type=float, help="from the log's first position to the video's first frame"
+        "--start-s", metavar="S", type=float, help="time from the log's first position to the video's first frame"
     )
-    parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="cut off where the vehicle itself is seen")
-    parser.add_argument("--view", choices=["front", "rear"], help="where the camera looks")
+    parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="crop rows that show the vehicle itself")
+    parser.add_argument("--view", choices=["front", "rear"], help="direction of the camera")
 
 
 def _kinds() -> str:
-    """What each kind is, takes, and is usually judged by."""
+    """Each kind with its options, and its usual ground truth."""
     lines = ["kinds, their options, and their usual ground truth and tolerance:"]
     for name, kind in sorted(KINDS.items()):
         options = " ".join(f"--{option.replace('_', '-')}" for option in sorted(kind.options))
         unit = "frames" if kind.truth == "rows" else "m"
         lines.append(f"  {name:14} {kind.what}\n{'':17}{options}; {kind.truth}, {kind.tolerance:g} {unit}")
-    return "\n".join([*lines, "", "Without a spacing: a picture every 2 m where positions are known, else all."])
+    return "\n".join([*lines, "", "Without a spacing: a picture every 2 m where positions are known, otherwise all."])
 
 
 def import_dataset(args: argparse.Namespace) -> int:
-    """Write the feed; SetupError in one line when the recording, an option or the folder is wrong."""
+    """Write the feed; SetupError, in one line, for a bad recording, option or folder."""
     _check_ranges(args)
     traverse = open_dataset(
         args.kind,

@@ -31,7 +31,7 @@ def read_log(file: Path) -> Track:
     """The positions in a log. FeedError names the file, and says what it lacks."""
     readers = {".tlog": _tlog_fixes, ".bin": _dataflash_fixes, ".ulg": _ulog_fixes}
     if file.suffix.lower() not in readers:
-        raise FeedError(f"{file}: not a log that is known here; it is one of {', '.join(readers)}")
+        raise FeedError(f"{file}: not a known kind of log; it is one of {', '.join(readers)}")
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -84,17 +84,17 @@ def _tlog_frames(data: bytes) -> Iterator[tuple[int, bytes]]:
 def _dataflash_fixes(file: Path, data: bytes) -> list[Fix]:
     if not data.startswith(DATAFLASH_BEGINS):
         raise FeedError(f"{file}: not a DataFlash log")
-    # DFReader is under the GPL, unlike the dialects: imported here alone, at a desk, when somebody has such a log.
+    # DFReader is under the GPL, unlike the dialects: imported only here, for such a log.
     from pymavlink.DFReader import DFReader_binary
 
     fixes = []
-    # It prints what it thinks of damaged logs; what could be read counts here.
+    # It prints warnings about damaged logs; what could be read is used.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             with DFReader_binary(str(file)) as log:
                 while (message := log.recv_match(type="POS")) is not None:
                     fixes.append(Fix(message.TimeUS * 1000, message.Lat, message.Lng, message.Alt))
-        except Exception as error:  # the library raises whatever comes up in a damaged file
+        except Exception as error:  # the library raises any exception for a damaged file
             raise FeedError(f"{file}: not a whole DataFlash log: {error}") from None
     return fixes
 
@@ -105,7 +105,7 @@ def _ulog_fixes(file: Path, data: bytes) -> list[Fix]:
     topic = "vehicle_global_position"
     try:
         found = [item.data for item in ULog(io.BytesIO(data), [topic]).data_list if item.multi_id == 0]
-    except Exception as error:  # the library raises whatever comes up in a damaged file
+    except Exception as error:  # the library raises any exception for a damaged file
         raise FeedError(f"{file}: not a whole ULog: {error}") from None
     if not found:
         raise FeedError(f"{file}: no {topic} in it; log it, or give another log")

@@ -83,7 +83,7 @@ def _position(gps: Mapping[int, Any]) -> Fix:
         _degrees(gps[GPS.GPSLatitude], str(gps.get(GPS.GPSLatitudeRef, "N"))),
         _degrees(gps[GPS.GPSLongitude], str(gps.get(GPS.GPSLongitudeRef, "E"))),
         alt_m=-alt_m if gps.get(GPS.GPSAltitudeRef) in {1, b"\x01"} else alt_m,
-        # The way that the vehicle goes; where the camera looks (GPSImgDirection) is another matter.
+        # The direction of travel, and not that of the camera (GPSImgDirection).
         heading_deg=float(gps.get(GPS.GPSTrack, math.nan)) if gps.get(GPS.GPSTrackRef, "T") == "T" else math.nan,
     )
 

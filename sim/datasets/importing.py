@@ -1,4 +1,4 @@
-"""A traverse of a data set, written as a feed, or read as one where it lies."""
+"""A traverse of a data set, written as a feed, or used as one in place."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SOURCE_COLUMNS = ("source_file", "source_frame")
 
 @dataclass(frozen=True)
 class ChosenRow:
-    """A row of a traverse that goes into the feed, and meters driven since the first whose place is known."""
+    """A row of a traverse that becomes a row of the feed, and meters driven since the first known position."""
 
     index: int
     distance_m: float | None
@@ -38,10 +38,10 @@ class ChosenRow:
 def choose_rows(
     traverse: Traverse, sampling: SamplingConfig, *, must_have_distance: bool = False, length_m: float = math.inf
 ) -> list[ChosenRow]:
-    """The rows that the sampling takes, up to `length_m` along the drive.
+    """The rows that the sampling selects, up to `length_m` along the drive.
 
-    Where places are known, pictures taken where they are not are left out, with a line in the log. FeedError if none
-    are known and `must_have_distance`, or if nothing is left.
+    If positions are known, pictures without one are skipped, with a warning. FeedError if no position is known and
+    `must_have_distance`.
     """
     distances_m = _distances_m(traverse)
     placed = any(distance_m is not None for distance_m in distances_m)
@@ -61,9 +61,9 @@ def choose_rows(
         elif (distance_m is None or distance_m <= length_m) and sampler.is_place(row.stamp_ns, distance_m):
             chosen.append(ChosenRow(index, distance_m))
             last_ns = row.stamp_ns
-    for count, why in ((unplaced, "were taken where no position is known"), (late, "are no later than the one before")):
+    for count, why in ((unplaced, "have no position"), (late, "are not later than the one before")):
         if count:
-            log.warning("%s: %d of %d pictures %s; left out", traverse.source, count, len(traverse.rows), why)
+            log.warning("%s: %d of %d pictures %s; skipped", traverse.source, count, len(traverse.rows), why)
     return chosen
 
 
@@ -73,7 +73,7 @@ def _distances_m(traverse: Traverse) -> list[float | None]:
     placed = [index for index, row in enumerate(rows) if row.distance_m is not None or row.lat_deg is not None]
     distances_m: list[float | None] = [None] * len(rows)
     if placed:
-        # The size of the pictures is not known before the first is read, and of no matter here.
+        # The size of the pictures is not known yet, and not needed here.
         header = FeedHeader(traverse.name, traverse.view, 1, 1)
         driven = driven_m(Feed(Path(traverse.source), header, tuple(rows[index] for index in placed)))
         for index, distance_m in zip(placed, driven or [], strict=driven is not None):
@@ -90,15 +90,15 @@ def write_feed(
     skip_unreadable: bool = False,
     lossless: bool = False,
 ) -> int:
-    """Write the chosen rows as a feed at `output`, which appears when it is whole; returns the number of frames.
+    """Write the chosen rows as a feed at `output`, in one step; returns the number of frames.
 
-    Every row also says `source_file` and `source_frame`, its number in the data set, so that traverses which were
-    aligned frame by frame stay so. width: pictures are made that many pixels wide. FeedError if something is at
-    `output` already, or for a picture that cannot be read (it is left out if `skip_unreadable`) or is of another
-    size than the first. lossless: pictures are kept as PNG and not as JPEG.
+    Every row also has `source_file`, and `source_frame`, its number in the data set, so that traverses which were
+    aligned frame by frame stay aligned. width: pictures are resized to that many pixels. lossless: PNG instead of JPEG.
+    FeedError if `output` exists, or for a picture that cannot be read (skipped if `skip_unreadable`) or has another
+    size than the first.
     """
     if output.exists():
-        raise FeedError(f"{output}: there is something here already; name another folder")
+        raise FeedError(f"{output}: exists already; name another folder")
     pictures = _pictures(traverse, chosen, width, skip_unreadable)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -122,8 +122,8 @@ def _pictures(
             image = _resized(traverse.pictures.read(row.index), width)
         except FrameError as error:
             if not skip_unreadable:
-                raise FeedError(f"{error}; --skip-unreadable leaves such pictures out") from None
-            log.warning("%s; left out", error)
+                raise FeedError(f"{error}; --skip-unreadable skips such pictures") from None
+            log.warning("%s; skipped", error)
             continue
         size = size or image.shape
         if image.shape != size:
@@ -165,7 +165,7 @@ def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:
 
 
 def as_feed(traverse: Traverse, path: Path, open_pictures: Callable[[], Pictures]) -> Feed:
-    """Every row that can be used, as the feed that `write_feed` would write of them. FeedError.
+    """All usable rows as a feed, as `write_feed` would write them, without writing. FeedError.
 
     `open_pictures` opens the pictures of the whole traverse again.
     """

@@ -1,8 +1,8 @@
-"""MCAP files with Foxglove's schemas: read wherever a feed is, `lookback mcap write` makes them, `mcap read` unpacks.
+"""MCAP files with Foxglove's schemas, accepted in place of feeds; `lookback mcap write` and `read` convert them.
 
     /camera    foxglove.CompressedImage, JSON: the picture file's own bytes
     /position  foxglove.LocationFix, JSON: where the position is known
-    /row       lookback.Row, JSON: what else the feed's row knows
+    /row       lookback.Row, JSON: the other values of the feed's row
     /feed      lookback.Feed, JSON: the feed's header, once
 
 A file that was cut short (a crash, a full disk) is read up to where it ends.
@@ -65,7 +65,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     write.add_argument("feed", type=Path, metavar="FEED")
     write.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
     write.set_defaults(run=lambda args: _write(read_feed(args.feed), args.output))
-    read = actions.add_parser("read", help="make a feed of such a file again")
+    read = actions.add_parser("read", help="write such a file as a feed")
     read.add_argument("file", type=Path, metavar="FILE")
     read.add_argument("-o", "--output", type=Path, required=True, metavar="FEED")
     read.set_defaults(run=lambda args: _read(args.file, args.output))
@@ -179,7 +179,7 @@ class McapPictures:
 def open_feed(path: Path, options: FeedOptions) -> Feed:
     """Such a file as a feed; the entry point of `lookback.feeds`. FeedError, or ConfigError without the library."""
     if options != FeedOptions():
-        raise FeedError(f"{path}: --view and --video mean nothing for an MCAP file, which says it all itself")
+        raise FeedError(f"{path}: an MCAP file has no use for --view and --video")
     header, rows = None, list[FeedRow]()
     for stamp_ns, message in _read_messages(path, list(MESSAGES)):
         if isinstance(message, FeedHeader):

@@ -6,7 +6,7 @@
 
 Specified in https://robotcar-dataset.robots.ox.ac.uk/documentation and its SDK (robotcar-dataset-sdk, python/image.py
 has the Bayer patterns: gbrg for stereo, rggb for the mono cameras). W. Maddern et al., IJRR 2017. Downloads come in
-parts, so pictures that are in the list of times and not in the folder are left out.
+parts, so pictures in the list of times that are not in the folder are skipped.
 
 The SDK's lens model is not applied, as the paper does not mention it: pictures stay as the lens made them.
 """

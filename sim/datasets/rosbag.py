@@ -107,13 +107,13 @@ def to_bgr(where: str, message: Any) -> NDArray[np.uint8]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[AnyReader]:
-    """The recording; FeedError, which names it, for all that is wrong in it."""
+    """The recording; FeedError, which names it, for any error in it."""
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             yield reader
     except FeedError:
         raise
-    except Exception as error:  # the library raises whatever comes up in a damaged file
+    except Exception as error:  # the library raises any exception for a damaged file
         raise FeedError(f"{path}: cannot read this recording: {error}") from None
 
 

@@ -1,4 +1,4 @@
-"""Positions over time, and pictures put among them."""
+"""Positions over time, and the position of pictures between them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from edge.geodesy import east_north
 Floats = NDArray[np.float64]
 
 MAX_GAP_S = 5.0
-"""Between positions further apart in time than this, nobody knows where the vehicle was."""
+"""Positions further apart in time than this are not interpolated."""
 
 STANDING_M, STANDING_S = 1.0, 2.0
-"""A receiver wanders while the vehicle stands: if it takes longer than STANDING_S to go STANDING_M, it stood. Otherwise
-a red light would be a street of pictures."""
+"""GPS positions wander while the vehicle stands: if it takes longer than STANDING_S to move STANDING_M, it stood.
+Otherwise a stop at a red light would become a street of pictures."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Track:
     def __init__(self, source: str, fixes: Iterable[Fix], max_gap_s: float = MAX_GAP_S) -> None:
         """FeedError, which names the source, if there are fewer than two.
 
-        0, 0 is what receivers report before they know; of fixes with the same stamp only the first counts.
+        Receivers report 0, 0 before they have a fix; of fixes with the same stamp only the first is used.
         """
         self._source = source
         self._max_gap_ns = max_gap_s * 1e9
@@ -86,7 +86,7 @@ class Track:
     def rows(self, pictures: str, files: Sequence[str], stamps_ns: Sequence[int]) -> tuple[FeedRow, ...]:
         """A feed's row for each picture; None for what is not known at its time.
 
-        pictures: what they are called in the message. FeedError if none of them was taken while there were positions.
+        pictures: their name in the message. FeedError if none of them was taken while there were positions.
         """
         times = np.array(stamps_ns, dtype=np.int64)
         covered = self.covers(times)

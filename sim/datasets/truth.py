@@ -1,7 +1,6 @@
-"""Which rows of two traverses show the same place.
+"""The ground truth: which rows of two traverses show the same place.
 
-Whatever the ground truth of a data set is, each row is put at a point, and two rows are of the same place if their
-points are no further apart than the tolerance:
+Each row is a point, and two rows show the same place if their points are no further apart than the tolerance:
 
     positions  meters east and north, of latitude and longitude (Oxford: 40 m), or of the data set's own meters (KITTI)
     route_m    meters along a route that both traverses share, from manual anchors (University Campus: 20 m) or from
@@ -28,7 +27,7 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Truth:
-    """Where every row is, and how near is right.
+    """The point of every row, and the tolerance.
 
     query_at: (Q, k) float64, reference_at: (N, k) float64, in `unit` ("m" or "frames"); NaN where it is not known.
     """
@@ -39,9 +38,9 @@ class Truth:
     unit: str
 
     def error(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Floats:
-        """How far apart the rows are, in `unit`, for arrays of rows that broadcast.
+        """Distance of rows, in `unit`, for arrays of rows that broadcast.
 
-        NaN where nobody knows where the query row is, else inf where nobody knows where the reference row is.
+        NaN where the query row's point is not known, inf where only the reference row's is not.
         """
         query_at, reference_at = self.query_at[np.asarray(query_rows)], self.reference_at[np.asarray(reference_rows)]
         apart = np.linalg.norm(query_at - reference_at, axis=-1)
@@ -57,7 +56,7 @@ class Truth:
         return np.flatnonzero(self.error(query_row, np.arange(len(self.reference_at))) <= self.tolerance)
 
     def take(self, query_rows: ArrayLike, reference_rows: ArrayLike) -> Truth:
-        """The truth between some of the rows, numbered anew."""
+        """The truth between some of the rows, which are counted from 0 again."""
         return replace(
             self,
             query_at=self.query_at[np.asarray(query_rows)],

@@ -2,10 +2,10 @@
 
     drive.mp4   flight.tlog | flight.bin | flight.ulg
 
-Neither says when the other began: `start_s` is the time from the log's first position to the video's first frame,
-0 by default. A second off is a second's travel off.
+`start_s` is the time from the log's first position to the video's first frame, 0 by default; neither file has it. An
+error of a second displaces all positions by a second of travel.
 
-A log is also read wherever a feed is (`lookback replay flight.tlog`), with the video beside it of the same name.
+A log is also accepted in place of a feed (`lookback replay flight.tlog`), with the video of the same name beside it.
 """
 
 from __future__ import annotations
@@ -51,5 +51,5 @@ def _video_beside(log: Path) -> Path:
     videos = [file for file in videos if file.suffix.lower() in VIDEO_SUFFIXES]
     if len(videos) != 1:
         found = ", ".join(file.name for file in videos) or "none"
-        raise FeedError(f"{log}: which video belongs to it? Name it with --video; of the same name beside it: {found}")
+        raise FeedError(f"{log}: name its video with --video; videos of the same name beside it: {found}")
     return videos[0]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages
 from sim.evaluation import figures
-from sim.evaluation.bench import Bench, Outcome
 from sim.evaluation.bootstrap import difference, interval
 from sim.evaluation.matching import errors_of
+from sim.evaluation.method_runner import MethodRunner, Outcome
 from sim.evaluation.metrics import max_f1_of_places, precision_recall, recall_of_best, scores
 from sim.evaluation.plan import Pair
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
@@ -35,20 +35,20 @@ SCORE_NOTE = (
 )
 
 
-def compare(bench: Bench, step: Callable[[str], None]) -> Results:
+def compare(runner: MethodRunner, step: Callable[[str], None]) -> Results:
     """Run every method on every pair; `step` is called before each with its name."""
     found: Results = {}
-    for pair in bench.plan.pairs:
-        for text in bench.methods_for(pair):
+    for pair in runner.plan.pairs:
+        for text in runner.methods_for(pair):
             step(f"{pair.name}: {text}")
-            found[pair.name, text] = bench.run(pair, text)
+            found[pair.name, text] = runner.run(pair, text)
     return found
 
 
-def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
+def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     """All scores of one pair, its curves, its matches, and pictures of one method's best and worst."""
-    outcomes = [results[pair.name, text] for text in bench.methods_for(pair)]
-    shown = shown_outcome(bench, pair, results)
+    outcomes = [results[pair.name, text] for text in runner.methods_for(pair)]
+    shown = shown_outcome(runner, pair, results)
     slug = slug_of(pair)
     wrong = ~(shown.error_of_best() <= pair.tolerance)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
@@ -56,7 +56,7 @@ def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
-        tables=[_score_table(bench, pair, slug, outcomes), _recall_table(bench, pair, slug, outcomes)],
+        tables=[_score_table(runner, pair, slug, outcomes), _recall_table(runner, pair, slug, outcomes)],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
             Figure(
@@ -67,9 +67,9 @@ def pair_section(bench: Bench, pair: Pair, results: Results) -> Section:
     )
 
 
-def shown_outcome(bench: Bench, pair: Pair, results: Results) -> Outcome:
+def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome:
     """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
-    texts = bench.methods_for(pair)
+    texts = runner.methods_for(pair)
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
 
@@ -78,19 +78,19 @@ def slug_of(pair: Pair) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in pair.name)
 
 
-def overview(bench: Bench, results: Results) -> Section:
+def overview(runner: MethodRunner, results: Results) -> Section:
     """Max-F1 of every method on every pair, and the differences that the plan names."""
-    pairs = [pair.name for pair in bench.plan.pairs]
+    pairs = [pair.name for pair in runner.plan.pairs]
     heights = {
         text: [
             max_f1_of_places(results[pair, text].answers) if (pair, text) in results else float("nan") for pair in pairs
         ]
-        for text in bench.plan.methods
+        for text in runner.plan.methods
     }
     rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
     table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
     plot = Figure("overview", "Max-F1 (places)", figures.bar_plot(pairs, heights, "max-F1 (places)"))
-    return Section("Overview", _methods_text(bench), [table, *_differences(bench, results)], [plot])
+    return Section("Overview", _methods_text(runner), [table, *_differences(runner, results)], [plot])
 
 
 def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Picture]]:
@@ -166,11 +166,11 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
     )
 
 
-def _score_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
+def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
     rows: list[Sequence[Cell]] = []
     for outcome in outcomes:
         found = scores(outcome.answers)
-        sure = interval(max_f1_of_places, outcome.answers, bench.resampling(outcome.length))
+        sure = interval(max_f1_of_places, outcome.answers, runner.resampling(outcome.length))
         published = pair.published.get(outcome.method.name)
         rows.append(
             [
@@ -204,9 +204,9 @@ def _score_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcome
     return Table(f"{slug}_scores", "Scores", columns, rows, f"{SCORE_NOTE} {data_set}".strip())
 
 
-def _recall_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
+def _recall_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
     radii = (
-        [float(radius) for radius in bench.plan.radii]
+        [float(radius) for radius in runner.plan.radii]
         if pair.truth in ("positions", "route_m")
         else [pair.tolerance * share for share in (0.5, 1, 2)]
     )
@@ -225,14 +225,14 @@ def _recall_table(bench: Bench, pair: Pair, slug: str, outcomes: Sequence[Outcom
     )
 
 
-def _differences(bench: Bench, results: Results) -> list[Table]:
+def _differences(runner: MethodRunner, results: Results) -> list[Table]:
     rows: list[Sequence[Cell]] = []
-    for pair in bench.plan.pairs:
-        for first, second in bench.plan.experiments.better_than:
+    for pair in runner.plan.pairs:
+        for first, second in runner.plan.experiments.better_than:
             one, two = results.get((pair.name, first)), results.get((pair.name, second))
             if one is None or two is None:
                 continue
-            less = difference(max_f1_of_places, one.answers, two.answers, bench.resampling(one.length))
+            less = difference(max_f1_of_places, one.answers, two.answers, runner.resampling(one.length))
             verdict = "noise" if not less.decided else "better" if less.value > 0 else "worse"
             rows.append([pair.name, first, second, less, verdict])
     if not rows:
@@ -242,5 +242,5 @@ def _differences(bench: Bench, results: Results) -> list[Table]:
     return [Table("differences", "Is it better, or is it noise?", columns, rows, note)]
 
 
-def _methods_text(bench: Bench) -> str:
-    return " ".join(f"{text}: {bench.method(text).description}." for text in bench.plan.methods)
+def _methods_text(runner: MethodRunner) -> str:
+    return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.commands.map_build import build_map
-from edge.commands.replay import replay
 from edge.config import Config, SamplingConfig
 from edge.feed import FeedImages
-from edge.recognizer import open_recognizer
-from edge.reference_map import MapSet
-from edge.reference_map.store import open_map
 from sim.evaluation import figures
 from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
-from sim.evaluation.bench import Bench, Outcome
 from sim.evaluation.comparison import Results, thumbnail
+from sim.evaluation.golden import replay_on_new_map
+from sim.evaluation.method_runner import MethodRunner, Outcome
 from sim.evaluation.methods import METHODS, query_rows
 from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.evaluation.plan import ActivationMap, Pair, Plan
@@ -38,18 +32,18 @@ def sweep_pairs(plan: Plan) -> list[Pair]:
     return list(reversed(apart.values()))
 
 
-def sequence_lengths(bench: Bench, step: Step) -> Section:
+def sequence_lengths(runner: MethodRunner, step: Step) -> Section:
     """Max-F1 over the length of a sequence (fig. 12), judged on the same frames at every length."""
-    lengths = sorted(bench.plan.experiments.sequence_lengths)
+    lengths = sorted(runner.plan.experiments.sequence_lengths)
     rows: list[Sequence[Cell]] = []
     plots = []
-    for number, pair in enumerate(sweep_pairs(bench.plan)):
+    for number, pair in enumerate(sweep_pairs(runner.plan)):
         lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
-        for text in bench.plan.experiments.sweep_methods:
+        for text in runner.plan.experiments.sweep_methods:
             values = []
             for length in lengths:
                 step(f"{pair.name}: {text}, length {length}")
-                values.append(_f1_from(bench.run(pair, text, length=length), lengths[-1]))
+                values.append(_f1_from(runner.run(pair, text, length=length), lengths[-1]))
             rows.append([pair.name, text, *values])
             lines[text] = (lengths, values)
         plot = figures.line_plot(lines, "frames in a sequence", "max-F1 (places)")
@@ -61,26 +55,26 @@ def sequence_lengths(bench: Bench, step: Step) -> Section:
     )
 
 
-def spacings(bench: Bench, step: Step) -> Section:
+def spacings(runner: MethodRunner, step: Step) -> Section:
     """Max-F1 with places this far apart, the sequence as long in meters as the plan has it."""
     rows: list[Sequence[Cell]] = []
-    distances = bench.plan.experiments.spacings_m
-    for pair in sweep_pairs(bench.plan):
-        for text in bench.plan.experiments.sweep_methods:
+    distances = runner.plan.experiments.spacings_m
+    for pair in sweep_pairs(runner.plan):
+        for text in runner.plan.experiments.sweep_methods:
             values: list[Cell] = []
             for spacing_m in distances:
                 step(f"{pair.name}: {text}, a place every {spacing_m:g} m")
-                values.append(max_f1_of_places(bench.run(pair, text, spacing_m=spacing_m).answers))
+                values.append(max_f1_of_places(runner.run(pair, text, spacing_m=spacing_m).answers))
             rows.append([pair.name, text, *values])
     columns = ("pair", "method", *(f"{spacing_m:g} m" for spacing_m in distances))
     return Section("Spacing of the places", "", [Table("spacing", "Max-F1 (places)", columns, rows)])
 
 
-def cold_start(bench: Bench, results: Results) -> Section:
+def cold_start(runner: MethodRunner, results: Results) -> Section:
     """Right answers in each third of the drive: online statistics begin without data."""
     rows: list[Sequence[Cell]] = []
     for (pair, _), outcome in results.items():
-        if outcome.method.name in bench.plan.experiments.cold_start:
+        if outcome.method.name in runner.plan.experiments.cold_start:
             thirds = np.array_split(outcome.answers.correct, 3), np.array_split(outcome.answers.has_truth, 3)
             shares = [
                 float(right.sum() / known.sum()) if known.any() else float("nan")
@@ -91,14 +85,14 @@ def cold_start(bench: Bench, results: Results) -> Section:
     return Section("Cold start", "", [Table("cold_start", "Accuracy by thirds of the drive", columns, rows)])
 
 
-def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
+def int8_against_float(runner: MethodRunner, results: Results, step: Step) -> Section:
     """The same method with float network and descriptors: the cost of quantization."""
     rows: list[Sequence[Cell]] = []
-    for pair in sweep_pairs(bench.plan):
-        for text in bench.plan.experiments.int8:
+    for pair in sweep_pairs(runner.plan):
+        for text in runner.plan.experiments.int8:
             step(f"{pair.name}: {text} in float")
-            exact = bench.run(pair, text, precision="float32")
-            small = results.get((pair.name, text)) or bench.run(pair, text)
+            exact = runner.run(pair, text, precision="float32")
+            small = results.get((pair.name, text)) or runner.run(pair, text)
             agree = float((exact.matches.place == small.matches.place)[exact.judged].mean())
             rows.append(
                 [
@@ -116,15 +110,15 @@ def int8_against_float(bench: Bench, results: Results, step: Step) -> Section:
     return Section("int8 against float", note, [Table("int8", "int8 against float", columns, rows)])
 
 
-def pca(bench: Bench, step: Step) -> Section:
+def pca(runner: MethodRunner, step: Step) -> Section:
     """Two principal components of the category layer, raw and normalized (fig. 11)."""
-    network = next(iter(bench.plan.networks))
-    head = bench.descriptions.head(network)
+    network = next(iter(runner.plan.networks))
+    head = runner.descriptions.head(network)
     rows: list[Sequence[Cell]] = []
     plots = []
-    for name in bench.plan.experiments.pca:
+    for name in runner.plan.experiments.pca:
         step(f"PCA of {name}")
-        raw = bench.descriptions.probabilities(bench.traverse(name), network)
+        raw = runner.descriptions.probabilities(runner.traverse(name), network)
         batch, online = (
             np.concatenate([change.rows[:, 0] for change in query_rows(METHODS[row], raw[:, np.newaxis], 1)])
             for row in ("NSD-fc6/batch", "NSD-fc6")
@@ -159,27 +153,27 @@ def neighbor_distance(points: NDArray[np.float64]) -> float:
     return float(steps / (apart.sum() / (count * (count - 1))))
 
 
-def activation_maps(bench: Bench, step: Step) -> Section:
+def activation_maps(runner: MethodRunner, step: Step) -> Section:
     """The parts of a picture that speak for its top-3 categories, for each network (fig. 10)."""
     rows = []
-    for wanted in bench.plan.experiments.activation_maps:
-        for name in [name for name, network in bench.plan.networks.items() if network.weights]:
+    for wanted in runner.plan.experiments.activation_maps:
+        for name in [name for name, network in runner.plan.networks.items() if network.weights]:
             step(f"activation maps of {wanted.traverse}, {name}")
-            rows.append(_activation_row(bench, wanted, name))
+            rows.append(_activation_row(runner, wanted, name))
     text = "Grad-CAM on the last pooled convolution, in float: the generalization of class activation maps to AlexNet."
     return Section("Class activation maps (fig. 10)", text, pictures=rows)
 
 
-def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Picture]:
-    images = FeedImages(bench.traverse(wanted.traverse).feed)
+def _activation_row(runner: MethodRunner, wanted: ActivationMap, name: str) -> list[Picture]:
+    images = FeedImages(runner.traverse(wanted.traverse).feed)
     try:
         image = images.read(wanted.row)
     finally:
         images.close()
-    weights = bench.descriptions.weights(name)
-    pooled = pooled_features(weights, bench.descriptions.network(name, "fc6").info, image)
+    weights = runner.descriptions.weights(name)
+    pooled = pooled_features(weights, runner.descriptions.network(name, "fc6").info, image)
     probabilities, rank, gradients = scores_and_gradients(weights, pooled)
-    labels = bench.descriptions.head(name).labels
+    labels = runner.descriptions.head(name).labels
     maps = [
         Picture(thumbnail(overlay(image, activation_map(pooled, gradient))), f"{labels[c]} {probabilities[c]:.2f}")
         for c, gradient in zip(rank[:3], gradients, strict=True)
@@ -187,39 +181,34 @@ def _activation_row(bench: Bench, wanted: ActivationMap, name: str) -> list[Pict
     return [Picture(thumbnail(image), f"{wanted.traverse}, row {wanted.row}, {name}"), *maps]
 
 
-def standing(bench: Bench, step: Step) -> Section:
+def standing(runner: MethodRunner, step: Step) -> Section:
     """The recognizer on a drive with halts and changing speed: frames by distance and by time, with the gate or not."""
     rows: list[Sequence[Cell]] = []
     by_time = SamplingConfig(by="frames")
     default = Config().descriptor.standing_change
-    for drive in bench.plan.experiments.standing:
-        pair = next(pair for pair in bench.plan.pairs if pair.name == drive.pair)
+    for drive in runner.plan.experiments.standing:
+        pair = next(pair for pair in runner.plan.pairs if pair.name == drive.pair)
         pair = msgspec.structs.replace(pair, query=drive.query)
-        for sampling, gate in ((bench.plan.sampling, default), (by_time, default), (by_time, 0.0)):
+        for sampling, gate in ((runner.plan.sampling, default), (by_time, default), (by_time, 0.0)):
             by = f"{sampling.spacing_m:g} m" if sampling.by == "distance" else "every frame"
             step(f"{drive.query}: {by}, standing gate {gate:g}")
-            rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(bench, pair, sampling, gate)])
+            rows.append([f"{pair.query} against {pair.reference}", by, gate, *_halting(runner, pair, sampling, gate)])
     columns = ("pair", "frames taken", "standing_change", "frames", "answered", "accuracy of answers")
     note = "The query through the recognizer of `lookback replay`; standing_change 0 turns its gate off."
     return Section("Standing still, speed changes", note, [Table("standing", "With and without", columns, rows)])
 
 
-def _halting(bench: Bench, pair: Pair, sampling: SamplingConfig, gate: float) -> tuple[int, int, float]:
+def _halting(runner: MethodRunner, pair: Pair, sampling: SamplingConfig, gate: float) -> tuple[int, int, float]:
     """Frames, answers, and the share of right ones."""
-    reference, query = bench.traverse(pair.reference), bench.traverse(pair.query, sampling)
-    network = bench.descriptions.network(next(iter(bench.plan.networks)), "fc6")
+    reference, query = runner.traverse(pair.reference), runner.traverse(pair.query, sampling)
+    network = runner.descriptions.network(next(iter(runner.plan.networks)), "fc6")
     config = msgspec.structs.replace(
         Config(),
-        camera=msgspec.structs.replace(Config().camera, view=query.feed.header.view),
-        descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate, model=str(network.path)),
-        sequence=msgspec.structs.replace(Config().sequence, length=bench.sequence_length(pair)),
+        sampling=runner.plan.sampling,
+        descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate),
+        sequence=msgspec.structs.replace(Config().sequence, length=runner.sequence_length(pair)),
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "map"
-        build_map([reference.feed], path, config.descriptor, bench.plan.sampling)
-        reference_map = open_map(path)
-        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
-        lines = list(replay(recognizer, query.feed, sampling))
+    lines = replay_on_new_map([reference.feed], query.feed, config, sampling=sampling, network=network)
     errors = true_errors(reference, query, pair)
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)

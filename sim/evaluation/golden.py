@@ -19,11 +19,12 @@ import msgspec
 import tomli_w
 
 from edge.commands.map_build import add_spacing_options, build_map, sampling_from
-from edge.commands.replay import as_line, config_for_map, replay
-from edge.config import DescriptorConfig, SamplingConfig, SequenceConfig, checked_option
+from edge.commands.replay import as_line, replay
+from edge.config import Config, SamplingConfig, SequenceConfig, checked_option
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
-from edge.feed import read_feed
+from edge.feed import Feed, read_feed
+from edge.journal.records import FrameUsed
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
@@ -63,17 +64,31 @@ def load_golden(folder: Path) -> Golden:
 
 def replay_golden(folder: Path, golden: Golden) -> str:
     """The present output."""
+    config = Config(sampling=golden.sampling, sequence=SequenceConfig(length=golden.length))
     reference = [read_feed(folder / path) for path in golden.reference]
-    query = read_feed(folder / golden.query)
+    frames = replay_on_new_map(reference, read_feed(folder / golden.query), config)
+    return "".join(map(as_line, frames))
+
+
+def replay_on_new_map(
+    reference: list[Feed],
+    query: Feed,
+    config: Config,
+    *,
+    sampling: SamplingConfig | None = None,
+    network: Network | None = None,
+) -> list[FrameUsed]:
+    """Every used frame of `query`, recognized on a map of `reference`; the camera's view is that of the query.
+
+    sampling: of the query, where it is not that of the map. network: instead of the one that the config names.
+    """
+    camera = msgspec.structs.replace(config.camera, view=query.header.view)
+    config = msgspec.structs.replace(config, camera=camera)
     with tempfile.TemporaryDirectory() as scratch:
-        build_map(reference, Path(scratch) / "map", DescriptorConfig(), golden.sampling)
-        reference_map = open_map(Path(scratch) / "map")
-        config = config_for_map(reference_map.header, golden.length)
-        config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=query.header.view))
-        network = Network.load()
-        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
-        seen = replay(recognizer, query, golden.sampling)
-        return "".join(as_line(used) for used in seen)
+        path = Path(scratch) / "map"
+        build_map(reference, path, config.descriptor, config.sampling, network=network)
+        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(open_map(path)))
+        return list(replay(recognizer, query, sampling or config.sampling))
 
 
 def first_difference(expected: str, now: str) -> str:

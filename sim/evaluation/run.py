@@ -21,9 +21,9 @@ import edge
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
 from sim.evaluation import experiments
-from sim.evaluation.bench import Bench
 from sim.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
 from sim.evaluation.descriptions import Descriptions, open_executor
+from sim.evaluation.method_runner import MethodRunner
 from sim.evaluation.plan import Plan, TraversePlan, load_plan
 from sim.evaluation.report import Section, write_report
 from sim.evaluation.trajectories import write_trajectories
@@ -35,10 +35,10 @@ SHIPPED = Path(__file__).with_name("plans")
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
 
-def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
+def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
     """All comparisons and experiments of a plan, section by section; trajectories are written into `folder`."""
-    plan, wanted = bench.plan, bench.plan.experiments
-    total = sum(len(bench.methods_for(pair)) for pair in plan.pairs)
+    plan, wanted = runner.plan, runner.plan.experiments
+    total = sum(len(runner.methods_for(pair)) for pair in plan.pairs)
     swept = len(experiments.sweep_pairs(plan))
     sweeps = swept * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
@@ -50,25 +50,25 @@ def run_plan(bench: Bench, folder: Path) -> Iterator[Section]:
             progress.set_postfix_str(what)
             progress.update()
 
-        results = compare(bench, step)
-        yield overview(bench, results)
+        results = compare(runner, step)
+        yield overview(runner, results)
         for pair in plan.pairs:
-            write_trajectories(folder, slug_of(pair), shown_outcome(bench, pair, results))
-            yield pair_section(bench, pair, results)
+            write_trajectories(folder, slug_of(pair), shown_outcome(runner, pair, results))
+            yield pair_section(runner, pair, results)
         if wanted.sequence_lengths:
-            yield experiments.sequence_lengths(bench, step)
+            yield experiments.sequence_lengths(runner, step)
         if wanted.spacings_m:
-            yield experiments.spacings(bench, step)
+            yield experiments.spacings(runner, step)
         if wanted.cold_start:
-            yield experiments.cold_start(bench, results)
+            yield experiments.cold_start(runner, results)
         if wanted.int8:
-            yield experiments.int8_against_float(bench, results, step)
+            yield experiments.int8_against_float(runner, results, step)
         if wanted.standing:
-            yield experiments.standing(bench, step)
+            yield experiments.standing(runner, step)
         if wanted.pca:
-            yield experiments.pca(bench, step)
+            yield experiments.pca(runner, step)
         if wanted.activation_maps:
-            yield experiments.activation_maps(bench, step)
+            yield experiments.activation_maps(runner, step)
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ class Folders:
     rendered: Path
 
 
-def open_bench(plan: Plan, folders: Folders) -> Bench:
-    """A bench that reads traverses when they are first needed."""
+def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
+    """A runner that reads traverses when they are first needed."""
 
     def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
         traverse = plan.traverses[name]
@@ -92,25 +92,25 @@ def open_bench(plan: Plan, folders: Folders) -> Bench:
             path = feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)
         return load_traverse(name, traverse, path, sampling, folders.feeds)
 
-    return Bench(plan, Descriptions(plan, folders.models), open_traverse)
+    return MethodRunner(plan, Descriptions(plan, folders.models), open_traverse)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a plan and write its report; SetupError, in one line, for any error in it."""
     path = _find_plan(args.plan)
     plan, beside = load_plan(path), path.parent
-    bench = open_bench(plan, Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds"))
+    runner = open_runner(plan, Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds"))
     for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
-        bench.method(text)
+        runner.method(text)
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
     with open_executor(args.workers, args.cluster) as executor:
         if executor is not None:
-            bench.describe_all(executor)
-    sections = list(run_plan(bench, args.output))
-    page = write_report(args.output, plan.title, _about(path, plan, bench), sections)
+            runner.describe_all(executor)
+    sections = list(run_plan(runner, args.output))
+    page = write_report(args.output, plan.title, _about(path, plan, runner), sections)
     _print_overview(sections[0])
     print(page)
     return 0
@@ -122,7 +122,7 @@ def _find_plan(path: Path) -> Path:
     return shipped if not path.exists() and shipped.is_file() else path
 
 
-def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:
+def _about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
     """What is needed to run the same again."""
     about = {
         "command": shlex.join(["lookback", *sys.argv[1:]]),
@@ -132,7 +132,7 @@ def _about(path: Path, plan: Plan, bench: Bench) -> dict[str, str]:
         "packages": ", ".join(f"{package} {version(package)}" for package in PACKAGES),
         "machine": f"{platform.machine()}, {platform.system()}",
     }
-    for network in bench.descriptions.opened():
+    for network in runner.descriptions.opened():
         info = network.info
         about[f"network {info.name}, {info.tap}, {info.precision}"] = f"sha256 {info.sha256}"
     return about | ({"notes": plan.notes} if plan.notes else {})

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sim.datasets.export import WRITERS, TrackPoint
 
 if TYPE_CHECKING:
-    from sim.evaluation.bench import Outcome
+    from sim.evaluation.method_runner import Outcome
 
 
 def write_trajectories(folder: Path, slug: str, outcome: Outcome) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def open_camera(config: CameraConfig) -> Camera:
-    """The entry point of `lookback.cameras`: renders the scenario's drive, or plays it if it was rendered before.
+    """The entry point of `lookback.cameras`: renders the scenario's drive, or plays its recording.
 
     ConfigError when the scenario is wrong or Panda3D is not installed; FeedError for its feed.
     """
@@ -32,7 +32,7 @@ def open_camera(config: CameraConfig) -> Camera:
 
 def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     """The scenario's camera in its world; takes about two seconds a kilometer."""
-    # Imported here: who only asks where the vehicle is needs no renderer.
+    # Imported here: positions alone need no renderer.
     try:
         from sim.world.renderer import Renderer
     except ModuleNotFoundError as error:
@@ -56,7 +56,7 @@ RENDER_S = 5.0  # a picture on a busy computer
 
 
 class SimCamera:
-    """Renders what the scenario's camera sees now; the vehicle stands at the start until the scenario's epoch.
+    """Renders the view of the scenario's camera now; the vehicle stands at the start until the scenario's epoch.
 
     Use it from one thread: the one that opens it.
     """

@@ -17,7 +17,7 @@ Direction = Literal["forward", "reverse"]
 STEP_S = 0.05
 ACCELERATION_MPS2 = 1.5
 SWAY_M = 0.25
-"""A driver does not hold the middle of the lane better than this."""
+"""Amplitude of the deviation from the middle of the lane."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Drive:
         return float(self.times_s[-1])
 
     def distance_m(self, time_s: float) -> float:
-        """What the wheels have covered along the route at `time_s`; held at both ends."""
+        """Distance driven along the route at `time_s`; constant before the start and after the end."""
         return float(np.interp(time_s, self.times_s, self.distances_m))
 
     def time_at_s(self, distance_m: float) -> float:
@@ -61,7 +61,7 @@ class Drive:
     def pose(self, time_s: float, ahead_m: float = 0.0) -> Pose:
         """Where the vehicle is and looks; standing before 0 and after `duration_s`.
 
-        ahead_m: of a part of the vehicle that is so much further along its way, and turns with the road there.
+        ahead_m: of a part of the vehicle this far ahead along its way, which turns with the road there.
         """
         sign = 1.0 if self.direction == "forward" else -1.0
         route_m = min(max(self.route_m(time_s) + sign * ahead_m, 0.0), self.route.length_m)

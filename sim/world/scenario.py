@@ -1,4 +1,4 @@
-"""A scenario file: which world, which drive through it, and the camera that looks. One small TOML file.
+"""A scenario: one TOML file that names a world, a drive through it, and the camera.
 
     seed = 1                 # the world: route and all that stands along it
     length_m = 1200.0        # of the route, 200 to 20000
@@ -13,10 +13,10 @@
     height = 240
     fov_deg = 80.0           # horizontal, 30 to 120
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
-    epoch_ns = 0             # CLOCK_MONOTONIC at the start; left out: when the camera opens
-    feed = ""                # this very drive, rendered before: its pictures are played, and nothing is rendered
+    epoch_ns = 0             # CLOCK_MONOTONIC at the start; without it, the time at which the camera opens
+    feed = ""                # a recording of this drive, whose pictures are played instead of rendered
 
-Processes that share a scenario with `epoch_ns` agree on where the vehicle is at any moment.
+In processes that share a scenario with `epoch_ns`, the vehicle is at the same place at the same time.
 """
 
 from __future__ import annotations

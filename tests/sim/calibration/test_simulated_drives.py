@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -59,25 +60,38 @@ def again(folder: Path) -> dict[float, Feed]:
     return {m: record(replace(STREET, drive_seed=2, camera_ahead_m=m), folder / name) for m, name in ahead.items()}
 
 
-def measure(reference_map: ReferenceMap, feed: Feed) -> Offset:
-    offsets, _ = command.measure_rig(reference_map, [feed], CONFIG)
-    return max(offsets, key=lambda offset: offset.used)
+Measure = Callable[[ReferenceMap, Feed], Offset]
 
 
-def test_the_same_way_with_cameras_that_look_alike(maps: dict[str, ReferenceMap], again: dict[float, Feed]) -> None:
+@pytest.fixture
+def measure(network: Network) -> Measure:
+    """The offset of the direction and order of most matches."""
+
+    def run(reference_map: ReferenceMap, feed: Feed) -> Offset:
+        offsets, _ = command.measure_rig(reference_map, [feed], CONFIG, network)
+        return max(offsets, key=lambda offset: offset.used)
+
+    return run
+
+
+def test_the_same_way_with_cameras_that_look_alike(
+    maps: dict[str, ReferenceMap], again: dict[float, Feed], measure: Measure
+) -> None:
     offset = measure(maps["front"], again[8.0])
     assert (offset.direction, offset.order) == ("forward", "same")
     assert offset.ahead_m == pytest.approx(8.0, abs=2.0)
 
 
-def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], folder: Path) -> None:
+def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], folder: Path, measure: Measure) -> None:
     home = replace(STREET, direction="reverse", lane_m=-STREET.lane_m, drive_seed=3, camera_ahead_m=-6.0)
     offset = measure(maps["rear"], record(home, folder / "home"))
     assert (offset.direction, offset.order) == ("reverse", "same")
     assert offset.ahead_m == pytest.approx(-6.0, abs=2.0)
 
 
-def test_a_front_camera_over_a_rear_camera_map(maps: dict[str, ReferenceMap], again: dict[float, Feed]) -> None:
+def test_a_front_camera_over_a_rear_camera_map(
+    maps: dict[str, ReferenceMap], again: dict[float, Feed], measure: Measure
+) -> None:
     """What the two see at different times depends on the street; what the mounting adds to it does not."""
     at_antenna, ahead = (measure(maps["rear"], again[m]) for m in (0.0, 8.0))
     assert {(one.direction, one.order) for one in (at_antenna, ahead)} == {("forward", "swapped")}
@@ -90,7 +104,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
 ) -> None:
     """The way home by day tells what the daemon will say of itself on the way home at dusk."""
     home = replace(STREET, direction="reverse", drive_seed=5)
-    offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG)
+    offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG, network)
     dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
     tracker = RouteTracker(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
     recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))

@@ -228,7 +228,7 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
         assert "\n" not in str(raised.value)
 
     fails("flight.tlog", "cannot read it: No such file or directory")
-    fails("flight.csv", "not a log that is known here; it is one of .tlog, .bin, .ulg")
+    fails("flight.csv", "not a known kind of log; it is one of .tlog, .bin, .ulg")
     for suffix in LOGS:
         (tmp_path / f"noise{suffix}").write_bytes(np.random.default_rng(3).bytes(5000))
         (tmp_path / f"empty{suffix}").write_bytes(b"")
@@ -273,7 +273,7 @@ def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
     read = ["--video", str(tmp_path / "flight.AVI"), "--video-start-s", "0.5", "--view", "rear"]
     assert main(["replay", str(log), *options, *read]) == 0
     assert capsys.readouterr().out == imported
-    assert imported.count("\n") == 34, "frames beyond the log's end are left out"
+    assert imported.count("\n") == 34, "frames beyond the log's end are skipped"
     assert imported.count('"direction":"forward"') >= 20
     assert main(["replay", str(log), *options, *read[2:]]) == 0
     assert capsys.readouterr().out == imported, "the video of the same name is found"
@@ -287,9 +287,7 @@ def test_a_log_that_cannot_be_paired_is_one_line(
     log, there = tmp_path / "flight.tlog", ["--map", "a.map"]
     write_tlog(log, degrees_at, 12)
     assert main(["replay", str(log), *there]) == 78
-    assert (
-        "which video belongs to it? Name it with --video; of the same name beside it: none" in capsys.readouterr().err
-    )
+    assert "name its video with --video; videos of the same name beside it: none" in capsys.readouterr().err
     write_video(tmp_path / "flight.avi", 20, 10.0)
     assert main(["replay", str(tmp_path / "flight.avi"), *there, "--video", str(log)]) == 78
     assert "flight.avi: --video belongs to a log" in capsys.readouterr().err

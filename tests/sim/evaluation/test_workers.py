@@ -11,10 +11,10 @@ import pytest
 from edge.config import SamplingConfig
 from edge.descriptor.regions import REGION_COUNT, Regions
 from edge.errors import ConfigError
-from sim.evaluation.bench import Bench
 from sim.evaluation.descriptions import open_executor
+from sim.evaluation.method_runner import MethodRunner
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
-from sim.evaluation.run import Folders, open_bench
+from sim.evaluation.run import Folders, open_runner
 
 
 @pytest.fixture
@@ -29,12 +29,12 @@ def open_small_bench(tmp_path: Path, write_feed: Any) -> Any:
         pairs=[Pair("p", "there", "here", "rows", tolerance=1.0, length=2)],
         sampling=SamplingConfig(by="frames"),
     )
-    return lambda: open_bench(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
+    return lambda: open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
 
 
-def same_descriptors(here: Bench, elsewhere: Bench) -> bool:
-    def raw(bench: Bench, name: str, regions: Regions) -> np.ndarray:
-        return bench.descriptions.raw(bench.traverse(name), "shipped", "fc6", regions)
+def same_descriptors(here: MethodRunner, elsewhere: MethodRunner) -> bool:
+    def raw(runner: MethodRunner, name: str, regions: Regions) -> np.ndarray:
+        return runner.descriptions.raw(runner.traverse(name), "shipped", "fc6", regions)
 
     return all(
         np.array_equal(raw(here, name, regions), raw(elsewhere, name, regions))

@@ -32,13 +32,13 @@ def weights(shared: Path) -> Path:
 
 @pytest.fixture
 def feed(tmp_path: Path) -> Path:
-    """Twelve different pictures, 2 m apart."""
+    """Six different pictures, 20 m apart."""
     random = np.random.default_rng(5)
     with FeedWriter(tmp_path / "feed", FeedHeader(name="noise", view="front", width=64, height=48)) as writer:
-        for row in range(12):
+        for row in range(6):
             coarse = random.integers(0, 256, (6, 8, 3), dtype=np.uint8)
             image = cv2.resize(coarse, (64, 48), interpolation=cv2.INTER_CUBIC)
-            writer.write(image, row * 10**9, lat_deg=-27.0 + row * 18e-6, lon_deg=153.0)
+            writer.write(image, row * 10**9, lat_deg=-27.0 + row * 180e-6, lon_deg=153.0)
     return tmp_path / "feed"
 
 
@@ -106,7 +106,7 @@ def test_verify_against_a_feed_that_cannot_be_compared(weights: Path, feed: Path
 
 def test_import_with_an_unreadable_picture(weights: Path, feed: Path, tmp_path: Path) -> None:
     (feed / "frames" / "000003.jpg").write_bytes(b"cut short")
-    with pytest.raises(FeedError, match=r"000003\.jpg: not a whole JPEG or PNG picture; leave that row out"):
+    with pytest.raises(FeedError, match=r"000003\.jpg: not a whole JPEG or PNG picture; remove that row"):
         lookback_model("import", weights, "-o", tmp_path / "model", "--calibrate", feed)
 
 

@@ -9,18 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from edge.commands.map_build import build_map
-from edge.commands.replay import replay
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from edge.recognizer import open_recognizer
-from edge.reference_map import MapSet
-from edge.reference_map.store import open_map
 from sim.evaluation.comparison import median_ahead
+from sim.evaluation.golden import replay_on_new_map
 from sim.evaluation.matching import judge
 from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
-from sim.evaluation.run import Folders, open_bench
+from sim.evaluation.run import Folders, open_runner
 
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
@@ -35,11 +31,12 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         pairs=[Pair("p", "reference", "query", "rows", tolerance=TOLERANCE, length=LENGTH)],
         sampling=SamplingConfig(by="frames"),
     )
-    outcome = open_bench(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Lookback")
+    outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Lookback")
 
     default = Config()
     config = msgspec.structs.replace(
         default,
+        sampling=plan.sampling,
         descriptor=msgspec.structs.replace(default.descriptor, region_width=plan.region_width, standing_change=0.0),
         sequence=msgspec.structs.replace(default.sequence, length=LENGTH),
         # The corridor's nominal meter is one frame.
@@ -49,10 +46,7 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         replace(feed, rows=feed.rows[:FRAMES])
         for feed in (read_feed(feeds / "corridor_reference"), read_feed(feeds / "corridor_query"))
     )
-    build_map([reference], tmp_path / "map", config.descriptor, plan.sampling, network=network)
-    reference_map = open_map(tmp_path / "map")
-    recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
-    lines = list(replay(recognizer, query, plan.sampling))
+    lines = replay_on_new_map([reference], query, config, network=network)
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
     uniqueness = [line.uniqueness for line in lines[LENGTH - 1 :]]
@@ -70,7 +64,7 @@ def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: P
         pairs=[Pair("p", "there", "here", "positions", tolerance=9.0, length=1)],
         sampling=SamplingConfig(by="frames"),
     )
-    outcome = open_bench(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path)).run(plan.pairs[0], "SeqSLAM")
+    outcome = open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path)).run(plan.pairs[0], "SeqSLAM")
     # The truth is places 5 to 8; answers lie 1, 3 and 4 places on, and one is wrong.
     places = np.array([6, 9, 11, 0])
     for reverse, ahead_m in ((False, 6.0), (True, -6.0)):

@@ -55,7 +55,7 @@ class Outcome:
         return errors_of(self.matches.place[:, np.newaxis], self.errors)[:, 0]
 
 
-class Bench:
+class MethodRunner:
     """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
 
     def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
