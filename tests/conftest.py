@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
+import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,7 +23,7 @@ from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedWriter, read_feed
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.model_tools.onnx_graph import DIMENSIONS, MEAN_RGB, PAD_LEVEL, STD_RGB
-from sim.model_tools.weights import CONVS, FC6_SHAPE, Weights
+from sim.model_tools.weights import Weights
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
@@ -126,6 +128,25 @@ def write_traverse() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Gives a folder that is filled by the worker that first asks for its name; the others wait, and share it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (folder / name).exists():
+                half_done = Path(tempfile.mkdtemp(dir=folder))
+                fill(half_done)
+                half_done.rename(folder / name)
+        return folder / name
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def network() -> MemoizingNetwork:
     """The shipped network for all tests that do not test the network itself: it describes each picture once."""
     return MemoizingNetwork.load()
@@ -147,28 +168,6 @@ def make_street(
 
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
-
-
-def random_weights(hidden: int, classes: int) -> dict[str, NDArray[np.float16]]:
-    """Kaiming-normal weights: activations keep their size through the layers, as in a trained network."""
-    random = np.random.default_rng(7)
-    shapes = {conv.layer: conv.shape for conv in CONVS}
-    shapes |= {"classifier.1": FC6_SHAPE, "classifier.4": (hidden, 4096), "classifier.6": (classes, hidden)}
-    weights = {}
-    for layer, shape in shapes.items():
-        deviation = np.float32(2 / np.prod(shape[1:])) ** 0.5
-        weights[f"{layer}.weight"] = (random.standard_normal(shape, np.float32) * deviation).astype(np.float16)
-        weights[f"{layer}.bias"] = (random.standard_normal(shape[0], np.float32) * 0.1).astype(np.float16)
-    return weights
-
-
-@pytest.fixture(scope="session")
-def published_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file in the published network's shape (fc7 4096 wide, 365 classes) and with its names (DataParallel)."""
-    file = tmp_path_factory.mktemp("weights") / "alexnet_places365.npz"
-    weights = random_weights(hidden=4096, classes=365)
-    np.savez(file, **{name.replace("features.", "features.module."): value for name, value in weights.items()})
-    return file
 
 
 @pytest.fixture
