@@ -6,10 +6,8 @@ import fcntl
 import os
 import struct
 import tempfile
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -62,31 +60,34 @@ def read_tlog(shared: Path) -> Callable[[str], Iterator[tuple[int, bytes]]]:
     return read
 
 
+SMALL_COUNT = 12
+SMALL_WIDTH, SMALL_HEIGHT = 64, 48
+SMALL_PERIOD_NS = 50_000_000
+
+
+def _picture(index: int) -> NDArray[np.uint8]:
+    """A picture whose mean level tells its index, whatever a lossy codec makes of it."""
+    return np.full((SMALL_HEIGHT, SMALL_WIDTH, 3), 20 + 16 * index, np.uint8)
+
+
 @pytest.fixture
-def torchvision_alexnet() -> Callable[[int, int], Any]:
-    """Builds AlexNet in PyTorch as torchvision does, names of the weights included: (width of fc7, classes) -> module.
+def feed_path(tmp_path: Path) -> Path:
+    path = tmp_path / "feed"
+    with FeedWriter(path, FeedHeader("test", "front", SMALL_WIDTH, SMALL_HEIGHT)) as writer:
+        for index in range(SMALL_COUNT):
+            writer.write(_picture(index), 1_000_000_000 + index * SMALL_PERIOD_NS, distance_m=float(index))
+    return path
 
-    torchvision.models.alexnet has an adaptive pool as well, which changes nothing at 224x224.
-    """
-    torch = pytest.importorskip("torch", reason="needs the extra `torch`")
-    nn = torch.nn
 
-    def build(hidden: int, classes: int) -> Any:
-        features = nn.Sequential(
-            *(nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-            *(nn.Conv2d(64, 192, 5, 1, 2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-            *(nn.Conv2d(192, 384, 3, 1, 1), nn.ReLU()),
-            *(nn.Conv2d(384, 256, 3, 1, 1), nn.ReLU()),
-            *(nn.Conv2d(256, 256, 3, 1, 1), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        )
-        classifier = nn.Sequential(
-            *(nn.Dropout(), nn.Linear(9216, 4096), nn.ReLU()),
-            *(nn.Dropout(), nn.Linear(4096, hidden), nn.ReLU(), nn.Linear(hidden, classes)),
-        )
-        parts = OrderedDict(features=features, flatten=nn.Flatten(), classifier=classifier)
-        return nn.Sequential(parts).eval()
-
-    return build
+@pytest.fixture
+def video_path(tmp_path: Path) -> Path:
+    """MJPG in AVI at 20 frames a second: what every OpenCV build writes."""
+    path = tmp_path / "drive.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (SMALL_WIDTH, SMALL_HEIGHT))
+    for index in range(SMALL_COUNT):
+        video.write(_picture(index))
+    video.release()
+    return path
 
 
 def _street(length_px: int) -> np.ndarray:
