@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
-from collections import OrderedDict
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedWriter, read_feed
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.model_tools.onnx_graph import DIMENSIONS, MEAN_RGB, PAD_LEVEL, STD_RGB
-from sim.model_tools.weights import CONVS, FC6_SHAPE, Weights
+from sim.model_tools.weights import Weights
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
@@ -60,31 +60,34 @@ def read_tlog(shared: Path) -> Callable[[str], Iterator[tuple[int, bytes]]]:
     return read
 
 
+SMALL_COUNT = 12
+SMALL_WIDTH, SMALL_HEIGHT = 64, 48
+SMALL_PERIOD_NS = 50_000_000
+
+
+def _picture(index: int) -> NDArray[np.uint8]:
+    """A picture whose mean level tells its index, whatever a lossy codec makes of it."""
+    return np.full((SMALL_HEIGHT, SMALL_WIDTH, 3), 20 + 16 * index, np.uint8)
+
+
 @pytest.fixture
-def torchvision_alexnet() -> Callable[[int, int], Any]:
-    """Builds AlexNet in PyTorch as torchvision does, names of the weights included: (width of fc7, classes) -> module.
+def feed_path(tmp_path: Path) -> Path:
+    path = tmp_path / "feed"
+    with FeedWriter(path, FeedHeader("test", "front", SMALL_WIDTH, SMALL_HEIGHT)) as writer:
+        for index in range(SMALL_COUNT):
+            writer.write(_picture(index), 1_000_000_000 + index * SMALL_PERIOD_NS, distance_m=float(index))
+    return path
 
-    torchvision.models.alexnet has an adaptive pool as well, which changes nothing at 224x224.
-    """
-    torch = pytest.importorskip("torch", reason="needs the extra `torch`")
-    nn = torch.nn
 
-    def build(hidden: int, classes: int) -> Any:
-        features = nn.Sequential(
-            *(nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-            *(nn.Conv2d(64, 192, 5, 1, 2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-            *(nn.Conv2d(192, 384, 3, 1, 1), nn.ReLU()),
-            *(nn.Conv2d(384, 256, 3, 1, 1), nn.ReLU()),
-            *(nn.Conv2d(256, 256, 3, 1, 1), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        )
-        classifier = nn.Sequential(
-            *(nn.Dropout(), nn.Linear(9216, 4096), nn.ReLU()),
-            *(nn.Dropout(), nn.Linear(4096, hidden), nn.ReLU(), nn.Linear(hidden, classes)),
-        )
-        parts = OrderedDict(features=features, flatten=nn.Flatten(), classifier=classifier)
-        return nn.Sequential(parts).eval()
-
-    return build
+@pytest.fixture
+def video_path(tmp_path: Path) -> Path:
+    """MJPG in AVI at 20 frames a second: what every OpenCV build writes."""
+    path = tmp_path / "drive.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (SMALL_WIDTH, SMALL_HEIGHT))
+    for index in range(SMALL_COUNT):
+        video.write(_picture(index))
+    video.release()
+    return path
 
 
 def _street(length_px: int) -> np.ndarray:
@@ -126,6 +129,25 @@ def write_traverse() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Gives a folder that is filled by the worker that first asks for its name; the others wait, and share it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (folder / name).exists():
+                half_done = Path(tempfile.mkdtemp(dir=folder))
+                fill(half_done)
+                half_done.rename(folder / name)
+        return folder / name
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def network() -> MemoizingNetwork:
     """The shipped network for all tests that do not test the network itself: it describes each picture once."""
     return MemoizingNetwork.load()
@@ -147,28 +169,6 @@ def make_street(
 
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
-
-
-def random_weights(hidden: int, classes: int) -> dict[str, NDArray[np.float16]]:
-    """Kaiming-normal weights: activations keep their size through the layers, as in a trained network."""
-    random = np.random.default_rng(7)
-    shapes = {conv.layer: conv.shape for conv in CONVS}
-    shapes |= {"classifier.1": FC6_SHAPE, "classifier.4": (hidden, 4096), "classifier.6": (classes, hidden)}
-    weights = {}
-    for layer, shape in shapes.items():
-        deviation = np.float32(2 / np.prod(shape[1:])) ** 0.5
-        weights[f"{layer}.weight"] = (random.standard_normal(shape, np.float32) * deviation).astype(np.float16)
-        weights[f"{layer}.bias"] = (random.standard_normal(shape[0], np.float32) * 0.1).astype(np.float16)
-    return weights
-
-
-@pytest.fixture(scope="session")
-def published_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file in the published network's shape (fc7 4096 wide, 365 classes) and with its names (DataParallel)."""
-    file = tmp_path_factory.mktemp("weights") / "alexnet_places365.npz"
-    weights = random_weights(hidden=4096, classes=365)
-    np.savez(file, **{name.replace("features.", "features.module."): value for name, value in weights.items()})
-    return file
 
 
 @pytest.fixture

@@ -157,3 +157,18 @@ def load():
     assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "edge.page.server"}
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
     assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_the_tests_mirror_the_program() -> None:
+    """Each folder of tests is that of a package, or of what has no package."""
+
+    def folders(path: Path) -> set[str]:
+        return {folder.name for folder in path.iterdir() if list(folder.glob("*.py"))}
+
+    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "systemd"}
+    assert folders(ROOT / "tests") - beside <= folders(ROOT / "edge")
+    assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
+    modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
+    whole = {"test_import_rule", "test_one_frame"}
+    for file in (ROOT / "tests").glob("test_*.py"):
+        assert file.stem in whole or any(file.stem.startswith(module) for module in modules - {"test_init"}), file

@@ -3,8 +3,8 @@
     golden.toml     the reference feeds, the query feed and the settings; paths are relative to the folder
     expected.jsonl  a line for every frame, as `replay --all` writes it
 
-`lookback golden FOLDER` replays it and prints the first difference; tests/test_golden.py does so for each folder under
-tests/golden. `--rebuild` accepts the present output.
+`lookback golden FOLDER` replays it and prints the first difference;
+tests/sim/evaluation/test_golden.py does so for each folder under tests/golden. `--rebuild` accepts the present output.
 """
 
 from __future__ import annotations

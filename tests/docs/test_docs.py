@@ -33,6 +33,7 @@ pytest.importorskip("gpxpy")
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+BESIDE_THE_CODE = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MOST_S = 600
 
@@ -93,7 +94,7 @@ def run_in(folder: Path, script: str) -> str:
     return output
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, *BESIDE_THE_CODE], ids=lambda page: page.stem)
 def test_every_link_leads_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name}: {target}"
@@ -172,3 +173,11 @@ def test_a_word_that_names_nothing_is_found() -> None:
     assert unknown_words(
         "`[telemetry] spacing_m`, `spacing_metres`, `open_map`, `config_keys`, `[no_such] key_of`"
     ) == [*("spacing_m", "spacing_metres", "open_map", "config_keys", "key_of")]
+
+
+def test_the_examples_of_good_code_are_code_of_this_repository() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```python\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert len(examples) == 2
+    for file, code in examples:
+        assert code in (ROOT / file).read_text(encoding="utf-8"), file

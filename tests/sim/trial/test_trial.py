@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +24,8 @@ LENGTH_M = 560.0
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> World:
-    return prepare_world(1, tmp_path_factory.mktemp("trial"), LENGTH_M)
+def world(make_once: Callable[..., Path]) -> World:
+    return prepare_world(1, make_once("trial", lambda folder: prepare_world(1, folder, LENGTH_M)), LENGTH_M)
 
 
 def test_a_course_knows_its_stretches_and_lies_about_one(world: World, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from edge.__main__ import main
 from sim.evaluation.golden import EXPECTED, first_difference, load_golden, replay_golden
 
-FOLDERS = sorted(path.parent for path in Path(__file__).parent.glob("golden/*/golden.toml"))
+FOLDERS = sorted(path.parent for path in (Path(__file__).parents[3] / "tests/golden").glob("*/golden.toml"))
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
