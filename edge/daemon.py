@@ -84,6 +84,7 @@ class Daemon:
         self._config, self._clock_ns = config, clock_ns
         self._times = StageTimes()
         self._journal: Journal | None = None
+        self._newest: PlaceMatch | None = None  # that was accepted
         self._record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
             self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
@@ -98,16 +99,18 @@ class Daemon:
             self._open_camera(parts, frames)
             self._open_page(parts)
         self._frames_used = self._events = 0
+        self._frame_s = 0.0  # what the last one took
         self._supervision = Supervision()
 
     def _open_recognizer(self, network: Network | None) -> None:
-        self._recognizer = open_recognizer(self._config, network=network, stopwatch=self._times.lap)
+        config = self._config
+        self._recognizer = open_recognizer(config, network=network, stopwatch=self._times.lap)
         maps = self._recognizer.map_set
         for excluded in maps.excluded:
             self._publish_excluded(excluded)
         self._checksums = maps.checksum_schedule()
-        self._warm_start = WarmStart(self._config, self._recognizer)
-        self._sampler = Sampler(self._config.sampling)
+        self._warm_start = WarmStart(config, self._recognizer)
+        self._sampler = Sampler(config.sampling)
         self._follow(maps)
 
     def _follow(self, maps: MapSet) -> None:
@@ -115,7 +118,7 @@ class Daemon:
         config = self._config
         self._route = Route(maps)
         self._tracker = RouteTracker(self._route, config.tracking, config.rig, config.sequence.length)
-        self._newest: PlaceMatch | None = None  # that was accepted
+        self._newest = None
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
         config = self._config
@@ -134,6 +137,7 @@ class Daemon:
     def _open_page(self, parts: ExitStack) -> None:
         config, maps = self._config, self._recognizer.map_set
         sources = Sources(
+            map_name=lambda: f"{Path(config.map.path).name}, {self._recognizer.map_set}",
             costs=self._recognizer.cost_view,
             camera=lambda: self._camera.health,
             link=self._autopilot.status,
@@ -141,8 +145,7 @@ class Daemon:
             journal_lost=lambda: self._journal.lost if self._journal else 0,
             clock_ns=self._clock_ns,
         )
-        map_name = f"{Path(config.map.path).name}, {maps}"
-        self._live_status = LiveStatus(map_name, self._recognizer.model_name, config.acceptance.uniqueness_min, sources)
+        self._live_status = LiveStatus(self._recognizer.model_name, config.acceptance.uniqueness_min, sources)
         self._page = open_page(config.page, map_view(maps))
         if self._page is not None:
             parts.enter_context(closing(self._page))
@@ -152,7 +155,7 @@ class Daemon:
         self._autopilot.poll()
         frame = self._camera.take(TURN_S)
         if frame is not None and self._is_usable(frame):
-            distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
+            distance_m = self._autopilot.distance_m(frame.stamp_ns)
             if self._sampler.is_place(frame.stamp_ns, distance_m):
                 self._process_frame(frame, distance_m)
         else:
@@ -167,7 +170,7 @@ class Daemon:
 
     def _is_usable(self, frame: Frame) -> bool:
         """Whether a frame may be used; a camera that gives frozen pictures is opened again where that may help."""
-        speed_mps = self._autopilot.vehicle.speed_mps(self._clock_ns())
+        speed_mps = self._autopilot.speed_mps()
         moves = None if speed_mps is None else speed_mps >= self._config.gates.min_speed_mps
         fault = self._picture_fault = self._frozen_pictures.check(frame.image, frame.stamp_ns, moves)
         if fault and fault.reopen and self._device is not None:
@@ -183,7 +186,7 @@ class Daemon:
             match = None
         self._tracker.update(match, frame.stamp_ns, distance_m, missed)
         used = frame_used(frame.index, frame.stamp_ns, match, self._route, self._config.rig, missed)
-        position = self._autopilot.vehicle.position(began_ns)
+        position = self._autopilot.position()
         self._publish_frame(frame, match, used, position)
         if self._recorder is not None:
             self._recorder.record(frame, position, distance_m)
@@ -192,11 +195,16 @@ class Daemon:
             if match.event:
                 self._publish_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
+<<<<<<< HEAD
         self.monitor.add_frame((self._clock_ns() - began_ns) / 1e9)
+=======
+        self._frames_used += 1
+        self._frame_s = (self._clock_ns() - began_ns) / 1e9
+>>>>>>> refs/heads/records
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
-        position = self._autopilot.vehicle.position(self._clock_ns())
+        position = self._autopilot.position()
         sigma_m = self._autopilot.uncertainty_m
         if position is None or sigma_m is None:
             return None
@@ -229,7 +237,6 @@ class Daemon:
         self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, position: VehiclePosition | None
     ) -> None:
         """To the live page, and to the journal where it is to have every frame."""
-        self._frames_used += 1
         self._live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
         if self._config.telemetry.journal_frames:
             self._record(used)
@@ -252,6 +259,8 @@ class Daemon:
         fault = self._picture_fault
         return self.monitor.update(
             self._recognizer.state,
+            self._frames_used,
+            self._frame_s,
             self._camera.health,
             link=(self._autopilot.state, self._autopilot.why_closed),
             picture_fault=fault.what if fault and fault.sure else "",
@@ -273,7 +282,7 @@ class Daemon:
             fix = self._tracker.at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._tracker.at(now_ns, self._autopilot.vehicle.distance_m(now_ns))
+            fix = self._tracker.at(now_ns, self._autopilot.distance_m(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
 

@@ -25,16 +25,13 @@ from edge.config import Config
 from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
-from edge.reference_map import COST_ONE, MapSet, ModelKey, open_map_set
+from edge.reference_map import MapSet, ModelKey, open_map_set
 from edge.sequence import CostView, PlaceMatch
 from edge.sequence.acceptance import HoldOff
 from edge.sequence.place_search import Near, PlaceSearch
 
 MOST_MISSED = 0.5
 """Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
-
-WINDOW_PLACES = 60
-"""So many places on either side of the match are shown of the cost matrix."""
 
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
 Stopwatch = Callable[[str], None]
@@ -159,6 +156,10 @@ class PlaceRecognizer:
         """Name of the network."""
         return self._network.info.name
 
+    def cost_view(self, match: PlaceMatch | None) -> CostView:
+        """The costs that the newest match, if there is one, was found in; for people."""
+        return self.matcher.search.cost_view(match)
+
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on (after one was excluded), beginning a new sequence."""
         self.matcher.use_maps(map_set)
@@ -169,19 +170,6 @@ class PlaceRecognizer:
         self.matcher.reset()
         self._last_raw = self._last_ns = None
         self.state = "warming up"
-
-    def cost_view(self, match: PlaceMatch | None) -> CostView:
-        """The costs that the newest match, if there is one, was found in."""
-        part, costs = self.matcher.search.part, self.matcher.search.newest_costs
-        searched = part.places if part is not None else np.zeros(0, dtype=np.intp)
-        if costs.shape[1] != len(searched):
-            costs, searched = np.zeros((0, 0), np.int32), searched[:0]
-        if part is None or match is None:
-            return CostView(costs, searched, np.zeros((0, 0), np.int32), 0, COST_ONE)
-        at = int(np.searchsorted(part.places, match.place_index))
-        first = max(0, at - WINDOW_PLACES)
-        window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
-        return CostView(costs, searched, window, int(part.places[min(first, len(part.places) - 1)]), COST_ONE)
 
     def _stands_still(self, raw: NDArray[np.float32]) -> bool:
         """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""

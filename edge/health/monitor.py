@@ -45,8 +45,7 @@ class HealthMonitor:
     def __init__(self, links: Links, journal: Journal | None, clock_ns: Callable[[], int]) -> None:
         self._links, self._journal, self._clock_ns = links, journal, clock_ns
         self._hang = ""
-        self._frame_s = 0.0
-        self._frames_used = 0
+        self._frames_before_gap = 0
         self._was_blind = False
         self._reopened = 0
         self._link_up_ns = clock_ns()
@@ -63,30 +62,33 @@ class HealthMonitor:
         """Whether the camera's thread is stuck, so that only a restart of the process helps."""
         return bool(self._hang)
 
-    def add_frame(self, took_s: float) -> None:
-        """A frame went through the recognizer, and took so long."""
-        self._frames_used += 1
-        self._frame_s = took_s
-
     def is_first_after_gap(self, camera: CameraHealth) -> bool:
         """Whether a camera came back since the last update: its first frame still meets what was seen before."""
         return camera.reopened != self._reopened
 
     def update(
-        self, recognizer: str, camera: CameraHealth, link: tuple[str, str], picture_fault: str = "", hang: str = ""
+        self,
+        recognizer: str,
+        frames_used: int,
+        frame_s: float,
+        camera: CameraHealth,
+        link: tuple[str, str],
+        picture_fault: str = "",
+        hang: str = "",
     ) -> bool:
         """Derive and publish the state; True when what was recognized so far must be dropped.
 
         That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. recognizer: its
-        state. link: state, and why it is closed. picture_fault: what is wrong with the newest picture, for long enough
-        to say so. hang: what the camera's thread is stuck in.
+        state. frames_used, frame_s: frames since the start, and what the last one took. link: state, and why it is
+        closed. picture_fault: what is wrong with the newest picture, for long enough to say so. hang: what the camera's
+        thread is stuck in.
         """
         if hang and not self._hang:
             log.error("the camera hangs (%s); the watchdog is not fed any more", hang)
         self._hang = hang
         inputs = HealthInputs(
             recognizer=recognizer,
-            frames_used=self._frames_used,
+            frames_used=frames_used - self._frames_before_gap,
             camera="lost" if hang else camera.state,
             camera_why=f"it hangs ({hang})" if hang else camera.reason,
             picture=picture_fault,
@@ -94,12 +96,12 @@ class HealthMonitor:
             link_why=link[1],
             link_down_s=self._link_down_s(is_up=link[0] == "up"),
             journal=self._journal_fault(),
-            frame_s=self._frame_s,
+            frame_s=frame_s if frames_used > self._frames_before_gap else 0.0,
         )
         is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)
         self._was_blind, self._reopened = bool(inputs.blind), camera.reopened
         if is_gap:
-            self._frames_used, self._frame_s = 0, 0.0
+            self._frames_before_gap = frames_used
             inputs = replace(inputs, frames_used=0, frame_s=0.0)
         self._publish(derive(inputs, self.health))
         return is_gap

@@ -105,9 +105,11 @@ class MapView:
 class Sources:
     """Where a snapshot gets the rest of what it shows; they are asked only when somebody looks.
 
-    costs: of the newest match. stages_ms: median time of each stage of a frame. journal_lost: lines.
+    map_name: for people. costs: of the newest match. stages_ms: median time of each stage of a frame. journal_lost:
+    lines that could not be written.
     """
 
+    map_name: Callable[[], str]
     costs: Callable[[PlaceMatch | None], CostView]
     camera: Callable[[], CameraHealth]
     link: Callable[[], LinkStatus]
@@ -121,14 +123,13 @@ class LiveStatus:
 
     def __init__(
         self,
-        map_name: str,
         model: str,
         uniqueness_min: float,
         sources: Sources,
         unix_time_s: Callable[[], float] = time.time,
     ) -> None:
-        """map_name, model: for people. uniqueness_min: from which on a match is accepted."""
-        self._map_name, self._model, self._uniqueness_min = map_name, model, uniqueness_min
+        """model: its name, for people. uniqueness_min: from which on a match is accepted."""
+        self._model, self._uniqueness_min = model, uniqueness_min
         self._sources = sources
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
@@ -157,7 +158,7 @@ class LiveStatus:
             stamp_ns=now_ns,
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
-            map_name=self._map_name,
+            map_name=sources.map_name(),
             model=self._model,
             state=state,
             why=why,

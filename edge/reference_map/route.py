@@ -59,7 +59,7 @@ class Route:
         return float(self._places["route_m"][place_index])
 
     def map_row(self, place_index: int) -> int:
-        """The row of the feed that a place was made of."""
+        """The row of the feed that a place was built from."""
         return int(self._places["row"][place_index])
 
     def reaches(self, place_index: int, along_m: float) -> bool:

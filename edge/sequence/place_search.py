@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.geodesy import apart_m
-from edge.reference_map import MapSet, Ranges
-from edge.sequence import PlaceMatch
+from edge.reference_map import COST_ONE, MapSet, Ranges
+from edge.sequence import CostView, PlaceMatch
 from edge.sequence.global_search import GlobalSearch
 from edge.sequence.submap import Submap
 
 SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""
+
+WINDOW_PLACES = 60
+"""Places on either side of the match that people are shown of the cost matrix."""
 
 Mode = Literal["whole", "around", "scanning"]
 Ring = Callable[[], NDArray[np.float32]]
@@ -112,6 +115,19 @@ class PlaceSearch:
                 self._settle(found.place_index)
                 return found
         return match
+
+    def cost_view(self, match: PlaceMatch | None) -> CostView:
+        """The costs that the newest match, if there is one, was found in."""
+        part, costs = self.part, self.newest_costs
+        searched = part.places if part is not None else np.zeros(0, dtype=np.intp)
+        if costs.shape[1] != len(searched):
+            costs, searched = np.zeros((0, 0), np.int32), searched[:0]
+        if part is None or match is None:
+            return CostView(costs, searched, np.zeros((0, 0), np.int32), 0, COST_ONE)
+        at = int(np.searchsorted(part.places, match.place_index))
+        first = max(0, at - WINDOW_PLACES)
+        window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
+        return CostView(costs, searched, window, int(part.places[min(first, len(part.places) - 1)]), COST_ONE)
 
     @property
     def _is_doubtful(self) -> bool:

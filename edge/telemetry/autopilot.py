@@ -11,6 +11,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig, LinkConfig, TelemetryConfig
+from edge.geodesy import VehiclePosition
 from edge.journal.records import LinkChanged, Record
 from edge.localization import PlaceFix
 from edge.telemetry import LinkStatus, encoders
@@ -69,6 +70,18 @@ class AutopilotConnection:
     def uncertainty_m(self) -> float | None:
         """One standard deviation of the autopilot's own position, None where nobody knows."""
         return self._positions.uncertainty_m(self._clock_ns())
+
+    def position(self) -> VehiclePosition | None:
+        """The autopilot's own newest position, None where it has none."""
+        return self.vehicle.position(self._clock_ns())
+
+    def speed_mps(self) -> float | None:
+        """How fast the vehicle moves, None where nobody knows."""
+        return self.vehicle.speed_mps(self._clock_ns())
+
+    def distance_m(self, stamp_ns: int) -> float | None:
+        """Meters driven up to a moment, None where there is no odometer."""
+        return self.vehicle.distance_m(stamp_ns)
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""

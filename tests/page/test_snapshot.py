@@ -36,13 +36,15 @@ def street(make_street: Callable[..., Path]) -> ReferenceMap:
 
 @pytest.fixture
 def recognizer(street: ReferenceMap, network: Network) -> PlaceRecognizer:
-    return open_recognizer(Config(sequence=SequenceConfig(length=LENGTH)), network=network, map_set=MapSet.of(street))
+    config = Config(sequence=SequenceConfig(length=LENGTH))
+    return open_recognizer(config, network=network, map_set=MapSet.of(street))
 
 
 @pytest.fixture
 def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
     """The status after a drive along the map."""
     sources = Sources(
+        map_name=lambda: "a map",
         costs=recognizer.cost_view,
         camera=lambda: CameraHealth("running", "", 0, delivered=FRAMES),
         link=lambda: LinkStatus("closed", "serial:none:57600", "report"),
@@ -50,7 +52,7 @@ def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
         journal_lost=lambda: 0,
         clock_ns=lambda: 10**9 * FRAMES,
     )
-    status = LiveStatus("a map", "a model", 1.08, sources)
+    status = LiveStatus("a model", 1.08, sources)
     for item in traverse(read_feed(street.path.with_name("feed")), SamplingConfig()):
         show(status, recognizer, item.frame)
     return status

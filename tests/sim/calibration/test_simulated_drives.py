@@ -111,7 +111,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     in_sigmas = []
     for item in traverse(dusk, CONFIG.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        tracker.see(match, item.frame.stamp_ns, item.distance_m)
+        tracker.update(match, item.frame.stamp_ns, item.distance_m)
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= CONFIG.gates.near_matches:
             lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
