@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
-from edge.localization import PlaceFix
+from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 
 APART_M = 5.0

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import PlaceFix
+from edge.journal.records import PlaceFix
 
 Reason: TypeAlias = Literal[
     "no position in the map",

@@ -13,9 +13,17 @@ from collections.abc import Callable
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
-from edge.localization import PlaceFix
-from edge.localization.fix_consistency import FixConsistency
-from edge.localization.integrity import GPS_SIGMA_M, Refusal, Situation, Uncertainty, distance_from, offset_m, refusal
+from edge.localization import (
+    GPS_SIGMA_M,
+    FixConsistency,
+    PlaceFix,
+    Refusal,
+    Situation,
+    Uncertainty,
+    distance_from,
+    offset_m,
+    refusal,
+)
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
     ANSWER_NS,
