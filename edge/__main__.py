@@ -23,8 +23,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (run, record, map_build, replay, doctor, completion):
+    for module in (run, record, map_build, replay, doctor):
         module.add_command(commands)
+    completion.add_command(commands, parser)
     for point in sorted(entry_points(group="lookback.commands"), key=lambda point: point.name):
         _add_plug_in(point, commands)
     return parser

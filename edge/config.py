@@ -1,4 +1,4 @@
-"""The one TOML file: a frozen struct per stage, checked whole before anything is opened.
+"""The config file: a frozen struct for each section, all checked before anything is opened.
 
 `default.toml` beside this file shows every key with its unit, range and default; a test holds it against the
 structs. Paths are relative to the folder of the config file that names them.
@@ -27,7 +27,7 @@ Left = Annotated[float, Meta(ge=-50, le=50)]
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[camera]: which camera, and what is asked of it."""
+    """[camera]: which camera, and the settings to request from it."""
 
     kind: str = "v4l2"
     view: Literal["front", "rear"] = "front"
@@ -49,7 +49,7 @@ class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[descriptor]: how a frame becomes fc6, and how fc6 is normalised (eq. 1, sections III-B and III-D)."""
+    """[descriptor]: how a frame becomes fc6, and how fc6 is normalized (eq. 1, sections III-B and III-D)."""
 
     model: str = ""
     regions: Literal["left-right", "whole"] = "left-right"
@@ -61,7 +61,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[map]: the reference map, or the folder of maps, to recognise places of."""
+    """[map]: the reference map, or the folder of maps, in which places are recognized."""
 
     path: str = "/var/lib/lookback/map"
     require_signature_by: str = ""
@@ -92,7 +92,7 @@ class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[rig]: how far ahead of the vehicle the matched place lies, for each direction and region order of a match.
 
-    sigma_*_*_m: the deviation that is left of matches of that kind, 0 where it was not measured: sigma_along_m then.
+    sigma_*_*_m: standard deviation that remains for matches of that kind; 0 where not measured, sigma_along_m then.
     """
 
     ahead_forward_same_m: Ahead = 0.0
@@ -109,16 +109,16 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_across_m: Positive = 2.0
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
-        """The offset of matches of that kind, in metres in the direction of travel."""
+        """The offset of matches of that kind, in meters in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
 
     def sigma_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
-        """The standard deviation along the route that the offset of that kind leaves, in metres."""
+        """The standard deviation along the route that remains for matches of that kind, in meters."""
         return float(getattr(self, f"sigma_{direction}_{order}_m")) or self.sigma_along_m
 
 
 class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[tracking]: a position that follows the vehicle along the map's drive, from matches and the odometer."""
+    """[tracking]: the vehicle's position along the map's drive, from matches and the distance driven."""
 
     matches: Annotated[int, Meta(ge=1, le=500)] = 30
     lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
@@ -127,7 +127,7 @@ class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[gates]: what must hold before a position goes to the autopilot, which has no such rules."""
+    """[gates]: the conditions for sending a position to the autopilot, which has no such rules of its own."""
 
     with_gps: bool = False
     min_speed_mps: Annotated[float, Meta(ge=0, le=100)] = 0.3
@@ -141,7 +141,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[[telemetry.links]]: one more MAVLink connection, on which events are told and never a position."""
+    """[[telemetry.links]]: a further MAVLink connection, on which events are published and never a position."""
 
     connection: str
     signing_key: str = ""
@@ -165,7 +165,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         limits = zip(self.origin, (90, 180, 20000), strict=False)
         if len(self.origin) not in (0, 3) or any(not abs(value) <= limit for value, limit in limits):
-            raise ValueError("origin: expected [latitude deg, longitude deg, metres above sea level], or []")
+            raise ValueError("origin: expected [latitude deg, longitude deg, meters above sea level], or []")
 
 
 class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -177,7 +177,7 @@ class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[recording]: the frames that `lookback run` uses, kept as a feed for each run."""
+    """[recording]: the frames that `lookback run` uses, written as one feed per run."""
 
     folder: str = ""
     min_free_mb: NotNegative = 500.0
@@ -219,7 +219,7 @@ def _checked(config: Config, path: Path) -> Config:
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """What turns out to be wrong with a key only when it is used is said of its file as well."""
+    """Put the name of the config file in front of a ConfigError about a key that was found while the key was used."""
     try:
         yield
     except ConfigError as error:
@@ -227,10 +227,10 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
-    """Texts that no file or device can be called: the key, and what is wrong."""
+    """Values that cannot be the name of a file or device: the key, and what is wrong."""
     for section, keys in msgspec.to_builtins(config).items():
         for key, value in keys.items():
-            # Also in the tables and lists that are values themselves.
+            # As JSON, which also covers values that are tables or lists.
             if "\\u0000" in msgspec.json.encode(value).decode().replace("\\\\", ""):
                 yield f"[{section}] {key}", "has a null character in it"
     if not config.camera.device and config.camera.kind in ("v4l2", "feed", "sim"):

@@ -275,10 +275,10 @@ class Daemon:
 
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
-        moment = self._autopilot.position_wanted()
-        if moment is None or self._newest is None or self._picture_fault is not None:
+        time_base = self._autopilot.position_due()
+        if time_base is None or self._newest is None or self._picture_fault is not None:
             return
-        if moment == "exposure":
+        if time_base == "exposure":
             fix = self._tracker.at_exposure()
         else:
             now_ns = self._clock_ns()

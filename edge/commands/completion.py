@@ -9,15 +9,15 @@ from pathlib import Path
 from edge.errors import ConfigError
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback completion` to the command line."""
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser], whole: argparse.ArgumentParser) -> None:
+    """Add `lookback completion` to the command line; `whole` is the parser of all commands."""
     parser = commands.add_parser(
         "completion",
         help="print a completion script for your shell",
         description="For bash: lookback completion bash | sudo tee /etc/bash_completion.d/lookback > /dev/null",
     )
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_run, whole=whole)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -25,12 +25,8 @@ def _run(args: argparse.Namespace) -> int:
         import shtab
     except ModuleNotFoundError:
         raise ConfigError("completion needs shtab: pip install 'lookback[desk]'") from None
-    # Imported here: that module imports this one.
-    from edge.__main__ import build_parser
-
-    parser = build_parser()
-    _complete_paths(parser, shtab.FILE)
-    print(shtab.complete(parser, args.shell))
+    _complete_paths(args.whole, shtab.FILE)
+    print(shtab.complete(args.whole, args.shell))
     return 0
 
 

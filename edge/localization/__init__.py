@@ -9,5 +9,27 @@ from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import DeadReckoning, Displacement
+from edge.localization.fix_consistency import FixConsistency
+from edge.localization.integrity import (
+    GPS_SIGMA_M,
+    Refusal,
+    Situation,
+    Uncertainty,
+    distance_from,
+    offset_m,
+    refusal,
+)
 
-__all__ = ["DeadReckoning", "Displacement", "PlaceFix"]
+__all__ = [
+    "GPS_SIGMA_M",
+    "DeadReckoning",
+    "Displacement",
+    "FixConsistency",
+    "PlaceFix",
+    "Refusal",
+    "Situation",
+    "Uncertainty",
+    "distance_from",
+    "offset_m",
+    "refusal",
+]

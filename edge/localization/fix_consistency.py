@@ -1,8 +1,8 @@
-"""Whether a fix agrees with an earlier one: what to go by where nothing else bounds the autopilot's position.
+"""Whether a fix agrees with an earlier one, for a vehicle whose position nothing else bounds.
 
-Without GPS from boot the autopilot may be anywhere, and a place that is recognised wrongly looks like any other. Two
-places that are far enough apart do not err together: what the vehicle reckons to have moved between them must be what
-the map says.
+Without GPS from boot the autopilot may be anywhere, and a place that is recognized wrongly looks like any other. But
+places far enough apart are hardly wrong in the same way: the displacement between two fixes must agree with the
+vehicle's dead reckoning.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
-from edge.localization import PlaceFix
+from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 
 APART_M = 5.0
-"""Between two that are kept."""
+"""Least distance between two fixes that are kept."""
 TOO_FAR_M = 1000.0
-"""Driven, beyond which reckoning is too uncertain to confirm anything."""
+"""Distance driven beyond which dead reckoning is too uncertain to confirm anything."""
 
 
 @dataclass(frozen=True)
-class _Witness:
+class _Earlier:
     lat_deg: float
     lon_deg: float
     sigma_m: float
@@ -32,16 +32,16 @@ class _Witness:
 
 
 class FixConsistency:
-    """Fixes with many matches, and how the vehicle reckons to have moved since."""
+    """Earlier fixes with many matches, each with the dead reckoning of its moment."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
-        self._kept: deque[_Witness] = deque(maxlen=round(TOO_FAR_M / APART_M))
+        self._kept: deque[_Earlier] = deque(maxlen=round(TOO_FAR_M / APART_M))
 
     def confirm(self, fix: PlaceFix, displacement: Displacement | None, driven_m: float | None) -> bool:
-        """Whether one of those before confirms this fix, which is then one of them.
+        """Whether an earlier fix confirms this one, which is then kept as well.
 
-        displacement, driven_m: of the fix's moment; None where nobody tells, and then nothing can be confirmed.
+        displacement, driven_m: of the fix's moment; None where not reported, and then nothing can be confirmed.
         """
         if self._gates.confirm_m == 0:
             return True
@@ -49,17 +49,17 @@ class FixConsistency:
             return False
         if fix.matches < self._gates.far_matches:
             return False
-        seen = _Witness(fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, driven_m)
-        confirmed = any(self._agree(witness, seen) for witness in self._kept)
+        newest = _Earlier(fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, driven_m)
+        confirmed = any(self._agree(earlier, newest) for earlier in self._kept)
         if not self._kept or abs(driven_m - self._kept[-1].driven_m) >= APART_M:
-            self._kept.append(seen)
+            self._kept.append(newest)
         return confirmed
 
-    def forget(self) -> None:
-        """The autopilot has rebooted: its reckoning begins anew."""
+    def reset(self) -> None:
+        """The autopilot has rebooted: its dead reckoning starts again."""
         self._kept.clear()
 
-    def _agree(self, before: _Witness, now: _Witness) -> bool:
+    def _agree(self, before: _Earlier, now: _Earlier) -> bool:
         driven_m = now.driven_m - before.driven_m
         if before.displacement.leg != now.displacement.leg or not self._gates.confirm_m <= driven_m <= TOO_FAR_M:
             return False

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import PlaceFix
+from edge.journal.records import PlaceFix
 
 Reason: TypeAlias = Literal[
     "no position in the map",
@@ -120,8 +120,8 @@ class Uncertainty:
         if driven_m is not None:
             self._bound = sigma_m, driven_m
 
-    def forget(self) -> None:
-        """The autopilot has rebooted: what it believes has nothing to do with what it believed."""
+    def reset(self) -> None:
+        """The autopilot has rebooted: nothing bounds its position any more."""
         self._bound = None
 
     def at(self, driven_m: float | None, reported_m: float | None) -> float | None:

@@ -1,11 +1,11 @@
-"""Telemetry: what the robot says about itself comes in, place fixes go out, over MAVLink 2.
+"""Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
-`link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` keeps it
-open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time, `odometer` for metres driven and
-`displacement` for metres east and north. `fixes` writes what we send, `ways` says which message carries a position to
-which firmware, `gates` (with `witnesses`) when it may go, `answers` what an acknowledgement means, and `positions`
-joins those. `manners` keeps the link as others expect it, `texts` and `reports` tell people. `autopilot` joins all into
-the one object that the daemon polls, and `journal` keeps what happened.
+`link` is the serial port or the socket, `codec` (with `signing` and `replay_guard`) turns its bytes into messages, and
+`port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time;
+`link_protocol` has the heartbeats and requests that are due. `position_messages` says which message carries a position
+to which firmware, `encoders` writes all that is sent, `acknowledgements` says what an answer means, and
+`position_sender` joins those. `report_link` is for people. `autopilot` joins all into the one object that the daemon
+polls.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What an acknowledgement of a position means for the next one; and whether ACCEPTED was true.
+"""What an acknowledgement of a position means for the next one, and whether an accepted position was used.
 
-ACCEPTED  believed once the autopilot's own position has moved, since a filter that is not in use accepts as well
-FAILED, TEMPORARILY_REJECTED, CANCELLED  not now (GPS is there, no origin, not dead reckoning): wait, longer each time
+ACCEPTED  checked against the autopilot's own position, which must move: a filter that is not in use accepts as well
+FAILED, TEMPORARILY_REJECTED, CANCELED  not now (GPS works, no origin, not dead reckoning): pause, longer each time
 DENIED, UNSUPPORTED  never: no more until the autopilot reboots
-no answer  once more with a fresh age; PX4 1.15 never answers
+no answer  send once more with the present age; PX4 1.15 never answers
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 BACK_OFF_FIRST_NS = 1_000_000_000
 BACK_OFF_LAST_NS = 30_000_000_000
 ANSWER_NS = 1_000_000_000
-CANCELLED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
+CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
+EARTH_M = 6_371_000.0
 MOVED_NS = 1_500_000_000
 """How long after ACCEPTED the position may take to move."""
 
@@ -32,7 +33,7 @@ VERDICTS: dict[int, Verdict] = {
     mavlink.MAV_RESULT_UNSUPPORTED: "never",
     mavlink.MAV_RESULT_FAILED: "not now",
     mavlink.MAV_RESULT_IN_PROGRESS: "wait",
-    CANCELLED: "not now",
+    CANCELED: "not now",
     mavlink.MAV_RESULT_COMMAND_LONG_ONLY: "never",
     mavlink.MAV_RESULT_COMMAND_INT_ONLY: "never",
 }
@@ -46,7 +47,7 @@ def result_name(result: int) -> str:
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump that an accepted fix should have caused: metres east and north, from the position before it."""
+    """The jump that an accepted fix should cause: meters east and north, from the position before it."""
 
     before: VehiclePosition
     east_m: float
@@ -54,12 +55,12 @@ class Jump:
     sigma_m: float
 
     def remaining_m(self, after: VehiclePosition) -> float:
-        """How far the position still is from where the fix says, the driving since then taken out.
+        """How far the position still is from that of the fix, without what was driven since then.
 
-        The mean of both velocities is taken, since a vehicle turns and brakes meanwhile.
+        Driven by the mean of both velocities, since a vehicle turns and brakes meanwhile.
         """
         between_s = (after.stamp_ns - self.before.stamp_ns) / 1e9
-        # Metres per degree are the same for both, so a difference of positions may be taken on a sphere.
+        # Meters per degree are the same for both, so a difference of positions may be taken on a sphere.
         north_m = math.radians(after.lat_deg - self.before.lat_deg) * EARTH_M
         east_m = math.radians(after.lon_deg - self.before.lon_deg) * EARTH_M * math.cos(math.radians(after.lat_deg))
         driven_east_m = (self.before.east_mps + after.east_mps) / 2 * between_s
@@ -67,8 +68,5 @@ class Jump:
         return math.hypot(east_m - driven_east_m - self.east_m, north_m - driven_north_m - self.north_m)
 
     def happened(self, after: VehiclePosition) -> bool:
-        """Whether the position went at least half of the way, or the way was within the fix's own deviation."""
+        """Whether the position moved at least half of the jump, or is within the standard deviation of the fix."""
         return self.remaining_m(after) <= max(self.sigma_m, math.hypot(self.east_m, self.north_m) / 2)
-
-
-EARTH_M = 6_371_000.0

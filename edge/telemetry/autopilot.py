@@ -1,4 +1,4 @@
-"""The connection to the autopilot: port, vehicle, manners and positions joined into what the daemon polls."""
+"""The connection to the autopilot: port, vehicle, link protocol and positions, joined into what the daemon polls."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
 from edge.telemetry.port import Port
-from edge.telemetry.position_messages import Moment
+from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender
-from edge.telemetry.report_link import ReportLink
+from edge.telemetry.report_link import ReportLink, StatusTexts
 from edge.telemetry.signing import Signer, load_key
-from edge.telemetry.status_texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
 
-LAST_WORDS_S = 0.1
+DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 log = logging.getLogger(__name__)
 
 
 class AutopilotConnection:
-    """Owns the links: opens them, keeps them, and opens them again; nothing in here blocks.
+    """Owns the links, and opens them again when they are lost; nothing in here blocks.
 
-    `state` is "closed" (no port; it is tried again with growing pauses), "waiting" (no autopilot heard) or "up".
+    `state` is "closed" (no port; opened again with growing pauses), "waiting" (no autopilot heard) or "up".
     """
 
     def __init__(
@@ -43,7 +42,7 @@ class AutopilotConnection:
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
     ) -> None:
-        """`record` keeps what happens (`Journal.write`). ConfigError for a malformed connection, or a key."""
+        """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key."""
         self._clock_ns = clock_ns
         self._record = record
         self._component_id = config.component_id
@@ -51,10 +50,10 @@ class AutopilotConnection:
         self.vehicle = Vehicle()
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
-        self._manners = LinkProtocol(config, self.vehicle)
+        self._protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
         self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
-        self._others = [
+        self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
@@ -68,7 +67,7 @@ class AutopilotConnection:
 
     @property
     def uncertainty_m(self) -> float | None:
-        """One standard deviation of the autopilot's own position, None where nobody knows."""
+        """One standard deviation of the autopilot's own position, None where it is not known."""
         return self._positions.uncertainty_m(self._clock_ns())
 
     def position(self) -> VehiclePosition | None:
@@ -100,13 +99,13 @@ class AutopilotConnection:
 
     @property
     def positions_enabled(self) -> bool:
-        """Whether positions go out at all: there is a way, and the autopilot has not refused it for good."""
+        """Whether positions are sent at all: a message suits the autopilot, and it has not refused it for good."""
         return self._positions.enabled
 
     def set_system_status(self, status: int) -> None:
         """MAV_STATE of our heartbeats from now on, on every link."""
         self._system_status = status
-        for link in self._others:
+        for link in self._report_links:
             link.system_status = status
 
     def poll(self) -> None:
@@ -115,56 +114,56 @@ class AutopilotConnection:
         was_open = self._port.is_open
         if self._port.open_if_due(now_ns):
             if not was_open:
-                self._manners.opened(now_ns)
+                self._protocol.opened(now_ns)
                 self._set_state("waiting", str(self._port.connection))
             self._receive(now_ns)
             self._send_due(now_ns)
         self._notice_loss()
-        for link in self._others:
+        for link in self._report_links:
             link.poll()
 
     def publish_place(self, fix: PlaceFix) -> None:
-        """Tell people of a place, on every link: a line, if it is time for one, and values to plot."""
+        """Publish a place on every link: a line of text at most every five seconds, and values to plot."""
         now_ns = self._clock_ns()
         if self.state == "up":
             self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
             self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
-        for link in self._others:
+        for link in self._report_links:
             link.publish_place(fix)
 
-    def position_wanted(self) -> Moment | None:
-        """Whether the autopilot could be told a position, and of which moment: the last exposure's, or this one's."""
-        return self._positions.wanted(self._clock_ns()) if self.state == "up" else None
+    def position_due(self) -> TimeBase | None:
+        """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
+        return self._positions.due(self._clock_ns()) if self.state == "up" else None
 
     def send_position(self, fix: PlaceFix) -> bool:
-        """Tell the autopilot where it is, in the way that [telemetry] emit says and if [gates] allow; True if it went.
+        """Send the autopilot a position, by the message of [telemetry] emit and if [gates] allow; True if it was sent.
 
-        The fix is of the moment that `position_wanted` has named.
+        The fix is of the moment that `position_due` returned.
         """
         if self.state != "up":
             return False
-        messages = self._positions.offer(fix, self._clock_ns())
+        messages = self._positions.send(fix, self._clock_ns())
         self._send(messages)
         return bool(messages)
 
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
-        """Queue a line for the pilot, on every link; at most two a second go out, and of a flood only the newest."""
+        """Queue a line for the pilot on every link; at most two a second are sent, and of many only the newest."""
         self._texts.put(text, severity)
-        for link in self._others:
+        for link in self._report_links:
             link.status_text(text, severity)
 
     def say_now(self, text: str, severity: int) -> None:
-        """Heartbeat and a line on every link, at once and whether anybody was heard or not: last words."""
-        for port in (self._port, *(link.port for link in self._others)):
+        """Send a heartbeat and a line on every link at once, even where no peer was heard: before the program ends."""
+        for port in (self._port, *(link.port for link in self._report_links)):
             if port.open_if_due(self._clock_ns()):
                 for message in (encoders.heartbeat(self._system_status), *encoders.status_text(text, severity, 1)):
                     port.send(message)
-        time.sleep(LAST_WORDS_S)  # what a serial port has not sent yet is lost when it is closed
+        time.sleep(DRAIN_S)
 
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
         self._port.close()
-        for link in self._others:
+        for link in self._report_links:
             link.close()
 
     def _warn(self, text: str) -> None:
@@ -173,32 +172,32 @@ class AutopilotConnection:
     def _receive(self, now_ns: int) -> None:
         for message in self._port.receive():
             if self.vehicle.handle(message, now_ns):
-                self._heed(message)
+                self._answer(message)
         self.vehicle.expire(now_ns)
         if self.vehicle.connected and self.vehicle.system_id:
             self._port.codec.system_id = self.vehicle.system_id
         if self._port.is_open:
             self._set_state("up" if self.vehicle.connected else "waiting")
 
-    def _heed(self, message: Message) -> None:
+    def _answer(self, message: Message) -> None:
         now_ns = self._clock_ns()
-        self._send(self._manners.answer(message, now_ns))
+        self._send(self._protocol.answer(message, now_ns))
         ours = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and (
             message.command == encoders.EXTERNAL_POSITION_ESTIMATE
             and message.target_component in (0, self._component_id)
         )
         if ours:
-            self._positions.read_answer(message.result, now_ns)
+            self._positions.read_acknowledgement(message.result, now_ns)
 
     def _send_due(self, now_ns: int) -> None:
-        self._send(self._manners.heartbeat(self._system_status, now_ns))
+        self._send(self._protocol.heartbeat(self._system_status, now_ns))
         if self.state != "up":
             return
         if self._session != self.vehicle.session:
             self._session = self.vehicle.session
-            self._manners.new_session()
+            self._protocol.new_session()
             self._positions.new_session()
-        self._send(self._manners.requests(self._clock_ns()))
+        self._send(self._protocol.requests(self._clock_ns()))
         self._send(self._positions.follow_up(now_ns))
         self._send(self._texts.due(now_ns))
 
@@ -209,7 +208,7 @@ class AutopilotConnection:
 
     def _notice_loss(self) -> None:
         if not self._port.is_open and (self.state != "closed" or self._port.why_closed):
-            self.vehicle.forget_link()
+            self.vehicle.reset_link()
             self._set_state("closed", self._port.why_closed)
 
     def _set_state(self, state: Literal["closed", "waiting", "up"], why: str = "") -> None:
@@ -217,7 +216,7 @@ class AutopilotConnection:
             return
         self.state = state
         if state == "up":
-            self._port.proved()
+            self._port.peer_answered()
         log.info("link %s %s", state, why)
         self._record(LinkChanged(state, why))
 

@@ -1,9 +1,9 @@
-"""The autopilot's boot clock, seen from ours.
+"""The autopilot's boot clock, estimated from ours.
 
 With boot = monotonic + offset, each message gives a bound on the offset, because no message arrives before it is
 sent: a boot stamp in a message received at t says offset >= stamp - t, and an answer stamped `boot` to our request
-of time t says offset <= boot - t. Over many messages the tightest bounds close in on the truth, and how late this
-computer reads its port only loosens bounds, never bends them. (The usual half of the round trip is bent by it.)
+of time t says offset <= boot - t. Over many messages the tightest bounds close in on the true offset. When this
+computer reads its port late, bounds become looser but never wrong (half of the round trip, as usual, becomes wrong).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ WINDOW_NS = 250_000_000
 
 
 class _Tightest:
-    """The largest of the bounds of the last one to two windows, whichever are there."""
+    """The largest of the bounds of the current window and the one before."""
 
     def __init__(self) -> None:
         self._start_ns = 0
@@ -34,7 +34,7 @@ class _Tightest:
 
 
 class BootClock:
-    """Estimates the autopilot's time since boot; unknown until the first stamp has been seen."""
+    """Estimates the autopilot's time since boot; unknown until the first stamp arrived."""
 
     def __init__(self) -> None:
         self._at_least = _Tightest()
@@ -58,11 +58,11 @@ class BootClock:
         return (at_least - negated) // 2
 
     def boot_ns(self, monotonic_ns: int) -> int | None:
-        """The autopilot's time since boot at that moment of ours."""
+        """The autopilot's time since boot at that moment of CLOCK_MONOTONIC."""
         offset_ns = self.offset_ns
         return None if offset_ns is None else monotonic_ns + offset_ns
 
     def monotonic_ns(self, boot_ns: int) -> int | None:
-        """Our time at that moment of the autopilot's."""
+        """CLOCK_MONOTONIC at that time of the autopilot."""
         offset_ns = self.offset_ns
         return None if offset_ns is None else boot_ns - offset_ns

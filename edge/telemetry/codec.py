@@ -16,7 +16,7 @@ TRIM_BYTES = 16_384
 
 
 class MavlinkCodec:
-    """One end of one link: its identity, its sequence counter and its half-read frame."""
+    """One end of one link: its identity, its sequence counter and its partly received frame."""
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
         """With a `signer` all that goes out is signed, and nothing unsigned is decoded."""
@@ -29,7 +29,7 @@ class MavlinkCodec:
 
     @property
     def system_id(self) -> int:
-        """The system that we speak as."""
+        """The system id that messages are sent with."""
         return int(self._mavlink.srcSystem)
 
     @system_id.setter
@@ -43,7 +43,7 @@ class MavlinkCodec:
 
     @property
     def has_heard_signed(self) -> bool:
-        """Whether a frame with a good signature has arrived."""
+        """Whether a frame with a valid signature has arrived."""
         return int(self._mavlink.signing.goodsig_count) > 0
 
     def encode(self, message: Message) -> bytes:
@@ -54,10 +54,10 @@ class MavlinkCodec:
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
 
-    def rest(self) -> None:
-        """Nothing will be sent or decoded for a while."""
+    def store_timestamps(self) -> None:
+        """To be called when nothing will be sent or decoded for a while."""
         if self._signer is not None:
-            self._signer.rest()
+            self._signer.store()
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages completed by `data`, without noise and without messages that the dialect does not know.

@@ -1,4 +1,4 @@
-"""What goes out: pure encoders, one for each message."""
+"""The messages that are sent: pure encoders, one for each."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place" 
 
 @dataclass(frozen=True)
 class Sending:
-    """What a message says besides the fix itself.
+    """What a position message carries besides the fix.
 
-    boot_s: the moment of sending on the autopilot's boot clock. age_s: since the moment that the fix is of.
-    down_m: height below the filter's origin, as the autopilot believes. reset_counter: changed at each deliberate jump.
+    boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix. down_m: height below
+    the filter's origin, by the autopilot's own estimate. reset_counter: changed at each deliberate jump.
     """
 
     system_id: int
@@ -37,7 +37,7 @@ class Sending:
 
 
 def heartbeat(system_status: int) -> Message:
-    """An onboard controller's heartbeat; autopilot 8 (invalid) keeps others from taking us for the vehicle."""
+    """An onboard controller's heartbeat; autopilot 8 (invalid) says that we are not the vehicle itself."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3
     )
@@ -68,7 +68,7 @@ def external_position(fix: PlaceFix, sending: Sending) -> Message:
 
 
 def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
-    """GLOBAL_POSITION_SENSOR 296: where the vehicle is now, seen by a camera; heights NaN, since a place has none.
+    """GLOBAL_POSITION_SENSOR 296: where the vehicle is now, by a camera; heights NaN, since a place has none.
 
     PX4 1.18 ignores both times, so the fix must have been moved on to the moment of sending. ValueError as above.
     """
@@ -91,7 +91,7 @@ def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
 
 
 def vision_position(fix: PlaceFix, sending: Sending) -> Message:
-    """VISION_POSITION_ESTIMATE 102: metres north, east and down of the filter's origin, now, for ArduPilot.
+    """VISION_POSITION_ESTIMATE 102: meters north, east and down of the filter's origin, now, for ArduPilot.
 
     The time is on its boot clock, as it must be in 43003, whose lag corrector it shares. Down is the autopilot's own:
     NaN would spread to north and east. The heading is that of the route, with a variance that says not to use it.
@@ -126,10 +126,10 @@ def _position(fix: PlaceFix) -> tuple[float, float]:
 
 
 def describe(fix: PlaceFix) -> str:
-    """The line that a pilot reads, at most 50 bytes for names of categories up to 18 letters, and of a single map."""
-    way = "" if fix.direction == "forward" else " backwards"
+    """The line that a pilot reads: at most 50 bytes for a single map and categories of up to 18 letters."""
+    direction = "" if fix.direction == "forward" else " backwards"
     of = "" if fix.map is UNSET else f" of {fix.map}"
-    return f"Place {fix.place}{of}{way}, {fix.category}, {fix.uniqueness:.2f}"
+    return f"Place {fix.place}{of}{direction}, {fix.category}, {fix.uniqueness:.2f}"
 
 
 def status_text(text: str, severity: int, text_id: int) -> list[Message]:
@@ -155,12 +155,12 @@ def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
 
 
 def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:
-    """COMMAND_LONG 511: send us that message at that rate, on this link."""
+    """COMMAND_LONG 511: request a message at a rate, on this link."""
     return _command(system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
 
 
 def message_request(system_id: int, message_id: int) -> Message:
-    """COMMAND_LONG 512: send us that message once."""
+    """COMMAND_LONG 512: request a message once."""
     return _command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
 
 
@@ -176,14 +176,14 @@ def _command(system_id: int, command: int, param1: float, param2: float = 0.0) -
 
 
 def set_origin(system_id: int, origin: Origin) -> Message:
-    """SET_GPS_GLOBAL_ORIGIN: the filter's local zero, for an autopilot that has never had GPS."""
+    """SET_GPS_GLOBAL_ORIGIN: the origin of the local frame, for an autopilot that has never had GPS."""
     return mavlink.MAVLink_set_gps_global_origin_message(
         system_id, round(origin.lat_deg * 1e7), round(origin.lon_deg * 1e7), round(origin.alt_m * 1000)
     )
 
 
 def timesync_request(now_ns: int) -> Message:
-    """TIMESYNC: what time is it there? `now_ns` comes back as ts1."""
+    """TIMESYNC: request the peer's time; `now_ns` comes back as ts1."""
     return mavlink.MAVLink_timesync_message(0, now_ns)
 
 

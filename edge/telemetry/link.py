@@ -1,8 +1,8 @@
 """The wire: bytes in, bytes out, never blocking.
 
 serial:DEVICE:BAUD   a serial port, or anything that looks like one (USB, a pseudo-terminal)
-udp:HOST:PORT        speaks to that peer, and hears only it
-udpin:HOST:PORT      waits on that port, and answers whoever spoke last
+udp:HOST:PORT        sends to that peer, and receives only from it
+udpin:HOST:PORT      listens on that port, and sends to the peer that was received last
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def parse_connection(connection: str, where: str = "[telemetry] connection") -> 
 
 
 class SerialLink:
-    """A serial port that nobody else may own: pyserial's exclusive mode, so that two daemons never share one."""
+    """A serial port in pyserial's exclusive mode, so that two daemons never share one."""
 
     def __init__(self, device: str, baud: int) -> None:
         self._device = device
@@ -105,14 +105,14 @@ class SerialLink:
 
     def close(self) -> None:
         """See Link."""
-        with contextlib.suppress(OSError, termios.error):  # an unplugged port cannot be told
-            self._port.reset_output_buffer()  # or closing waits for a peer whose flow control says stop
+        with contextlib.suppress(OSError, termios.error):  # an unplugged port refuses it
+            self._port.reset_output_buffer()  # or closing waits while the peer's flow control says stop
         with contextlib.suppress(OSError, termios.error):
             self._port.close()
 
 
 def _why_not_open(error: Exception) -> str:
-    """Say what to do about a port that does not open."""
+    """Why a port does not open, and what to do about it."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
         return "no such port; is the autopilot plugged in?"
@@ -124,7 +124,7 @@ def _why_not_open(error: Exception) -> str:
 
 
 class UdpLink:
-    """A datagram socket. A peer that is not there (yet) is no error: it may come.
+    """A datagram socket. A peer that is not running yet is no error.
 
     A host name is looked up while opening, which takes seconds when the network is down; an address does not.
     """
@@ -150,7 +150,7 @@ class UdpLink:
         self._listen = listen
 
     def receive(self) -> bytes:
-        """See Link. All datagrams that wait, joined."""
+        """See Link. All datagrams that have arrived, joined."""
         parts: list[bytes] = []
         while True:
             try:
@@ -164,7 +164,7 @@ class UdpLink:
             parts.append(data)
 
     def send(self, data: bytes) -> bool:
-        """See Link. False while nobody has spoken on a listening socket, or the peer is not there."""
+        """See Link. False while a listening socket has received nothing, or the peer is not running."""
         if self._peer is None:
             return False
         try:

@@ -1,24 +1,71 @@
-"""A link that is kept: opened, and when it is lost opened again, with growing pauses. Nothing blocks."""
+"""A link that is opened, and opened again with growing pauses when it is lost. Nothing blocks.
+
+Not even the lookup of a host's name, which takes many seconds while the network is down: it has a thread of its own.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
+import socket
+import threading
 from collections.abc import Callable
 
 from edge.backoff import BackOff
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.host_lookup import LookUp, Lookup, is_address, look_up
 from edge.telemetry.link import Connection, Link
 
 RETRY_FIRST_NS = 500_000_000
 RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}
-"""Looking for a device costs nothing; asking for the name of a host is a packet on the network."""
+"""Trying a device costs nothing; looking up the name of a host is a packet on the network."""
 SIGNED_SILENCE_NS = 3_000_000_000
-"""With signing, listen first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
+"""With signing, receive first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
 
+LookUp = Callable[[str], str]
 log = logging.getLogger(__name__)
+
+
+def look_up(name: str) -> str:
+    """The first address of a host; may block for seconds. OSError when it has none."""
+    return str(socket.getaddrinfo(name, None, type=socket.SOCK_DGRAM)[0][4][0])
+
+
+def is_address(host: str) -> bool:
+    """Whether a host is given as an address, so that no lookup is needed."""
+    try:
+        socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
+    except OSError:
+        return False
+    return True
+
+
+class HostLookup:
+    """One lookup of a host's address by its name, in a thread of its own."""
+
+    def __init__(self, name: str, look_up: LookUp = look_up) -> None:
+        self._name = name
+        self._look_up = look_up
+        self._address = ""
+        self._failure: OSError | None = None
+        self._done = threading.Event()
+        threading.Thread(target=self._run, name="lookup", daemon=True).start()
+
+    def address(self) -> str | None:
+        """The address; None while the lookup is running. LinkLost when there is none."""
+        if not self._done.is_set():
+            return None
+        if self._failure is not None:
+            raise LinkLost(f"{self._name}: cannot find this host: {self._failure.strerror}")
+        return self._address
+
+    def _run(self) -> None:
+        try:
+            self._address = self._look_up(self._name)
+        except OSError as error:
+            self._failure = error
+        finally:
+            self._done.set()
 
 
 class Port:
@@ -28,7 +75,7 @@ class Port:
         self, connection: Connection, codec: MavlinkCodec, clock_ns: Callable[[], int], look_up: LookUp = look_up
     ) -> None:
         self._look_up = look_up
-        self._lookup: Lookup | None = None
+        self._lookup: HostLookup | None = None
         self.connection = connection
         self.codec = codec
         self.why_closed = ""
@@ -54,11 +101,11 @@ class Port:
         return self._link is not None
 
     def _open(self) -> Link | None:
-        """A link, or None while its host is still looked up; LinkLost."""
+        """A link, or None while its host is being looked up; LinkLost."""
         connection = self.connection
         if connection.kind == "serial" or is_address(connection.target):
             return connection.open()
-        self._lookup, lookup = None, self._lookup or Lookup(connection.target, self._look_up)
+        self._lookup, lookup = None, self._lookup or HostLookup(connection.target, self._look_up)
         address = lookup.address()
         if address is None:
             self._lookup = lookup
@@ -85,8 +132,8 @@ class Port:
             self._lose(str(error))
             return False
 
-    def proved(self) -> None:
-        """A peer has answered: the next loss begins with short pauses again, and is told again."""
+    def peer_answered(self) -> None:
+        """A peer has answered: the next loss starts with short pauses again, and is logged again."""
         self._logged = ""
         self._back_off.reset()
 
@@ -95,7 +142,7 @@ class Port:
         if self._link is not None:
             self._link.close()
             self._link = None
-            self.codec.rest()
+            self.codec.store_timestamps()
 
     def _still_listening(self) -> bool:
         codec = self.codec

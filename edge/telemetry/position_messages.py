@@ -1,7 +1,6 @@
-"""The ways to tell an autopilot a position, as a table, and which of them suits which firmware.
+"""The MAVLink messages that can carry a position to an autopilot, as a table, and which of them suits which firmware.
 
-What each firmware does with each message was tried on the firmware itself; the gates are ours because ArduPilot and
-PX4 take a position that is 500 m wrong.
+What each firmware does with each message was tried on the firmware itself.
 """
 
 from __future__ import annotations
@@ -17,32 +16,33 @@ from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
 
-Moment: TypeAlias = Literal["exposure", "now"]
+TimeBase: TypeAlias = Literal["exposure", "now"]
+"""The moment whose position a message carries: that of an exposure, or that of sending."""
 
 
 @dataclass(frozen=True)
 class PositionMessage:
     """One message that carries a position.
 
-    of: the moment whose position it carries: that of the exposure, where the message has an age that is heeded, or
-    that of sending, to which the fix must have been moved. period_s: between messages while the vehicle is on the
-    map; None where each is a hard reset, whose interval [gates] sets. oldest_s: the greatest age of an exposure.
-    acknowledged: COMMAND_ACK follows. needs_origin: metres from the origin of the autopilot's filter.
+    time_base: "exposure" where the message has an age that the autopilot uses; with "now" the fix must be moved on to
+    the moment of sending. period_s: between messages while the vehicle is on the map; None where each is a hard reset,
+    whose interval [gates] sets. max_age_s: the greatest age of an exposure. acknowledged: COMMAND_ACK follows.
+    needs_origin: carries meters from the origin of the autopilot's filter.
     """
 
     name: str
     encode: Callable[[PlaceFix, Sending], Message]
-    of: Moment
+    time_base: TimeBase
     period_s: float | None
-    oldest_s: float
+    max_age_s: float
     acknowledged: bool = False
     needs_origin: bool = False
 
 
 POSITION_MESSAGES: dict[str, PositionMessage] = {
-    way.name: way
-    for way in (
-        # ArduPilot honours an age of up to 5 s, PX4 of 15.
+    message.name: message
+    for message in (
+        # ArduPilot uses an age of up to 5 s, PX4 of 15.
         PositionMessage("external_position", encoders.external_position, "exposure", None, 5.0, acknowledged=True),
         PositionMessage("global_position_sensor", encoders.global_position_sensor, "now", 0.2, 1.0),
         # Arming wants one every 300 ms.
@@ -53,11 +53,11 @@ POSITION_MESSAGES: dict[str, PositionMessage] = {
 
 @dataclass(frozen=True)
 class Support:
-    """From which version on a firmware takes a way; the first that fits is taken."""
+    """From which version on a firmware accepts a message; the first that fits is used."""
 
     autopilot: int
     version: tuple[int, int]
-    way: str
+    message: str
 
 
 SUITABLE = (
@@ -69,12 +69,12 @@ NAMES = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT
 
 
 def suitable_message(autopilot: int | None, version: tuple[int, int] | None) -> tuple[PositionMessage | None, str]:
-    """What `auto` picks, and why; None while the version is not known, and for firmware that takes no position."""
+    """What `auto` chooses, and why; None while the version is not known, and for firmware that accepts no position."""
     name = NAMES.get(autopilot, f"autopilot {autopilot}") if autopilot is not None else "no autopilot"
     if version is None:
         return None, f"{name} has not told its version"
     spelled = f"{name} {version[0]}.{version[1]}"
-    for suits in SUITABLE:
-        if suits.autopilot == autopilot and version >= suits.version:
-            return POSITION_MESSAGES[suits.way], f"{spelled} takes {suits.way}"
+    for support in SUITABLE:
+        if support.autopilot == autopilot and version >= support.version:
+            return POSITION_MESSAGES[support.message], f"{spelled} takes {support.message}"
     return None, f"{spelled} takes no position that we can send"

@@ -1,7 +1,7 @@
-"""Positions for the autopilot: which way, whether now, what it answered, and whether it then moved. No I/O.
+"""Positions for the autopilot: by which message, whether now, what it answered, and whether it then moved. No I/O.
 
-A fix passes the gates, is encoded in the chosen way, and is followed up until the next one. Everything that changes
-is recorded; what only repeats is not.
+A fix passes the gates, is encoded as the chosen message, and is followed up until the next one. Every change is
+recorded in the journal; repetitions are not.
 """
 
 from __future__ import annotations
@@ -13,9 +13,17 @@ from collections.abc import Callable
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
-from edge.localization import PlaceFix
-from edge.localization.fix_consistency import FixConsistency
-from edge.localization.integrity import GPS_SIGMA_M, Refusal, Situation, Uncertainty, distance_from, offset_m, refusal
+from edge.localization import (
+    GPS_SIGMA_M,
+    FixConsistency,
+    PlaceFix,
+    Refusal,
+    Situation,
+    Uncertainty,
+    distance_from,
+    offset_m,
+    refusal,
+)
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
     ANSWER_NS,
@@ -28,7 +36,7 @@ from edge.telemetry.acknowledgements import (
 )
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
-from edge.telemetry.position_messages import POSITION_MESSAGES, Moment, PositionMessage, suitable_message
+from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
@@ -36,7 +44,7 @@ log = logging.getLogger(__name__)
 
 
 class PositionSender:
-    """What is between a recognised place and a position message; one for each link that carries positions."""
+    """From fixes to position messages, for the one link that carries positions."""
 
     def __init__(
         self,
@@ -44,95 +52,95 @@ class PositionSender:
         gates: GatesConfig,
         vehicle: Vehicle,
         record: Callable[[Record], object],
-        tell_pilot: Callable[[str], object],
+        send_text: Callable[[str], object],
     ) -> None:
         self._telemetry = telemetry
         self._gates = gates
         self._vehicle = vehicle
         self._record = record
-        self._tell_pilot = tell_pilot
-        self.way: PositionMessage | None = None
+        self._send_text = send_text
+        self.message: PositionMessage | None = None
         self.why = ""
         self._uncertainty = Uncertainty(gates.drift_percent)
-        self._witnesses = FixConsistency(gates)
+        self._consistency = FixConsistency(gates)
         self._disabled = False
         self._reset_counter = 0
         self._source_set = 1
-        self._held = ""
+        self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
 
     def _start_over(self) -> None:
         self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
         self._last_sent_ns: int | None = None
-        self._told_ns: int | None = None
-        self._waiting: tuple[PlaceFix, int, bool] | None = None  # sent and not answered: fix, when, second try
+        self._sent_stamp_ns: int | None = None
+        self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._jump: tuple[PlaceFix, Jump, int] | None = None
 
     def new_session(self) -> None:
-        """The link came up, or the autopilot rebooted: it may be another, and has forgotten all that we told it."""
+        """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
         self._start_over()
         self._disabled = False
         self._source_set = 1
-        self._uncertainty.forget()
-        self._witnesses.forget()
+        self._uncertainty.reset()
+        self._consistency.reset()
         self._choose()
 
     def _choose(self) -> None:
-        """Decide on a way; recorded when the decision changes."""
+        """Choose the message; recorded when the choice changes."""
         emit = self._telemetry.emit
         if emit == "auto":
-            way, why = suitable_message(self._vehicle.autopilot, self._vehicle.version)
+            message, why = suitable_message(self._vehicle.autopilot, self._vehicle.version)
         else:
-            way, why = POSITION_MESSAGES.get(emit), f"[telemetry] emit = {emit}"
-        if (way, why) != (self.way, self.why):
-            self.way, self.why = way, why
-            self._record(PositionMessageChosen(way.name if way else "report", why))
+            message, why = POSITION_MESSAGES.get(emit), f"[telemetry] emit = {emit}"
+        if (message, why) != (self.message, self.why):
+            self.message, self.why = message, why
+            self._record(PositionMessageChosen(message.name if message else "report", why))
             if emit == "auto" and self._vehicle.version is not None:
-                self._tell_pilot(f"Lookback: {why}")
+                self._send_text(f"Lookback: {why}")
 
     @property
     def enabled(self) -> bool:
-        """Whether positions go out at all, gates permitting."""
-        return self.way is not None and not self._disabled
+        """Whether positions are sent at all, when the gates allow."""
+        return self.message is not None and not self._disabled
 
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
         return self._uncertainty.at(self._vehicle.driven_m(now_ns), self._vehicle.accuracy_m(now_ns))
 
-    def wanted(self, now_ns: int) -> Moment | None:
-        """The moment of which a fix is due: that of the newest exposure, or now. None while none is."""
-        if self.way is None or self._disabled or self._waiting is not None or not self._back_off.is_over(now_ns):
+    def due(self, now_ns: int) -> TimeBase | None:
+        """The time base of the fix that is due now, None while none is."""
+        if self.message is None or self._disabled or self._unanswered is not None or not self._back_off.is_over(now_ns):
             return None
-        due = self._last_sent_ns is None or now_ns - self._last_sent_ns >= self._period_s(self.way) * 1e9
-        return self.way.of if due else None
+        is_due = self._last_sent_ns is None or now_ns - self._last_sent_ns >= self._period_s(self.message) * 1e9
+        return self.message.time_base if is_due else None
 
-    def offer(self, fix: PlaceFix, now_ns: int) -> list[Message]:
-        """The messages that tell the fix, if every gate lets it pass."""
-        if self.wanted(now_ns) is None or self.way is None or fix.stamp_ns == self._told_ns:
-            return []  # the last exposure has been told: it says nothing new
-        held = self._refusal(fix, now_ns, self.way)
-        if held is not None:
-            self._withhold(fix, held)
+    def send(self, fix: PlaceFix, now_ns: int) -> list[Message]:
+        """The messages that carry the fix, if it is due and every gate lets it pass."""
+        if self.due(now_ns) is None or self.message is None or fix.stamp_ns == self._sent_stamp_ns:
+            return []  # the last exposure was sent already
+        refused = self._refusal(fix, now_ns, self.message)
+        if refused is not None:
+            self._withhold(fix, refused)
             return []
-        self._held = ""
-        messages = self._send(fix, now_ns, self.way)
+        self._withheld = ""
+        messages = self._encode(fix, now_ns, self.message)
         if not messages:
             return []
-        self._told_ns = fix.stamp_ns
-        if self.way.acknowledged:
-            self._waiting = fix, now_ns, False
+        self._sent_stamp_ns = fix.stamp_ns
+        if self.message.acknowledged:
+            self._unanswered = fix, now_ns, False
         return [*self._select_sources(2), *messages]
 
-    def _period_s(self, way: PositionMessage) -> float:
-        return self._gates.min_interval_s if way.period_s is None else way.period_s
+    def _period_s(self, message: PositionMessage) -> float:
+        return self._gates.min_interval_s if message.period_s is None else message.period_s
 
     def _situation(self, fix: PlaceFix, now_ns: int) -> Situation:
         vehicle = self._vehicle
         position, uncertainty_m = vehicle.position(now_ns), self.uncertainty_m(now_ns)
-        # Only then does it matter, and this is asked with every turn while a fix waits.
+        # Checked only where it matters, since this is called in every turn while a fix is withheld.
         may_be_anywhere = position is None or uncertainty_m is None
-        confirmed = may_be_anywhere and self._witnesses.confirm(
+        confirmed = may_be_anywhere and self._consistency.confirm(
             fix, vehicle.displacement(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
         )
         return Situation(
@@ -145,26 +153,26 @@ class PositionSender:
             confirmed,
         )
 
-    def _refusal(self, fix: PlaceFix, now_ns: int, way: PositionMessage) -> Refusal | None:
-        return refusal(fix, self._situation(fix, now_ns), self._gates, self._period_s(way), way.oldest_s)
+    def _refusal(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> Refusal | None:
+        return refusal(fix, self._situation(fix, now_ns), self._gates, self._period_s(message), message.max_age_s)
 
-    def _withhold(self, fix: PlaceFix, held: Refusal) -> None:
-        if held.reason == self._held:
+    def _withhold(self, fix: PlaceFix, refused: Refusal) -> None:
+        if refused.reason == self._withheld:
             return
-        self._held = held.reason
-        self._record(FixWithheld(fix.place, held.reason, held.distance_m, fix.map))
-        if held.reason == "impossibly far" and held.distance_m is not None:
-            self._tell_pilot(f"Lookback: place {fix.place} is {held.distance_m:.0f} m off, not sent")
+        self._withheld = refused.reason
+        self._record(FixWithheld(fix.place, refused.reason, refused.distance_m, fix.map))
+        if refused.reason == "impossibly far" and refused.distance_m is not None:
+            self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")
 
-    def _send(self, fix: PlaceFix, now_ns: int, way: PositionMessage, *, again: bool = False) -> list[Message]:
-        """Encode a fix that may go, and remember what is needed to follow it up."""
+    def _encode(self, fix: PlaceFix, now_ns: int, message: PositionMessage, *, again: bool = False) -> list[Message]:
+        """Encode a fix that may be sent, and keep what is needed to follow it up."""
         vehicle = self._vehicle
         boot_s = vehicle.boot_time_s(now_ns)
-        if boot_s is None or (way.needs_origin and vehicle.origin is None):
+        if boot_s is None or (message.needs_origin and vehicle.origin is None):
             return []
         own = vehicle.position(now_ns)
         distance_m = distance_from(own, fix) if own else None
-        self._note_jump(fix, now_ns, way)
+        self._expect_jump(fix, now_ns, message)
         age_s = (now_ns - fix.stamp_ns) / 1e9
         down_m = vehicle.origin.alt_m - own.alt_m if own and vehicle.origin else 0.0
         sending = Sending(
@@ -176,12 +184,12 @@ class PositionSender:
             down_m,
             self._reset_counter,
         )
-        if way.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
+        if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
             self._record(
                 FixSent(
                     fix.place,
-                    way.name,
+                    message.name,
                     fix.lat_deg or 0.0,
                     fix.lon_deg or 0.0,
                     fix.sigma_m,
@@ -193,16 +201,16 @@ class PositionSender:
                 )
             )
         self._last_sent_ns = now_ns
-        return [way.encode(fix, sending)]
+        return [message.encode(fix, sending)]
 
-    def _note_jump(self, fix: PlaceFix, now_ns: int, way: PositionMessage) -> None:
-        """What the fix should do to the autopilot's position; a stream's own jumps are marked for its reader."""
+    def _expect_jump(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> None:
+        """Keep how far the fix should move the autopilot's position; jumps of a stream are marked in reset_counter."""
         own = self._vehicle.position(now_ns)
         if own is None:
             return
         east_m, north_m = offset_m(own, fix)
         distance_m = math.hypot(east_m, north_m)
-        if way.acknowledged:
+        if message.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
         if distance_m <= fix.sigma_m * self._gates.near_sigmas:
@@ -214,23 +222,23 @@ class PositionSender:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
     def _select_sources(self, number: int) -> list[Message]:
-        """For vision_position: ArduPilot's second set of sources while there is no GPS, the first one when there is."""
-        if self.way is None or self.way.name != "vision_position" or not self._telemetry.switch_sources:
+        """For vision_position: select ArduPilot's second set of sources without GPS, the first one with it."""
+        if self.message is None or self.message.name != "vision_position" or not self._telemetry.switch_sources:
             return []
         if number == self._source_set:
             return []
         self._source_set = number
         return [encoders.source_set(self._vehicle.system_id or 1, number)]
 
-    def read_answer(self, result: int, now_ns: int) -> None:
-        """COMMAND_ACK of 43003 that was meant for us."""
-        if self._waiting is None:
+    def read_acknowledgement(self, result: int, now_ns: int) -> None:
+        """COMMAND_ACK of 43003 that was addressed to us."""
+        if self._unanswered is None:
             return
         verdict = VERDICTS.get(result, "not now")
         if verdict == "wait":
             return
-        fix, _, _ = self._waiting
-        self._waiting = None
+        fix, _, _ = self._unanswered
+        self._unanswered = None
         self._record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
             self._back_off.reset()
@@ -242,11 +250,11 @@ class PositionSender:
         if verdict == "never":
             self._disabled = True
             log.error("the autopilot answered %s: no more positions until it reboots", result_name(result))
-            self._tell_pilot(f"Lookback: positions {result_name(result)}, off")
+            self._send_text(f"Lookback: positions {result_name(result)}, off")
 
     def follow_up(self, now_ns: int) -> list[Message]:
-        """To be called often: bind what is known, try again what was not answered, check what was accepted."""
-        if self._telemetry.emit == "auto" and self.way is None:
+        """To be called often: bound the uncertainty, send again what was not answered, check what was accepted."""
+        if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
         messages: list[Message] = []
         if self._vehicle.gps_healthy(now_ns):
@@ -254,24 +262,24 @@ class PositionSender:
             if not self._gates.with_gps:
                 messages += self._select_sources(1)
         self._check_jump(now_ns)
-        if self._waiting is not None and now_ns - self._waiting[1] > ANSWER_NS:
-            messages += self._not_answered(now_ns, *self._waiting)
+        if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
+            messages += self._not_answered(now_ns, *self._unanswered)
         return messages
 
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
-        self._waiting = None
-        if self.way is None:
+        self._unanswered = None
+        if self.message is None:
             return []
-        young = (now_ns - fix.stamp_ns) / 1e9 <= self.way.oldest_s
-        messages = self._send(fix, now_ns, self.way, again=True) if not second and young else []
+        is_recent = (now_ns - fix.stamp_ns) / 1e9 <= self.message.max_age_s
+        messages = self._encode(fix, now_ns, self.message, again=True) if not second and is_recent else []
         if messages:
-            self._waiting = fix, now_ns, True
+            self._unanswered = fix, now_ns, True
         else:
             self._record(FixAnswered(fix.place, "NO_ANSWER", fix.map))
         return messages
 
     def _check_jump(self, now_ns: int) -> None:
-        """Once the position has had time to move: has it?"""
+        """Whether the position has moved, once it has had time to."""
         if self._jump is None or self._jump[2] == 0:
             return
         fix, jump, accepted_ns = self._jump
@@ -288,4 +296,4 @@ class PositionSender:
             self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
         else:
             self._back_off.failed(now_ns)
-            self._tell_pilot(f"Lookback: fix accepted, position {remaining_m:.0f} m off")
+            self._send_text(f"Lookback: fix accepted, position {remaining_m:.0f} m off")

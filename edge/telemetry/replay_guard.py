@@ -1,13 +1,14 @@
-"""Which of the frames that are signed with our key are new, over restarts as well.
+"""Rejects replayed frames: those that are signed with our key but are not new, also after a restart.
 
-MAVLink counts time along each stream, which is a link of a system's component, and takes a new stream that is at most
-a minute behind. A receiver that starts has only new streams: what was recorded in the minute before could be played to
-it again. So what was heard is kept, ahead of what is used (see `signing`), and three more things are asked for:
+In MAVLink signing, a stream is one link of one component of one system, and its timestamps must increase. A stream
+that the receiver has not heard before may be up to a minute behind the receiver's clock. After a restart every stream
+is new, so frames recorded in the minute before could be replayed. Therefore the newest timestamps are stored (see
+`signing`), and these rules are added:
 
-- of a stream that is new, or was kept, or silent for a minute: not older than anything heard from the same component,
-  over whichever link, and at most a minute behind;
-- of every frame: at most a minute ahead. But it may be our clock that is wrong: who goes on in a time of his own for
-  three seconds, with nothing else heard, is believed.
+- The first frame of a stream, since the start or after a minute of silence, must be newer than every frame of the same
+  component on any link, and at most a minute behind our clock.
+- No frame may be more than a minute ahead of our clock. If it is our clock that is wrong, frames whose timestamps run
+  on evenly for three seconds, with no other frame in between, are accepted after that.
 
 Timestamps are in units of 10 us since the beginning of 2015.
 """
@@ -23,39 +24,39 @@ MINUTE_NS = 60_000_000_000
 AHEAD_FOR_TICKS = 3 * TICKS_PER_S
 
 Stream: TypeAlias = tuple[int, int, int]
-"""Link, system, component: whoever signs names all three, and none can be changed by others."""
+"""Link, system, component: all three are covered by the signature."""
 
 
 class ReplayGuard:
-    """The newest timestamp of each stream that was taken."""
+    """The newest accepted timestamp of each stream."""
 
-    def __init__(self, kept: Mapping[Stream, int], clock_ns: Callable[[], int]) -> None:
-        """kept: what `at_least` has said in the run before."""
-        self._newest = dict(kept)
+    def __init__(self, stored: Mapping[Stream, int], clock_ns: Callable[[], int]) -> None:
+        """stored: what `timestamps` returned in the previous run."""
+        self._newest = dict(stored)
         self._clock_ns = clock_ns
         self._heard_ns: dict[Stream, int] = {}
-        self._ahead: tuple[int, int] | None = None  # of those too far ahead: the first timestamp, and when it came
+        self._ahead: tuple[int, int] | None = None  # the first timestamp of those too far ahead, and when it came
 
-    def take(self, stream: Stream, timestamp: int, now: int) -> bool:
-        """Whether a frame is new; if so, nothing up to it is from now on. `now` is our own timestamp."""
+    def accept(self, stream: Stream, timestamp: int, now: int) -> bool:
+        """Whether a frame is new; if so, no frame up to it is from now on. `now` is our own timestamp."""
         now_ns = self._clock_ns()
         if stream in self._heard_ns and now_ns - self._heard_ns[stream] <= MINUTE_NS:
             is_new = timestamp > self._newest[stream]
         else:
             is_new = timestamp > self._newest_of(stream) and timestamp >= now - MINUTE_TICKS
-        if not is_new or self._is_from_the_future(timestamp, now, now_ns):
+        if not is_new or self._is_too_far_ahead(timestamp, now, now_ns):
             return False
         self._newest[stream], self._heard_ns[stream] = timestamp, now_ns
         return True
 
-    def at_least(self, ahead: int) -> dict[Stream, int]:
-        """What is to be kept so that nothing is taken twice until some stream is `ahead` of where it is now."""
+    def timestamps(self, ahead: int) -> dict[Stream, int]:
+        """What to store so that no frame is accepted twice until some stream is `ahead` of where it is now."""
         return {stream: newest + ahead * (stream in self._heard_ns) for stream, newest in self._newest.items()}
 
     def _newest_of(self, stream: Stream) -> int:
         return max((newest for other, newest in self._newest.items() if other[1:] == stream[1:]), default=-1)
 
-    def _is_from_the_future(self, timestamp: int, now: int, now_ns: int) -> bool:
+    def _is_too_far_ahead(self, timestamp: int, now: int, now_ns: int) -> bool:
         if timestamp <= now + MINUTE_TICKS:
             self._ahead = None
             return False

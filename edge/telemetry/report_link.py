@@ -1,7 +1,8 @@
-"""Events for people: lines and values on a link, and links that carry nothing else."""
+"""Events for people: lines of text and values to plot, and links that carry nothing else."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -12,12 +13,46 @@ from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, HEARTBEAT_NS
 from edge.telemetry.port import Port
-from edge.telemetry.status_texts import StatusTexts
 from edge.telemetry.vehicle import Vehicle
+
+TEXT_NS = 500_000_000
+PLACE_NS = 5_000_000_000
+QUEUE_LINES = 8
+
+
+class StatusTexts:
+    """A queue of lines for the pilot: at most two a second come out, and of many only the newest.
+
+    A slow link carries the pilot's telemetry as well.
+    """
+
+    def __init__(self) -> None:
+        self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
+        self._id = 0
+        self._next_ns = 0
+        self._next_place_ns = 0
+
+    def put(self, text: str, severity: int) -> None:
+        """Queue a line of any length."""
+        self._id = self._id % 65535 + 1
+        self._queue.append(encoders.status_text(text, severity, self._id))
+
+    def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
+        """Queue a line about a place, but not more than one each five seconds: places come by the second."""
+        if now_ns >= self._next_place_ns:
+            self._next_place_ns = now_ns + PLACE_NS
+            self.put(encoders.describe(fix), severity)
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The messages of the next line, if it is time for one."""
+        if not self._queue or now_ns < self._next_ns:
+            return []
+        self._next_ns = now_ns + TEXT_NS
+        return self._queue.popleft()
 
 
 class ReportLink:
-    """A further link, to a ground station or a router: heartbeats, lines and values, and never a position."""
+    """A further link, to a ground station or a router: heartbeats, lines and values, never a position."""
 
     def __init__(
         self,
@@ -26,7 +61,7 @@ class ReportLink:
         clock_ns: Callable[[], int],
         record: Callable[[Record], object],
     ) -> None:
-        """`vehicle` is the one that the autopilot's link has found: we speak as its system, on its boot clock."""
+        """vehicle: that of the autopilot's link; messages are sent with its system id and on its boot clock."""
         self._port = port
         self._vehicle = vehicle
         self._clock_ns = clock_ns
@@ -38,11 +73,11 @@ class ReportLink:
         """MAV_STATE for our heartbeat."""
 
     def poll(self) -> None:
-        """One turn; what others say here is read, so that the buffers stay empty, and not heeded."""
+        """One turn. What arrives is read, so that the buffers stay empty, and ignored."""
         now_ns = self._clock_ns()
         self._port.open_if_due(now_ns)
         if self._port.receive():
-            self._port.proved()
+            self._port.peer_answered()
         self._port.codec.system_id = self._vehicle.system_id or FIRST_SYSTEM_ID
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
@@ -55,7 +90,7 @@ class ReportLink:
             )
 
     def publish_place(self, fix: PlaceFix) -> None:
-        """A line, if it is time for one, and the values."""
+        """Publish a place: a line of text at most every five seconds, and values to plot."""
         now_ns = self._clock_ns()
         self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
         self._send(encoders.plotted_values(fix, round((self._vehicle.boot_time_s(now_ns) or 0.0) * 1000)))

@@ -1,9 +1,10 @@
-"""MAVLink 2 signing: the key, the timestamp that only ever grows, and the check of what arrives.
+"""MAVLink 2 signing: the key, the timestamp that only grows, and the check of what arrives.
 
-A frame whose timestamp is not above the last one of its stream is dropped by the receiver. A restart, or a clock that
-was set back, must neither lead to a lower one of ours, nor to one being taken a second time from others: all are kept
-in a file, ahead of what has been used, and as they are at the end. After a crash, then, nobody is heard who is not
-past what was kept ahead, which costs less time than a restart takes.
+A receiver drops a frame whose timestamp is not above the last one of its stream. After a restart, or when the clock is
+set back, our timestamp must not become lower, and a frame of others must not be accepted a second time. So the
+timestamps are stored in a file: while running, some seconds ahead of those in use, so that it is written seldom; at the
+end, exactly. After a crash, frames of others are rejected until they are past the stored timestamps, which takes less
+time than a restart.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from edge.errors import ConfigError
 from edge.telemetry.replay_guard import TICKS_PER_S, ReplayGuard, Stream
 
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
-KEPT_AHEAD = 10 * TICKS_PER_S
-"""How far ahead of use the file is written, and so how seldom: autopilots take frames dated up to a minute ahead."""
+STORED_AHEAD = 10 * TICKS_PER_S
+"""How far ahead of use the file is written: autopilots accept timestamps up to a minute ahead."""
 KEY_BYTES = 32
 CREDENTIAL = "credential:"
 
@@ -32,13 +33,13 @@ log = logging.getLogger(__name__)
 
 
 class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's codec, which checks signatures; whether a frame is new is left to `takes`.
+    """pymavlink's codec, which checks signatures; whether a frame is new is left to `accepts`.
 
-    pymavlink notes a frame's timestamp before it checks the signature, and believes any timestamp with a good one, so
-    that one frame dated far ahead would lock the real sender out, for ever.
+    pymavlink stores a frame's timestamp before it checks the signature, and accepts any timestamp with a valid one, so
+    that one frame dated far ahead would lock the real sender out for good.
     """
 
-    takes: Callable[[Stream, int], bool]
+    accepts: Callable[[Stream, int], bool]
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
         """Whether the frame is signed with our key, and new."""
@@ -49,21 +50,21 @@ class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has
         signing.timestamp = ours
         # 1 byte of link id and 6 of timestamp, before the 6 of the signature.
         timestamp = int.from_bytes(msgbuf[-12:-6], "little")
-        if not is_signed or not self.takes((msgbuf[-13], srcSystem, srcComponent), timestamp):
+        if not is_signed or not self.accepts((msgbuf[-13], srcSystem, srcComponent), timestamp):
             return False
         signing.timestamp = max(ours, timestamp)
         return True
 
 
 class SigningClock(msgspec.Struct, frozen=True):
-    """The file: what nothing of ours, and nothing in a stream of others, may be below from now on."""
+    """The file: the lowest timestamps that may be used from now on, for our frames and in each stream of others."""
 
     ours: int = 0
     heard: tuple[tuple[Stream, int], ...] = ()
 
 
 class Signer:
-    """Signs what one codec sends; what arrives unsigned, altered, replayed or old is dropped by the codec."""
+    """Signs what one codec sends, and has it drop what arrives unsigned, altered or replayed."""
 
     def __init__(
         self,
@@ -73,65 +74,61 @@ class Signer:
         unix_time_s: Callable[[], float] = time.time,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`link_id` tells the links of one system apart, 0 to 255."""
+        """link_id: 0 to 255, different for each link of one system."""
         self._key = key
         self._file = timestamp_file
         self._link_id = link_id
         self._unix_time_s = unix_time_s
-        self._kept = _read(timestamp_file)
-        self._heard_kept = dict(self._kept.heard)
-        self._freshness = ReplayGuard(self._heard_kept, clock_ns)
-        self._told: set[object] = set()
+        self._stored = _read(timestamp_file)
+        self._heard_stored = dict(self._stored.heard)
+        self._guard = ReplayGuard(self._heard_stored, clock_ns)
+        self._logged: set[object] = set()
 
     def attach(self, codec: mavlink.MAVLink) -> None:
-        """Have the codec sign, and refuse what is not signed."""
+        """Have the codec sign, and drop what is not signed."""
         self._signing = codec.signing
         self._signing.secret_key, self._signing.sign_outgoing = self._key, True
         self._signing.link_id = self._link_id
-        self._signing.timestamp = max(self._now(), self._kept.ours)
-        codec.takes = self._takes
+        self._signing.timestamp = max(self._now(), self._stored.ours)
+        codec.accepts = self._accepts
 
     def advance(self) -> None:
         """Before each frame: the timestamp follows the clock, but never back, and is on disk before it is used."""
         self._signing.timestamp = max(self._signing.timestamp, self._now())
-        if self._signing.timestamp >= self._kept.ours:
-            self._keep(KEPT_AHEAD)
+        if self._signing.timestamp >= self._stored.ours:
+            self.store(STORED_AHEAD)
 
-    def rest(self) -> None:
-        """Nothing will be sent or taken for a while: keep what was used, and no more."""
-        self._keep(0)
-
-    def _takes(self, stream: Stream, timestamp: int) -> bool:
-        if not self._freshness.take(stream, timestamp, max(self._signing.timestamp, self._now())):
-            self._tell(
+    def _accepts(self, stream: Stream, timestamp: int) -> bool:
+        if not self._guard.accept(stream, timestamp, max(self._signing.timestamp, self._now())):
+            self._log_once(
                 stream,
-                "link %d, system %d, component %d: signed, but not newer than before, or a minute off: not used",
+                "link %d, system %d, component %d: signed frame rejected: timestamp replayed or more than 60 s off",
                 *stream,
             )
             return False
-        if timestamp > self._heard_kept.get(stream, 0):
-            self._keep(KEPT_AHEAD)
+        if timestamp > self._heard_stored.get(stream, 0):
+            self.store(STORED_AHEAD)
         return True
 
     def _now(self) -> int:
         return int((self._unix_time_s() - EPOCH_S) * TICKS_PER_S)
 
-    def _keep(self, ahead: int) -> None:
-        """Replace the file; a disk that does not take it costs the guarantee, not the link."""
-        self._heard_kept = self._freshness.at_least(ahead)
-        kept = SigningClock(self._signing.timestamp + ahead, tuple(self._heard_kept.items()))
-        if kept == self._kept:
+    def store(self, ahead: int = 0) -> None:
+        """Replace the file, with timestamps so far ahead; without a writable disk the link still works, unprotected."""
+        self._heard_stored = self._guard.timestamps(ahead)
+        stored = SigningClock(self._signing.timestamp + ahead, tuple(self._heard_stored.items()))
+        if stored == self._stored:
             return
-        self._kept = kept
+        self._stored = stored
         try:
             with replacing(self._file) as stream:
-                stream.write(msgspec.json.encode(kept))
+                stream.write(msgspec.json.encode(stored))
         except OSError as error:
-            self._tell("file", "%s: cannot keep the signing timestamps: %s", self._file, error.strerror)
+            self._log_once("file", "%s: cannot store the signing timestamps: %s", self._file, error.strerror)
 
-    def _tell(self, once: object, words: str, *arguments: object) -> None:
-        if once not in self._told:
-            self._told.add(once)
+    def _log_once(self, key: object, words: str, *arguments: object) -> None:
+        if key not in self._logged:
+            self._logged.add(key)
             log.warning(words, *arguments)
 
 
@@ -145,16 +142,16 @@ def load_key(name: str) -> bytes:
     if name.startswith(CREDENTIAL):
         folder = os.environ.get("CREDENTIALS_DIRECTORY")
         if not folder:
-            raise ConfigError(f"{where}: systemd has given no credentials; use LoadCredential= in the unit, or a file")
+            raise ConfigError(f"{where}: systemd gave no credentials; use LoadCredential= in the unit, or a file")
         if "/" in name:
-            raise ConfigError(f"{where}: the name of a credential has no / in it")
+            raise ConfigError(f"{where}: the name of a credential must not contain /")
         path = Path(folder) / name.removeprefix(CREDENTIAL)
     try:
         data, mode = path.read_bytes(), path.stat().st_mode
     except OSError as error:
         raise ConfigError(f"{where}: cannot read it: {error.strerror}") from None
     if mode & 0o077 and not name.startswith(CREDENTIAL):
-        raise ConfigError(f"{where}: others may read this key; chmod 600 {path}")
+        raise ConfigError(f"{where}: other users can read this key; chmod 600 {path}")
     with contextlib.suppress(ValueError):
         data = bytes.fromhex(data.decode("ascii")) if len(data) != KEY_BYTES else data
     if len(data) != KEY_BYTES:
@@ -163,11 +160,11 @@ def load_key(name: str) -> bytes:
 
 
 def _read(file: Path) -> SigningClock:
-    """What was kept, nothing when nothing was; a damaged file counts as nothing."""
+    """The stored timestamps; none where there is no file, or a damaged one."""
     try:
         return msgspec.json.decode(file.read_bytes(), type=SigningClock)
     except FileNotFoundError:
         return SigningClock()
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        log.warning("%s: not used, so that signed frames of the last minute may be taken again: %s", file, error)
+        log.warning("%s: ignored, so replayed signed frames of the last minute may be accepted: %s", file, error)
         return SigningClock()

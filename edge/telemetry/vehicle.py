@@ -1,6 +1,6 @@
-"""What the vehicle says about itself: who it is, when it is, where it is and how far it has driven.
+"""What the autopilot reports about its vehicle: identity, time, position, and how far it has driven.
 
-Pure: messages and the time come in as arguments, nothing goes out but answers to questions.
+No I/O: messages and the time come in as arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the autopilot's filter has its local zero: degrees (WGS 84), metres above mean sea level."""
+    """The origin of the autopilot's local frame: degrees (WGS 84), meters above mean sea level."""
 
     lat_deg: float
     lon_deg: float
@@ -38,7 +38,7 @@ class Origin:
 
 
 class Vehicle:
-    """The one vehicle on a link, learned from its heartbeats; everything from anyone else is ignored.
+    """The one vehicle on a link, known by its heartbeats; messages of all others are ignored.
 
     Noise on a serial line passes MAVLink's checksum now and then, so two heartbeats of the same autopilot make a
     link, and only messages of that system and of component 1 count.
@@ -49,11 +49,11 @@ class Vehicle:
         self.autopilot: int | None = None
         self.connected = False
         self.session = 0
-        """Counts up when the link comes up and when the autopilot reboots: ask for streams again."""
+        """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
         self.version: tuple[int, int] | None = None
-        """Major and minor of the firmware, once it has told them (AUTOPILOT_VERSION)."""
+        """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
         self.origin: Origin | None = None
-        """None until the autopilot has told one (GPS_GLOBAL_ORIGIN): it may have none."""
+        """None until GPS_GLOBAL_ORIGIN arrived: the autopilot may have none."""
         self._heard_ns: dict[int, int] = {}
         self._clock = BootClock()
         self._newest_boot_ms = -1
@@ -63,7 +63,7 @@ class Vehicle:
         self._gps_healthy_ns: int | None = None
         self._accuracy: tuple[int, float] | None = None
         self._wheels: tuple[int, float] | None = None
-        self._readers: dict[int, Callable[[Message, int], None]] = {
+        self._handlers: dict[int, Callable[[Message, int], None]] = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._read_global_position,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._read_local_position,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
@@ -78,44 +78,44 @@ class Vehicle:
         }
 
     def handle(self, message: Message, now_ns: int) -> bool:
-        """Read one message that was received at `now_ns`; True when it is from the vehicle, and so to be heeded."""
+        """Read one message that was received at `now_ns`; True when it is from the vehicle."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return False
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return self._read_heartbeat(message, now_ns)
         if not self.connected or message.get_srcSystem() != self.system_id:
             return False
-        reader = self._readers.get(message.get_msgId())
+        reader = self._handlers.get(message.get_msgId())
         if reader is not None:
             reader(message, now_ns)
         return True
 
     def expire(self, now_ns: int) -> None:
-        """Give the link up when no heartbeat has come for five seconds."""
+        """The link is down when no heartbeat has come for five seconds."""
         if self.connected and now_ns - self._heard_ns[self.system_id or 0] > LINK_TIMEOUT_NS:
             log.warning("system %s has sent no heartbeat for %d s", self.system_id, LINK_TIMEOUT_NS // 10**9)
-            self.forget_link()
+            self.reset_link()
 
-    def forget_link(self) -> None:
-        """Two heartbeats are needed again; what was driven so far is kept."""
+    def reset_link(self) -> None:
+        """Two heartbeats are needed again; the distance driven so far stays."""
         self.connected = False
         self._heard_ns.clear()
 
     def timesync_sent(self, now_ns: int) -> None:
-        """Our TIMESYNC request, stamped `now_ns`, has gone out."""
+        """Our TIMESYNC request, stamped `now_ns`, was sent."""
         self._timesync_sent_ns = now_ns
 
     def boot_time_s(self, monotonic_ns: int) -> float | None:
-        """Seconds since the autopilot's boot at that moment of CLOCK_MONOTONIC; None until it has told its time."""
+        """Seconds since the autopilot's boot at that moment of CLOCK_MONOTONIC; None until it has reported its time."""
         boot_ns = self._clock.boot_ns(monotonic_ns)
         return None if boot_ns is None else boot_ns / 1e9
 
     def distance_m(self, stamp_ns: int) -> float | None:
-        """Metres driven since the first report, at the moment of a frame; None when no speed is known around it."""
+        """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._motion.distance_m(stamp_ns)
 
     def driven_m(self, now_ns: int) -> float | None:
-        """Metres driven up to the newest report; None when no speed has come for a second."""
+        """Meters driven up to the newest report; None when no speed has come for a second."""
         return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m
 
     def displacement(self, stamp_ns: int) -> Displacement | None:
@@ -137,7 +137,7 @@ class Vehicle:
         return self._gps_healthy_ns is not None and now_ns - self._gps_healthy_ns <= GPS_FRESH_NS
 
     def accuracy_m(self, now_ns: int) -> float | None:
-        """What the autopilot says its horizontal position is good for, None where it says nothing (ArduPilot)."""
+        """Horizontal accuracy of its position as the autopilot reports it, None where it does not (ArduPilot)."""
         if self._accuracy is None or now_ns - self._accuracy[0] > ACCURACY_FRESH_NS:
             return None
         return self._accuracy[1]
@@ -163,7 +163,7 @@ class Vehicle:
         self.origin = self.version = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
-        """Take a message's stamp into the boot clock; returns the same moment on CLOCK_MONOTONIC."""
+        """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC."""
         if boot_ms < self._newest_boot_ms - REBOOT_BACK_MS:
             log.warning(
                 "the autopilot has rebooted: its clock went back from %d to %d ms", self._newest_boot_ms, boot_ms
@@ -202,7 +202,7 @@ class Vehicle:
         self._motion.add_speed(now_ns, math.hypot(message.vx, message.vy), source=2)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
-        """Cumulative metres of up to 16 wheels; both sides turn against each other on the spot, so take the mean."""
+        """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
         stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)

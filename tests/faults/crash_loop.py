@@ -87,7 +87,7 @@ def read_last_line(folder: Path) -> int:
 
 def write_clock(folder: Path, version: int) -> None:
     """The signing clock, of a link that has come to rest so many seconds after MAVLink's epoch."""
-    MavlinkCodec(1, 191, Signer(bytes(32), folder / "clock.0", 0, lambda: EPOCH_S + version)).rest()
+    MavlinkCodec(1, 191, Signer(bytes(32), folder / "clock.0", 0, lambda: EPOCH_S + version)).store_timestamps()
 
 
 def read_clock(folder: Path) -> int:

@@ -64,7 +64,7 @@ def test_any_content(cases: int, seed: int, figures: Callable[[str], None]) -> N
             assert math.isfinite(vehicle.distance_m(now_ns) or 0.0)
             assert math.isfinite(vehicle.boot_time_s(now_ns) or 0.0)
             assert math.isfinite(vehicle.accuracy_m(now_ns) or 0.0)
-            connection.position_wanted()
+            connection.position_due()
 
     number = st.one_of(st.sampled_from(READ), st.sampled_from(sorted(KINDS)))
     payload = st.one_of(

@@ -143,7 +143,7 @@ SPEAKS = {
     "commands/doctor_computer.py": {"serial"},  # which ports there are
     "health/service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
     "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
-    "telemetry/host_lookup.py": {"socket"},  # their names
+    "telemetry/port.py": {"socket"},  # the names of their hosts
     "telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
 }
 

@@ -20,7 +20,7 @@ from edge.journal.journal import records_of
 from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.replay_guard import TICKS_PER_S
-from edge.telemetry.signing import KEPT_AHEAD, Signer
+from edge.telemetry.signing import STORED_AHEAD, Signer
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -84,7 +84,7 @@ def turns(process: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("by", "ahead_s"), [(signal.SIGKILL, KEPT_AHEAD / TICKS_PER_S), (signal.SIGTERM, 0.0)], ids=["killed", "ended"]
+    ("by", "ahead_s"), [(signal.SIGKILL, STORED_AHEAD / TICKS_PER_S), (signal.SIGTERM, 0.0)], ids=["killed", "ended"]
 )
 def test_a_recording_is_played_to_a_new_run(
     by: signal.Signals,
@@ -128,7 +128,7 @@ def test_a_recording_is_played_to_a_new_run(
                 turns(process)
         turns(process)
         assert told_up(tmp_path) == 1, "a replay has been believed"
-        assert "signed, but not newer than before" in process.told()
+        assert "signed frame rejected: timestamp replayed" in process.told()
 
         put_forward_s = ahead_s
         drive_until(autopilot, cable, lambda: told_up(tmp_path) == 2, process)

@@ -68,6 +68,6 @@ def test_reckoning_that_is_too_long_confirms_nothing() -> None:
 def test_it_forgets_and_can_be_switched_off() -> None:
     witnesses = FixConsistency(GATES)
     confirms(witnesses, 0.0, 0.0)
-    witnesses.forget()
+    witnesses.reset()
     assert not confirms(witnesses, 300.0, 300.0)
     assert confirms(FixConsistency(GatesConfig(confirm_m=0.0)), 300.0, 300.0)

@@ -104,5 +104,5 @@ def test_uncertainty_grows_with_the_distance_since_it_was_bound() -> None:
     assert uncertainty.at(None, None) is None
     uncertainty.bind(3.0, None)
     assert uncertainty.at(180.0, None) == pytest.approx(5.0), "nothing is bound without an odometer"
-    uncertainty.forget()
+    uncertainty.reset()
     assert uncertainty.at(180.0, None) is None

@@ -58,7 +58,7 @@ def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> 
 def test_report_sends_text_and_no_position(rig: Rig) -> None:
     rig.run(4.0)
     rig.connection.publish_place(rig.fix())
-    assert rig.connection.position_wanted() is None
+    assert rig.connection.position_due() is None
     assert not rig.connection.send_position(rig.fix())
     rig.run(2.0)
     assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, street, 1.31"]
@@ -224,7 +224,7 @@ def test_recorded_autopilots_played_into_the_port(
         if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
             next_fix_ns = rig.now_ns + 1_000_000_000
             rig.connection.publish_place(rig.fix())
-            assert rig.connection.position_wanted() is None
+            assert rig.connection.position_due() is None
             assert not rig.connection.send_position(rig.fix())
     assert rig.connection.state == "up"
     assert len(errors_s) >= 7

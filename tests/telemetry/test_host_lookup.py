@@ -10,9 +10,8 @@ from collections.abc import Callable
 import pytest
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.host_lookup import is_address, look_up
 from edge.telemetry.link import parse_connection
-from edge.telemetry.port import Port
+from edge.telemetry.port import Port, is_address, look_up
 
 PATIENCE_S = 60.0
 

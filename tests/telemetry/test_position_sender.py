@@ -27,7 +27,7 @@ def offer_for(rig: Rig, seconds: float, **changes: Any) -> int:
 
     def offer() -> bool:
         nonlocal sent
-        moment = rig.connection.position_wanted()
+        moment = rig.connection.position_due()
         if moment is not None:
             sent += rig.connection.send_position(rig.fix(age_s=0.0 if moment == "now" else 0.5, **changes))
         return False
@@ -232,7 +232,7 @@ def test_an_exposure_is_told_once(open_rig: OpenRig) -> None:
     fix = rig.fix()
     assert rig.connection.send_position(fix)
     rig.run(0.5)
-    assert rig.connection.position_wanted() == "exposure"
+    assert rig.connection.position_due() == "exposure"
     assert not rig.connection.send_position(fix)
     rig.run(0.5)
     assert len(fixes_received(rig)) == 1
