@@ -195,12 +195,8 @@ class Daemon:
             if match.event:
                 self._publish_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
-<<<<<<< HEAD
-        self.monitor.add_frame((self._clock_ns() - began_ns) / 1e9)
-=======
         self._frames_used += 1
         self._frame_s = (self._clock_ns() - began_ns) / 1e9
->>>>>>> refs/heads/records
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
