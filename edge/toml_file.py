@@ -45,7 +45,7 @@ def parse_toml(text: str, path: Path, kind: type[Record], error: type[SetupError
 def explain(message: str, values: dict[str, Any]) -> str:
     """Turn msgspec's "Expected `int` - at `$.camera.fps`" into "[camera] fps: expected `int`".
 
-    values: the whole file, which tells sections from keys.
+    values: the whole file, to distinguish sections from keys.
     """
     what, _, where = message.partition(" - at `$")
     unknown = re.fullmatch(r"Object contains unknown field `(.*)`", what)

@@ -1,8 +1,8 @@
 """What the daemon keeps from one run to the next: the normalisation's statistics, and how it was last seen.
 
 One file beside the journal: a line of JSON, then mean and deviation (2, R, D) float64, little-endian. It is replaced
-by one rename, so that after a crash there is the old one or the new one. What is damaged, too old, or made with
-another model, cut or map is refused in one line, and the run then starts from nothing.
+by one rename, so that after a crash there is the old one or the new one. A file that is damaged, too old, or made with
+another model, other regions or another map is ignored with one line in the log, and the run starts without statistics.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class _Header(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class KeptState:
-    """Mean and deviation (R, D) float64 of `count` raw descriptors; the state, and the last place believed."""
+    """Mean and deviation (R, D) float64 of `count` raw descriptors; the state, and the last accepted place."""
 
     count: int
     mean: NDArray[np.float64]
@@ -87,7 +87,7 @@ class StateFile:
     def __init__(self, path: Path, key: StateKey, shape: tuple[int, int]) -> None:
         """shape: regions and dimensions of a descriptor."""
         self._path, self._key, self._shape = path, key, shape
-        self._told = False
+        self._logged = False
 
     def read(self, now: Moment, max_age_s: float) -> KeptState | None:
         """What was kept; None, and one line in the log that says why, when it is not there to be used."""
@@ -121,17 +121,17 @@ class StateFile:
         return KeptState(header.count, values[0], values[1], header.state, header.place, age_s)
 
     def write(self, kept: KeptState, now: Moment) -> None:
-        """Replace the file; a disk that does not take it costs the next run's good start, and is reported once."""
+        """Replace the file; where the disk refuses it, that is logged once, and the next run starts without it."""
         body = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
         header = _Header(FORMAT, VERSION, self._key, now, self._shape, kept.count, kept.state, kept.place)
         try:
             with replacing(self._path) as stream:
                 stream.write(_encode(header, body) + b"\n" + body)
-            self._told = False
+            self._logged = False
         except OSError as error:
-            if not self._told:
+            if not self._logged:
                 log.warning("%s: cannot keep the state: %s", self._path, error.strerror)
-            self._told = True
+            self._logged = True
 
 
 def _encode(header: _Header, body: bytes) -> bytes:
@@ -141,13 +141,13 @@ def _encode(header: _Header, body: bytes) -> bytes:
 
 
 COUNTS_AS_MOST = 300
-"""Frames that another run's statistics weigh as. On the recorded laps, the first 60 frames after a restart agreed with
+"""How many frames the statistics of another run count as, at most. On the recorded laps, the first 60 frames after a restart agreed with
 a run that had gone on in 0.22 to 0.89 of cases without them, in 0.84 to 0.98 with 100, and in 0.94 to 0.96 with 300."""
 FEWEST = 20
 
 
 class WarmStart:
-    """The state file of a daemon, beside its journal; without a journal, or where it is not asked for, none."""
+    """The state file of a daemon, beside its journal; none without a journal or with keep_statistics_min = 0."""
 
     def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
         """Read what the last run has kept, and start the recogniser with it."""

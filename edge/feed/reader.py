@@ -6,8 +6,8 @@ and `stamp_ns`) and the pictures: files under `frames/`, or one video whose name
 speed_mps, distance_m`; further columns are kept as text. A bare video file is read as a feed as well: its rows are its
 frames, with stamps from its frame rate and nothing else known.
 
-Recordings of other kinds are read by whoever knows them: an entry point `lookback.feeds`, named by the file's suffix,
-is a function of the path and a `FeedOptions` that returns a `Feed`, which brings its pictures itself.
+Recordings of other kinds are read by plug-ins: an entry point `lookback.feeds`, named by the file's suffix, is a
+function of the path and a `FeedOptions` that returns a `Feed` with a `pictures` of its own.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class Feed:
 
 @dataclass(frozen=True)
 class FeedOptions:
-    """What a recording that is no feed does not say of itself.
+    """What a recording that is not a feed may not contain.
 
-    view: where its camera looked, front unless it says so itself. video: that belongs to a log; None is the one beside
-    it of the same name. video_start_s: from the log's first position to the video's first frame.
+    view: which way its camera faced; None: as recorded, else front. video: the video of a log; None: the one beside it
+    with the same name. video_start_s: seconds from the log's first position to the video's first frame.
     """
 
     view: View | None = None

@@ -45,6 +45,6 @@ class Sampler:
 
     def _is_due(self, stamp_ns: int, distance_m: float | None, last_ns: int, last_m: float | None) -> bool:
         if self._config.by == "distance" and distance_m is not None and last_m is not None:
-            # A distance that fell was counted anew (the autopilot restarted): that frame starts a new count.
+            # A distance that fell was reset (the autopilot restarted): that frame starts a new count.
             return distance_m < last_m or distance_m >= self._due_m - EARLY * self._config.spacing_m
         return stamp_ns - last_ns >= self._config.interval_s * 1e9 or stamp_ns < last_ns
