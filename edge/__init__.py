@@ -9,7 +9,7 @@ A frame goes through these rooms in this order, and none calls back; each hands 
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
-    journal/        what happened, a JSON object a line
+    journal/        what happened, one record per line
     health/         the daemon's state, and systemd
     page/           the live page
     commands/       run, map, replay, record, doctor, ...
@@ -19,7 +19,6 @@ The files beside them:
     recognizer      one frame in, one answer out: the file to read first
     daemon          opens the parts that the config names, and runs the loop
     config          the one TOML file
-    geodesy         degrees to local meters and back
     warm_start      what is kept from one run to the next
     errors          everything that can go wrong, in three kinds
     geodesy         degrees and local meters

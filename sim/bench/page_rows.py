@@ -138,11 +138,11 @@ def _look(port: int, stop: threading.Event, looks: list[float]) -> None:
         try:
             status: dict[str, Any] = json.loads(_get(connection, f"/status.json?since={since}&shown={since}"))
             if status["history"]:
-                since = status["history"][-1][0]
-            match = status["match"]
-            if match and match["place"] != place:
-                place = match["place"]
-                _get(connection, f"/place/{place}.jpg")
+                since = status["history"][-1]["used"]["stamp_ns"]
+            newest = status["newest"]
+            if newest and newest["place"] not in (None, place):
+                place = newest["place"]  # of a single map, where rows are counted as they are
+                _get(connection, f"/thumbnail/{place}.jpg")
         except (OSError, http.client.HTTPException):
             connection.close()  # it is not up yet; the next request opens it again
             continue
