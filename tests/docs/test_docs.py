@@ -6,7 +6,6 @@ bash and must succeed.
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import os
 import re
@@ -21,6 +20,7 @@ import pytest
 from pymavlink.dialects.v20.common import MAVLink_heartbeat_message
 
 from edge.config import Config, parse_config
+from edge.journal.records import JournalLine, Record
 from sim.world.scenario import Scenario
 
 if sys.version_info >= (3, 11):
@@ -125,18 +125,10 @@ def config_values() -> set[str]:
 
 
 def journal_words() -> set[str]:
-    """Kinds of journal records, and their fields."""
-    words = set()
-    for source in (ROOT / "edge").rglob("*.py"):
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.ClassDef):
-                continue
-            tags = {
-                key.value.value for key in node.keywords if key.arg == "tag" and isinstance(key.value, ast.Constant)
-            }
-            if tags:
-                words |= tags | {line.target.id for line in node.body if isinstance(line, ast.AnnAssign)}
-    return words
+    """Kinds of journal records, their fields, and the keys of every line."""
+    fields = [field for kind in get_args(Record) for field in msgspec.structs.fields(kind)]
+    tags = {str(kind.__struct_config__.tag) for kind in get_args(Record)}
+    return {field.encode_name for field in fields} | tags | set(JournalLine._fields)
 
 
 def message_words() -> set[str]:
