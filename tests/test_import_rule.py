@@ -160,7 +160,7 @@ def test_the_tests_mirror_the_program() -> None:
     def folders(path: Path) -> set[str]:
         return {folder.name for folder in path.iterdir() if list(folder.glob("*.py"))}
 
-    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "systemd"}
+    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "sim", "systemd"}
     assert folders(ROOT / "tests") - beside <= folders(ROOT / "edge")
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
     modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
