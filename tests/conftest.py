@@ -20,7 +20,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedWriter, read_feed
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from sim.model_tools.onnx_graph import DIMENSIONS, MEAN_RGB, PAD_LEVEL, STD_RGB
+from sim.model_tools.onnx_graph import MEAN_RGB, PAD_LEVEL, STD_RGB, alexnet_info
 from sim.model_tools.weights import Weights
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -174,21 +174,7 @@ Oracle = Callable[..., dict[str, NDArray[np.float64]]]
 @pytest.fixture
 def info() -> ModelInfo:
     """What a float network of random weights says of itself."""
-    return ModelInfo(
-        name="random",
-        tap="fc6",
-        dimensions=DIMENSIONS["fc6"],
-        precision="float32",
-        input_size=224,
-        channel_order="BGR",
-        mean_rgb=MEAN_RGB,
-        std_rgb=STD_RGB,
-        labels=(),
-        licence="none",
-        source="random numbers",
-        weights_sha256="",
-        calibration="",
-    )
+    return alexnet_info("random")
 
 
 @pytest.fixture(scope="session")

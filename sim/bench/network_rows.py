@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.network import IMAGE, Network, open_session
 from edge.descriptor.regions import cut_regions
 from sim.bench.machine import product_of_matrices, read_all
 from sim.bench.rows import Row, Section, Target, against
 from sim.bench.timing import race
-from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, build_float
+from sim.model_tools.onnx_graph import alexnet_info, build_float
 from sim.model_tools.weights import CONVS, FC6, FC6_SHAPE
 
 FC6_BYTES = FC6_SHAPE[0] * FC6_SHAPE[1]
@@ -78,22 +77,7 @@ def float_graph() -> bytes:
         scale = np.float32(2 / np.prod(shape[1:])) ** 0.5  # keeps activations in range: denormals would be slow
         weights[f"{layer}.weight"] = rng.standard_normal(shape, np.float32) * scale
         weights[f"{layer}.bias"] = rng.standard_normal(shape[0], np.float32) * np.float32(0.1)
-    info = ModelInfo(
-        name="random",
-        tap="fc6",
-        dimensions=FC6_SHAPE[0],
-        precision="float32",
-        input_size=224,
-        channel_order="BGR",
-        mean_rgb=MEAN_RGB,
-        std_rgb=STD_RGB,
-        labels=(),
-        licence="none",
-        source="random numbers",
-        weights_sha256="",
-        calibration="",
-    )
-    return bytes(build_float(weights, info).SerializeToString())
+    return bytes(build_float(weights, alexnet_info("random")).SerializeToString())
 
 
 def smooth_picture(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 
 import cv2
 import numpy as np
@@ -139,11 +140,8 @@ def _picture_row(outcome: Outcome, query: int, word: str) -> list[Picture]:
 
 def _picture(outcome: Outcome, index: int, caption: str, *, of_query: bool) -> Picture:
     traverse = outcome.query if of_query else outcome.reference
-    images = FeedImages(traverse.feed)
-    try:
+    with closing(FeedImages(traverse.feed)) as images:
         return Picture(thumbnail(images.read(int(traverse.rows[index]))), caption)
-    finally:
-        images.close()
 
 
 def thumbnail(image: NDArray[np.uint8]) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 
 import msgspec
 import numpy as np
@@ -165,11 +166,8 @@ def activation_maps(runner: MethodRunner, step: Step) -> Section:
 
 
 def _activation_row(runner: MethodRunner, wanted: ActivationMap, name: str) -> list[Picture]:
-    images = FeedImages(runner.traverse(wanted.traverse).feed)
-    try:
+    with closing(FeedImages(runner.traverse(wanted.traverse).feed)) as images:
         image = images.read(wanted.row)
-    finally:
-        images.close()
     weights = runner.descriptions.weights(name)
     pooled = pooled_features(weights, runner.descriptions.network(name, "fc6").info, image)
     probabilities, rank, gradients = scores_and_gradients(weights, pooled)

@@ -17,6 +17,7 @@ from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
 from sim.evaluation import seqslam
 from sim.evaluation.metrics import Answers
+from sim.model_tools.fidelity import unit_rows
 
 CANDIDATES = 10
 LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
@@ -48,12 +49,12 @@ class FloatMatcher:
     def __init__(self, descriptors: NDArray[np.float32]) -> None:
         """descriptors (N, R, D)."""
         self._orders = descriptors.shape[1]
-        self._unit = _unit(descriptors.reshape(len(descriptors), -1))
+        self._unit = unit_rows(descriptors)
 
     def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
         """As `CostMatcher.costs`: (n, R, D) -> (n, orders, N), COST_ONE for a query that is all zero."""
         orders = [query, query[:, ::-1]][: self._orders]
-        cosines = [_unit(one.reshape(len(query), -1)) @ self._unit.T for one in orders]
+        cosines = [unit_rows(one) @ self._unit.T for one in orders]
         return np.asarray(np.rint((1.0 - np.stack(cosines, axis=1)) * COST_ONE).astype(np.int32))
 
 
@@ -182,8 +183,3 @@ def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[
     """True error of each candidate, (Q, K) places -> (Q, K); inf where there is none (-1)."""
     picked = np.take_along_axis(errors, np.maximum(places, 0), axis=1)
     return np.where(places < 0, np.inf, picked)
-
-
-def _unit(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0))

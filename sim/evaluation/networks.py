@@ -79,18 +79,12 @@ def _weights(path: Path) -> tuple[Weights, str]:
 
 
 def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> ModelInfo:
-    return ModelInfo(
-        name=Path(plan.weights).name.partition(".")[0],
-        tap=tap,
-        dimensions=onnx_graph.DIMENSIONS[tap],
-        precision=precision,
-        input_size=onnx_graph.INPUT_SIZE,
-        channel_order="BGR",
-        mean_rgb=onnx_graph.MEAN_RGB,
-        std_rgb=onnx_graph.STD_RGB,
-        labels=(),
+    info = onnx_graph.alexnet_info(
+        Path(plan.weights).name.partition(".")[0],
+        tap,
         licence="as that of the weights",
         source=plan.weights,
         weights_sha256=sha256,
         calibration=plan.ranges,
     )
+    return msgspec.structs.replace(info, precision=precision)

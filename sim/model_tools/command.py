@@ -6,6 +6,7 @@ import argparse
 import logging
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.atomic_file import replacing
-from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelInfo, read_model_file, resolve_model
+from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, read_model_file, resolve_model
 from edge.descriptor.network import Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import FeedError, FrameError, ModelError
@@ -66,15 +67,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _import(args: argparse.Namespace) -> int:
     weights, sha256 = read_weights(args.weights)
-    info = ModelInfo(
-        name=args.name or args.weights.name.partition(".")[0],
-        tap=args.tap,
-        dimensions=onnx_graph.DIMENSIONS[args.tap],
-        precision="float32",
-        input_size=onnx_graph.INPUT_SIZE,
-        channel_order="BGR",
-        mean_rgb=onnx_graph.MEAN_RGB,
-        std_rgb=onnx_graph.STD_RGB,
+    info = onnx_graph.alexnet_info(
+        args.name or args.weights.name.partition(".")[0],
+        args.tap,
         labels=read_labels(args.labels, weights),
         licence=args.licence,
         source=args.source,
@@ -119,14 +114,12 @@ def _measure(exact: onnx.ModelProto, paths: list[Path]) -> dict[str, float]:
 
 def _regions(feed: Feed, kind: Regions, step: int = 1) -> Iterator[NDArray[np.uint8]]:
     """Regions (R, 224, 224, 3) of every `step`-th frame; FeedError if one is unreadable."""
-    images = FeedImages(feed)
-    try:
-        for row in range(0, len(feed.rows), step):
-            yield cut_regions(images.read(row), kind, REGION_WIDTH)
-    except FrameError as error:
-        raise FeedError(f"{error}; remove that row from the feed") from None
-    finally:
-        images.close()
+    with closing(FeedImages(feed)) as images:
+        try:
+            for row in range(0, len(feed.rows), step):
+                yield cut_regions(images.read(row), kind, REGION_WIDTH)
+        except FrameError as error:
+            raise FeedError(f"{error}; remove that row from the feed") from None
 
 
 def _make_folder(file: Path) -> None:

@@ -39,7 +39,7 @@ def normalized_set(raw: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def matching_accuracy(query: NDArray[np.float32], reference: NDArray[np.float32], correct: NDArray[np.bool_]) -> float:
     """Share of query frames (N, R, D), NSD, whose most similar reference frame (M, R, D) is in `correct` (N, M)."""
-    similarity = _unit(normalized_set(query)) @ _unit(normalized_set(reference)).T
+    similarity = unit_rows(normalized_set(query)) @ unit_rows(normalized_set(reference)).T
     best = similarity.argmax(axis=1)
     return float(correct[np.arange(len(best)), best].mean())
 
@@ -51,7 +51,7 @@ def _cosines(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray
     return np.asarray(np.divide(products, norms, out=np.zeros_like(products), where=norms > 0))
 
 
-def _unit(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+def unit_rows(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     """All regions of a frame as one vector of length 1, (N, R * D); zero stays zero."""
     flat = descriptors.reshape(len(descriptors), -1)
     norms = np.linalg.norm(flat, axis=1, keepdims=True)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -30,6 +30,34 @@ that all channels share lets the pixels enter the int8 network as they are, with
 OPSET, IR_VERSION = 17, 8  # read by ONNX Runtime since 1.12
 IMPORT_HINT = "pip install 'lookback[model]'"
 DIMENSIONS = {"fc6": FC6_SHAPE[0], "conv3": 384 * 13 * 13}
+
+
+def alexnet_info(
+    name: str,
+    tap: Literal["fc6", "conv3"] = "fc6",
+    *,
+    labels: tuple[str, ...] = (),
+    licence: str = "not stated",
+    source: str = "not stated",
+    weights_sha256: str = "",
+    calibration: str = "",
+) -> ModelInfo:
+    """The metadata of a float network that `build_float` makes."""
+    return ModelInfo(
+        name=name,
+        tap=tap,
+        dimensions=DIMENSIONS[tap],
+        precision="float32",
+        input_size=INPUT_SIZE,
+        channel_order="BGR",
+        mean_rgb=MEAN_RGB,
+        std_rgb=STD_RGB,
+        labels=labels,
+        licence=licence,
+        source=source,
+        weights_sha256=weights_sha256,
+        calibration=calibration,
+    )
 
 
 def build_float(weights: Weights, info: ModelInfo) -> onnx.ModelProto:

@@ -125,17 +125,10 @@ def config_values() -> set[str]:
 
 
 def journal_words() -> set[str]:
-<<<<<<< HEAD
-    """Kinds of journal records, and their keys."""
-    kinds = get_args(Record)
-    keys = {key for kind in kinds for key in kind.__struct_fields__}
-    return keys | {kind.__struct_config__.tag for kind in kinds} | set(JournalLine._fields)
-=======
     """Kinds of journal records, their fields, and the keys of every line."""
     fields = [field for kind in get_args(Record) for field in msgspec.structs.fields(kind)]
     tags = {str(kind.__struct_config__.tag) for kind in get_args(Record)}
     return {field.encode_name for field in fields} | tags | set(JournalLine._fields)
->>>>>>> refs/heads/tests
 
 
 def message_words() -> set[str]:

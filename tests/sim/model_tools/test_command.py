@@ -32,10 +32,10 @@ def weights(shared: Path) -> Path:
 
 @pytest.fixture
 def feed(tmp_path: Path) -> Path:
-    """Six different pictures, 20 m apart."""
+    """Twelve different pictures, 20 m apart."""
     random = np.random.default_rng(5)
     with FeedWriter(tmp_path / "feed", FeedHeader(name="noise", view="front", width=64, height=48)) as writer:
-        for row in range(6):
+        for row in range(12):
             coarse = random.integers(0, 256, (6, 8, 3), dtype=np.uint8)
             image = cv2.resize(coarse, (64, 48), interpolation=cv2.INTER_CUBIC)
             writer.write(image, row * 10**9, lat_deg=-27.0 + row * 180e-6, lon_deg=153.0)
