@@ -1,31 +1,51 @@
-"""Lookback recognizes places that were seen from behind, in other light, and sends an autopilot its position.
+"""Lookback recognizes places of earlier drives, also in the opposite direction, and gives an autopilot its position.
 
-A frame goes through these rooms in this order, and none calls back; each hands a plain record to the next:
+A frame goes through these stages in this order, and none calls back; each passes a plain record to the next:
 
     feed/           recorded traverses  read, written, sampled
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
     descriptor/     -> (R, D) float32   fc6 of R regions, D = 4096, raw and normalized (NSD)
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
-    sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
-    localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
-    telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
-    journal/        what happened, a JSON object a line
+    sequence/       -> PlaceMatch       the best line through the last L rows of costs, accepted or off the map
+    localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be published
+    telemetry/      -> the autopilot    MAVLink 2: positions, status text, values to plot
+    journal/        log of events, a JSON object per line
     health/         the daemon's state, and systemd
     page/           the live page
     commands/       run, map, replay, record, doctor, ...
 
 The files beside them:
 
-    recognizer      one frame in, one answer out: the file to read first
+    recognizer      one frame in, one match out: the file to read first
     daemon          opens the parts that the config names, and runs the loop
-    config          the one TOML file
-    geodesy         degrees to local meters and back
-    warm_start      what is kept from one run to the next
-    errors          everything that can go wrong, in three kinds
+    config          the TOML file
+    warm_start      state kept from one run to the next
+    errors          all errors, in three kinds
     geodesy         degrees and local meters
     toml_file       a TOML file as a typed record
-    atomic_file     a file that is replaced whole
-    backoff         pauses that double while attempts fail
+    atomic_file     a file that is replaced as a whole
+    backoff         delays that double while attempts fail
+
+The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.
 """
 
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
+__all__ = ["PlaceMatch", "ReferenceMap", "load_config", "open_map", "open_recognizer"]
+
+_HOMES = {
+    "PlaceMatch": "edge.sequence",
+    "ReferenceMap": "edge.reference_map",
+    "load_config": "edge.config",
+    "open_map": "edge.reference_map",
+    "open_recognizer": "edge.recognizer",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported when it is first used: `import edge` alone loads no stage."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -165,7 +165,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         limits = zip(self.origin, (90, 180, 20000), strict=False)
         if len(self.origin) not in (0, 3) or any(not abs(value) <= limit for value, limit in limits):
-            raise ValueError("origin: expected [latitude deg, longitude deg, metres above sea level], or []")
+            raise ValueError("origin: expected [latitude deg, longitude deg, meters above sea level], or []")
 
 
 class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):

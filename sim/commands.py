@@ -16,16 +16,16 @@ from sim.world.scenario import load_scenario
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `sim` to the commands of `lookback`; the entry point of `lookback.commands`."""
-    parser = commands.add_parser("sim", help="the simulator: record a drive, or be an autopilot")
+    parser = commands.add_parser("sim", help="simulate drives and autopilots; import data sets")
     sim_commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    drive = sim_commands.add_parser("drive", help="drive through the street world and record a feed")
-    drive.add_argument("scenario", type=Path, help="TOML file; its keys are described in sim/world/scenario.py")
+    drive = sim_commands.add_parser("drive", help="simulate a drive and record it as a feed")
+    drive.add_argument("scenario", type=Path, help="scenario file (TOML); sim/world/scenario.py lists its keys")
     drive.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     pace = drive.add_mutually_exclusive_group()
     pace.add_argument(
         "--spacing-m", metavar="M", type=float, default=SPACING_M, help="a frame every M meters, default 2"
     )
-    pace.add_argument("--fps", metavar="HZ", type=float, help="instead, HZ frames a second")
+    pace.add_argument("--fps", metavar="HZ", type=float, help="or HZ frames per second")
     drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)
     trial_command.add_command(sim_commands)

@@ -271,7 +271,7 @@ def test_nothing_left_to_use_is_an_error(city: Path, tmp_path: Path) -> None:
     for number in range(2):
         shutil.copytree(city / "tiles" / "03", tmp_path / "maps" / str(number))
         (tmp_path / "maps" / str(number) / PLACES).unlink()
-    with pytest.raises(MapError, match=f"none of its 2 maps can be used; the first: .*{PLACES}: cannot read it"):
+    with pytest.raises(MapError, match=f"none of its 2 maps is usable; the first: .*{PLACES}: cannot read it"):
         open_map_set(tmp_path / "maps")
 
 

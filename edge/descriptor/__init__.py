@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class NormalizedRows:
-    """What one frame changes: rows (n, R, D), oldest first; they replace the whole ring, or add one row to it."""
+    """Rows (n, R, D) that one frame changes, oldest first; they replace the whole ring, or add one row to it."""
 
     rows: NDArray[np.float32]
     replaces_ring: bool

@@ -1,8 +1,8 @@
 """The normalised set of descriptors (NSD), equation 1: for a whole set, and online for the query.
 
-The map is normalised over its whole set. The query's mean and deviation are updated with every frame (section
-III-B). By default the whole ring of recent frames is then normalised again with the newest statistics: nearly all
-that the online form loses against the whole set is its first frames, which were normalised with hardly any data.
+The map is normalized over its whole set. The query's mean and standard deviation are updated with every frame (section
+III-B). By default the ring of recent frames is then normalized again with the newest statistics: most of the online
+form's disadvantage comes from the first frames, which were normalized with few data.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.descriptor import NormalizedRows
 
 DEAD_DEVIATION = 1e-4
-"""A dimension that varies less than this share of the mean deviation is dead after ReLU, and counts for nothing."""
+"""A dimension whose deviation is below this fraction of the mean deviation is dead after ReLU, and is set to 0."""
 
 RENORMALIZE_GROWTH = 0.05
 """The ring is normalised again when the frames behind the statistics have grown by this share: below it the mean
@@ -42,7 +42,7 @@ class RunningStatistics:
     def of_another_run(
         cls, count: int, mean: NDArray[np.float64], deviation: NDArray[np.float64], *, at_most: int
     ) -> RunningStatistics:
-        """Statistics (R, D) of `count` frames of another run; they weigh as `at_most`, so that ours soon count."""
+        """Statistics (R, D) of `count` frames of another run, with the weight of at most `at_most` frames."""
         statistics = cls((mean.shape[0], mean.shape[1]))
         statistics.count = min(count, at_most)
         statistics.mean = mean.copy()
@@ -50,7 +50,7 @@ class RunningStatistics:
         return statistics
 
     def update(self, raw: NDArray[np.float32]) -> None:
-        """Take in one raw descriptor (R, D)."""
+        """Add one raw descriptor (R, D)."""
         self.count += 1
         difference = raw - self.mean
         self.mean += difference / self.count
@@ -66,7 +66,7 @@ class OnlineNormalizer:
     """Normalises the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
 
     def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
-        """`enabled` False hands raw descriptors on as they are (Raw-fc6 of the paper)."""
+        """enabled: if False, raw descriptors are returned unchanged (Raw-fc6 of the paper)."""
         self._length = length
         self._renormalize_ring = renormalize_ring and enabled
         self._enabled = enabled
@@ -76,7 +76,7 @@ class OnlineNormalizer:
         self._count_at_renormalization = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
-        """Take in one raw descriptor (R, D) and give back the rows it changes."""
+        """Add one raw descriptor (R, D) and return the rows that it changes."""
         self._ring = [*self._ring[1 - self._length :], raw]
         change = self._change(raw)
         self._normalized = list(change.rows) if change.replaces_ring else [*self._normalized, change.rows[0]]
@@ -84,9 +84,9 @@ class OnlineNormalizer:
         return change
 
     def skip(self) -> bool:
-        """Leave a row of NaN for a place of which there is no frame; False at the beginning, which needs none.
+        """Add a row of NaN for a place without a frame; False if the ring is empty, which needs none.
 
-        It is all zero to the map, and so as far from every place as another.
+        The row matches as zeros, and so equally badly with every place.
         """
         if not self._ring:
             return False
@@ -119,7 +119,7 @@ class OnlineNormalizer:
         return self._statistics
 
     def begin_with(self, statistics: RunningStatistics) -> None:
-        """Start from statistics of an earlier run instead of from nothing."""
+        """Start with the statistics of an earlier run."""
         if self._enabled:
             self._statistics = statistics
 
@@ -129,5 +129,5 @@ class OnlineNormalizer:
         return len(self._ring) == self._length
 
     def clear_ring(self) -> None:
-        """Forget the recent frames (after a gap); the statistics stay."""
+        """Drop the recent frames (after a gap); the statistics stay."""
         self._ring, self._normalized = [], []

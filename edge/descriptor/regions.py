@@ -1,4 +1,4 @@
-"""Whole image, or left and right regions described apart (section III-D)."""
+"""The whole image, or its left and right regions, for the network (section III-D)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def cut_regions(
 ) -> NDArray[np.uint8]:
     """Cut an image (H, W, 3) into R regions resized to `size` (height, width): (R, height, width, 3) uint8.
 
-    "left-right" takes the outer `width` (fraction of W) at each side, left first, full height; "whole" ignores
-    `width`. A mirror image of one region is not its other side, so nothing is flipped.
+    "left-right" uses the outer `width` (fraction of W) at each side, left first, at full height; "whole" ignores
+    `width`. Nothing is mirrored: an object seen from behind is not its mirror image.
     """
     width_px = image.shape[1]
     if regions == "whole":
@@ -29,7 +29,7 @@ def cut_regions(
         parts = [image[:, :cut_px], image[:, width_px - cut_px :]]
     out = np.empty((len(parts), *size, 3), dtype=np.uint8)
     for part, target in zip(parts, out, strict=True):
-        # Area averaging is the filter the network was trained with; it blurs nothing only when it shrinks.
+        # The network was trained with area averaging, which is correct only for shrinking.
         shrinks = part.shape[0] >= size[0] and part.shape[1] >= size[1]
         cv2.resize(part, size[::-1], dst=target, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     return out

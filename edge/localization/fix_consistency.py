@@ -1,8 +1,8 @@
-"""Whether a fix agrees with an earlier one: what to go by where nothing else bounds the autopilot's position.
+"""Whether a fix agrees with an earlier one: the check if nothing else bounds the autopilot's position.
 
-Without GPS from boot the autopilot may be anywhere, and a place that is recognised wrongly looks like any other. Two
-places that are far enough apart do not err together: what the vehicle reckons to have moved between them must be what
-the map says.
+Without GPS from boot the autopilot's position may be anything, and a wrongly recognized place cannot be distinguished
+from a correct one. Two wrong places that are far apart hardly agree: the displacement between them by dead reckoning
+must equal the displacement on the map.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from edge.localization import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 
 APART_M = 5.0
-"""Between two that are kept."""
+"""Minimum distance between two fixes that are kept."""
 TOO_FAR_M = 1000.0
-"""Driven, beyond which reckoning is too uncertain to confirm anything."""
+"""Distance driven beyond which dead reckoning is too uncertain to confirm a fix."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,16 @@ class _Witness:
 
 
 class FixConsistency:
-    """Fixes with many matches, and how the vehicle reckons to have moved since."""
+    """Keeps fixes with many matches, and the vehicle's displacement at each."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
         self._kept: deque[_Witness] = deque(maxlen=round(TOO_FAR_M / APART_M))
 
     def confirm(self, fix: PlaceFix, displacement: Displacement | None, driven_m: float | None) -> bool:
-        """Whether one of those before confirms this fix, which is then one of them.
+        """Whether an earlier fix confirms this one, which is then kept too.
 
-        displacement, driven_m: of the fix's moment; None where nobody tells, and then nothing can be confirmed.
+        displacement, driven_m: at the fix's time; if None (unknown), nothing can be confirmed.
         """
         if self._gates.confirm_m == 0:
             return True
@@ -56,7 +56,7 @@ class FixConsistency:
         return confirmed
 
     def forget(self) -> None:
-        """The autopilot has rebooted: its reckoning begins anew."""
+        """Drop all fixes: the autopilot has rebooted, and its dead reckoning starts over."""
         self._kept.clear()
 
     def _agree(self, before: _Witness, now: _Witness) -> bool:

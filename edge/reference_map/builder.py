@@ -65,7 +65,7 @@ class MapBuilder:
         dimensions: shrink the descriptors of each region to so many, at most the model's (None: as they are).
         """
         if path.exists() and not replace:
-            raise MapError(f"{path}: there is something here already; name another folder, or use --replace")
+            raise MapError(f"{path}: already exists; name another folder, or use --replace")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
         self._path = path
@@ -96,7 +96,7 @@ class MapBuilder:
     def add_map(self, other: ReferenceMap) -> None:
         """Add all places of another map, with its segments and raw descriptors, as if driven again."""
         if (other.header.model, other.header.regions) != (self._model, self._regions):
-            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be joined")
+            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be added")
         raw = other.raw()
         for segment in other.header.segments:
             self.begin_segment(segment.source, segment.view)

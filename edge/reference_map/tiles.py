@@ -40,7 +40,7 @@ def split_map(reference_map: ReferenceMap, output: Path, places: int) -> list[Ma
     if not 0 < places < total:
         raise ConfigError(f"--places: {places} is not between 1 and {total - 1}, less than what the map has")
     if output.exists():
-        raise MapError(f"{output}: there is something here already; name another folder")
+        raise MapError(f"{output}: already exists; name another folder")
     borders = _borders(total, places)
     digits = len(str(len(borders) - 2))
     with AtomicFolder(output) as new:

@@ -105,7 +105,7 @@ class Signer:
         if not self._freshness.take(stream, timestamp, max(self._signing.timestamp, self._now())):
             self._tell(
                 stream,
-                "link %d, system %d, component %d: signed, but not newer than before, or a minute off: not used",
+                "link %d, system %d, component %d: signed frame rejected: timestamp replayed or more than 60 s off",
                 *stream,
             )
             return False
@@ -127,7 +127,7 @@ class Signer:
             with replacing(self._file) as stream:
                 stream.write(msgspec.json.encode(kept))
         except OSError as error:
-            self._tell("file", "%s: cannot keep the signing timestamps: %s", self._file, error.strerror)
+            self._tell("file", "%s: cannot save the signing timestamps: %s", self._file, error.strerror)
 
     def _tell(self, once: object, words: str, *arguments: object) -> None:
         if once not in self._told:
@@ -154,7 +154,7 @@ def load_key(name: str) -> bytes:
     except OSError as error:
         raise ConfigError(f"{where}: cannot read it: {error.strerror}") from None
     if mode & 0o077 and not name.startswith(CREDENTIAL):
-        raise ConfigError(f"{where}: others may read this key; chmod 600 {path}")
+        raise ConfigError(f"{where}: this key is readable by other users; chmod 600 {path}")
     with contextlib.suppress(ValueError):
         data = bytes.fromhex(data.decode("ascii")) if len(data) != KEY_BYTES else data
     if len(data) != KEY_BYTES:
@@ -169,5 +169,5 @@ def _read(file: Path) -> SigningClock:
     except FileNotFoundError:
         return SigningClock()
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        log.warning("%s: not used, so that signed frames of the last minute may be taken again: %s", file, error)
+        log.warning("%s: ignored, so signed frames of the last minute may be accepted again: %s", file, error)
         return SigningClock()

@@ -20,33 +20,38 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     """Add `import` to the commands of `lookback sim`."""
     parser = sim_commands.add_parser(
         "import",
-        help="make a feed of a published data set, a bag, or a video and a log",
-        description="Make a feed of a recording in its own layout.",
+        help="convert a published data set, a ROS bag, or a video and a log to a feed",
+        description="Convert a recording in another layout to a feed.",
         epilog=_kinds(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout, see below")
-    parser.add_argument("path", metavar="PATH", type=Path, help="the folder or file that the layout says")
+    parser.add_argument("path", metavar="PATH", type=Path, help="the folder or file in that layout")
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     _add_read_options(parser)
     add_spacing_options(parser)
     parser.add_argument("--length-m", metavar="M", type=float, default=math.inf, help="only the first M meters")
-    parser.add_argument("--width", metavar="PIXELS", type=int, help="make the pictures smaller")
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave pictures out that cannot be read")
-    parser.add_argument("--lossless", action="store_true", help="keep the pictures as PNG, not as JPEG")
+    parser.add_argument("--width", metavar="PIXELS", type=int, help="scale the images to this width")
+    parser.add_argument("--skip-unreadable", action="store_true", help="skip images that cannot be read")
+    parser.add_argument("--lossless", action="store_true", help="write the images as PNG, not as JPEG")
     parser.set_defaults(run=import_dataset)
 
 
 def _add_read_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--camera", help="which camera or topic, e.g. stereo/left, mono_rear, image_2")
     parser.add_argument("--positions", help="which positions: a log, a file, a topic, or ins | gps")
-    parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures that this list names")
-    parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, where there are no times")
+    parser.add_argument("--names", metavar="FILE", type=Path, help="only the images that this file lists")
+    parser.add_argument("--fps", metavar="HZ", type=float, help="frames per second, if there are no timestamps")
     parser.add_argument(
-        "--start-s", metavar="S", type=float, help="from the log's first position to the video's first frame"
+        "--start-s", metavar="S", type=float, help="seconds from the log's first position to the video's first frame"
     )
-    parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="cut off where the vehicle itself is seen")
-    parser.add_argument("--view", choices=["front", "rear"], help="where the camera looks")
+    parser.add_argument(
+        "--crop-bottom",
+        metavar="ROWS",
+        type=int,
+        help="crop this many rows at the bottom, where the vehicle is visible",
+    )
+    parser.add_argument("--view", choices=["front", "rear"], help="which way the camera faces")
 
 
 def _kinds() -> str:

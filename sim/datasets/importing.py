@@ -63,7 +63,7 @@ def choose_rows(
             last_ns = row.stamp_ns
     for count, why in ((unplaced, "were taken where no position is known"), (late, "are no later than the one before")):
         if count:
-            log.warning("%s: %d of %d pictures %s; left out", traverse.source, count, len(traverse.rows), why)
+            log.warning("%s: %d of %d images %s; skipped", traverse.source, count, len(traverse.rows), why)
     return chosen
 
 
@@ -98,7 +98,7 @@ def write_feed(
     size than the first. lossless: pictures are kept as PNG and not as JPEG.
     """
     if output.exists():
-        raise FeedError(f"{output}: there is something here already; name another folder")
+        raise FeedError(f"{output}: already exists; name another folder")
     pictures = _pictures(traverse, chosen, width, skip_unreadable)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ def _pictures(
         except FrameError as error:
             if not skip_unreadable:
                 raise FeedError(f"{error}; --skip-unreadable leaves such pictures out") from None
-            log.warning("%s; left out", error)
+            log.warning("%s; skipped", error)
             continue
         size = size or image.shape
         if image.shape != size:

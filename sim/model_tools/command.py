@@ -34,33 +34,35 @@ REGION_WIDTH = 0.4
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback model` to the command line."""
-    actions = commands.add_parser("model", help="make and look at fc6 networks").add_subparsers(required=True)
+    actions = commands.add_parser("model", help="import, inspect and verify fc6 networks").add_subparsers(required=True)
 
-    make = actions.add_parser("import", help="make an int8 network of AlexNet weights in torchvision's layout")
+    make = actions.add_parser("import", help="make an int8 network from AlexNet weights in torchvision's layout")
     make.add_argument("weights", type=Path, help=".npz, or a published .pth.tar (needs the extra torch)")
-    make.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network's file (.onnx)")
-    make.add_argument("--labels", type=Path, help="names of the categories, one a line")
+    make.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
+    make.add_argument("--labels", type=Path, help="names of the categories, one per line")
     ranges = make.add_mutually_exclusive_group(required=True)
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
-    make.add_argument("--name", help="what the network is called (default: the weights file's name)")
-    make.add_argument("--licence", default="not stated", help="terms of the weights, kept in the file")
-    make.add_argument("--source", default="not stated", help="where the weights are from, kept in the file")
+    make.add_argument("--name", help="name of the network (default: the name of the weights file)")
+    make.add_argument("--licence", default="not stated", help="license of the weights, stored in the file")
+    make.add_argument("--source", default="not stated", help="origin of the weights, stored in the file")
     make.add_argument("--tap", choices=tuple(onnx_graph.DIMENSIONS), default="fc6", help="layer (default fc6)")
-    make.add_argument("--float", action="store_true", help="keep the float network beside it")
+    make.add_argument("--float", action="store_true", help="also write the float network")
     make.set_defaults(run=_import)
 
-    info = actions.add_parser("info", help="say what a network is")
+    info = actions.add_parser("info", help="print the properties of a network")
     info.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     info.set_defaults(run=_info)
 
     verify = actions.add_parser("verify", help="compare an int8 network with its float weights on a feed")
     verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     verify.add_argument("feed", type=Path, metavar="FEED")
-    verify.add_argument("--weights", type=Path, required=True, help="the weights it was made from")
-    verify.add_argument("--reference", type=Path, metavar="FEED", help="match FEED against this one as well")
-    verify.add_argument("--tolerance-frames", type=int, default=3, help="a match is right this far from its row")
-    verify.add_argument("--tolerance-m", type=float, default=10.0, help="or this far away, where positions are known")
+    verify.add_argument("--weights", type=Path, required=True, help="the weights that it was made from")
+    verify.add_argument("--reference", type=Path, metavar="FEED", help="also match FEED against this feed")
+    verify.add_argument("--tolerance-frames", type=int, default=3, help="a match is correct within this many frames")
+    verify.add_argument(
+        "--tolerance-m", type=float, default=10.0, help="or within this distance, if positions are known"
+    )
     verify.set_defaults(run=_verify)
 
 

@@ -128,7 +128,7 @@ def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
 
 
 def test_a_feed_that_is_there_already_is_not_touched(config: Config, tmp_path: Path) -> None:
-    with pytest.raises(FeedError, match="camera: there is a feed here already"):
+    with pytest.raises(FeedError, match="camera: a feed already exists here"):
         record.record(config, tmp_path / "camera", threading.Event())
     assert len(read_feed(tmp_path / "camera").rows) == COUNT
 

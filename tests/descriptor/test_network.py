@@ -110,7 +110,7 @@ def test_head_of_another_network_is_refused() -> None:
 
 
 def test_head_in_place_of_a_network_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"head_int8\.onnx: is a head of categories; name the network file"):
+    with pytest.raises(ModelError, match=r"head_int8\.onnx: is the category head; name the network file"):
         Network.load(SHIPPED_MODEL / HEAD_FILE)
 
 

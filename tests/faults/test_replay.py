@@ -128,7 +128,7 @@ def test_a_recording_is_played_to_a_new_run(
                 turns(process)
         turns(process)
         assert told_up(tmp_path) == 1, "a replay has been believed"
-        assert "signed, but not newer than before" in process.told()
+        assert "signed frame rejected" in process.told()
 
         put_forward_s = ahead_s
         drive_until(autopilot, cable, lambda: told_up(tmp_path) == 2, process)

@@ -166,7 +166,7 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
     left = maps.without({damages[0].path: damages[0].why})
     assert (left.names, [one.name for one in left.excluded]) == (("a", "b"), ["c"])
     assert len(left.places) == left.index.places == 2 * len(maps.maps[0].places)
-    with pytest.raises(MapError, match="none of its 3 maps can be used"):
+    with pytest.raises(MapError, match="none of its 3 maps is usable"):
         left.without({a: "gone", b: "gone"})
     with pytest.raises(MapError, match=r"^gone$"):
         open_map_set(a).without({a: "gone"})
@@ -200,7 +200,7 @@ def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: st
         ({"places": -1}, "should have"),
         ({"dimensions": 0}, "dimensions"),
         ({"dimensions": 17}, "dimensions"),
-        ({"dimensions": 8}, "not the files of a map"),
+        ({"dimensions": 8}, "not the list of files of a map"),
         ({"segments": [{"start": 0, "end": 5, "view": "rear", "source": ""}]}, "segments"),
         ({"surprise": 1}, "surprise"),
         ({"places": "many"}, "places"),

@@ -41,7 +41,7 @@ def test_a_key_is_32_bytes_or_their_digits(tmp_path: Path, text: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("text", "mode", "told"),
-    [(KEY, 0o640, "others may read this key; chmod 600"), (b"short", 0o600, "not a key of 32 bytes")],
+    [(KEY, 0o640, "this key is readable by other users; chmod 600"), (b"short", 0o600, "not a key of 32 bytes")],
 )
 def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, told: str) -> None:
     file = tmp_path / "key"
@@ -108,7 +108,7 @@ def test_a_damaged_or_unwritable_timestamp_costs_nothing_but_the_memory(
     assert codec(tmp_path, "ours").encode(BEAT)
     signer = Signer(KEY, tmp_path / "missing" / "folder", 0, lambda: NOW_S)
     assert MavlinkCodec(1, 191, signer).encode(BEAT)
-    assert "cannot keep the signing timestamp" in caplog.text
+    assert "cannot save the signing timestamp" in caplog.text
 
 
 def test_we_run_ahead_with_a_peer_that_does(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_after_a_crash_nothing_is_taken_twice_and_who_is_past_what_was_kept_is_h
         assert crashed.decode(frames[-1])
     restarted = codec(tmp_path, "ours")
     assert not any(restarted.decode(frame) for frame in frames)
-    assert caplog.text.count("not newer than before") == 1
+    assert caplog.text.count("timestamp replayed") == 1
     heard_after_s = 0.0
     while not restarted.decode(theirs.encode(BEAT)):
         heard_after_s, now_s = heard_after_s + 0.1, now_s + 0.1
@@ -153,7 +153,7 @@ def test_after_an_end_the_next_frame_is_heard_and_none_before_it(tmp_path: Path)
 def test_a_damaged_file_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: bytes) -> None:
     (tmp_path / "ours").write_bytes(damage)
     assert codec(tmp_path, "ours").decode(codec(tmp_path, "theirs").encode(BEAT))
-    assert f"{tmp_path / 'ours'}: not used" in caplog.text
+    assert f"{tmp_path / 'ours'}: ignored" in caplog.text
 
 
 @pytest.mark.parametrize(("key", "up"), [(KEY, True), (OTHER, False)])

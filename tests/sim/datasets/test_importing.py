@@ -85,7 +85,7 @@ def test_only_the_first_meters_of_a_drive(walk: Path, sim_import: Import) -> Non
 def test_pictures_that_go_back_in_time_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
     rows = [FeedRow(f"{i}.png", stamp_ns) for i, stamp_ns in enumerate([5, 7, 7, 6, 9])]
     assert chosen(traverse_of(*rows), by="frames") == [0, 1, 4]
-    assert "here: 2 of 5 pictures are no later than the one before; left out" in caplog.text
+    assert "here: 2 of 5 images are no later than the one before; skipped" in caplog.text
 
 
 def test_the_distance_driven_is_kept_as_it_was_between_the_chosen_rows() -> None:
@@ -113,7 +113,7 @@ def test_a_picture_of_another_size_is_named(walk: Path, sim_import: Import) -> N
 
 def test_what_is_there_already_is_not_touched(walk: Path, sim_import: Import) -> None:
     (walk.parent / "feed").mkdir()
-    with pytest.raises(FeedError, match=r"feed: there is something here already; name another folder"):
+    with pytest.raises(FeedError, match=r"feed: already exists; name another folder"):
         sim_import("gardens-point", walk, "-o", walk.parent / "feed")
     assert not list((walk.parent / "feed").iterdir())
 

@@ -139,7 +139,7 @@ def test_pictures_beyond_the_positions_have_none_and_are_left_out(
     assert [row.lat_deg is None for row in rows] == [False] * 17 + [True] * 16
     sim_import("robotcar", traverse_path, "-o", tmp_path / "feed", "--crop-bottom", 4)
     assert len(read_feed(tmp_path / "feed").rows) == 5
-    assert "16 of 33 pictures were taken where no position is known; left out" in caplog.text
+    assert "16 of 33 images were taken where no position is known; skipped" in caplog.text
 
 
 def test_positions_of_another_day_are_one_line_that_names_both(traverse_path: Path, degrees_at: Degrees) -> None:
@@ -190,10 +190,10 @@ def test_a_torn_picture_is_named_and_may_be_left_out(
 ) -> None:
     torn = traverse_path / f"stereo/left/{START_US + 4 * PICTURE_US}.png"
     torn.write_bytes(torn.read_bytes()[:60])
-    with pytest.raises(FrameError, match=rf"{torn.name}: not a whole"):
+    with pytest.raises(FrameError, match=rf"{torn.name}: not a complete"):
         open_dataset("robotcar", traverse_path, ReadOptions(crop_bottom=0)).pictures.read(4)
     arguments = ("robotcar", traverse_path, "-o", tmp_path / "feed", "--crop-bottom", 4)
-    with pytest.raises(FeedError, match=rf"{torn.name}: not a whole .*; --skip-unreadable leaves"):
+    with pytest.raises(FeedError, match=rf"{torn.name}: not a complete .*; --skip-unreadable leaves"):
         sim_import(*arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == [traverse_path.name]
     sim_import(*arguments, "--skip-unreadable")
