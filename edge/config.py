@@ -49,7 +49,7 @@ class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[descriptor]: how a frame becomes fc6, and how fc6 is normalised (eq. 1, sections III-B and III-D)."""
+    """[descriptor]: how a frame becomes fc6, and how fc6 is normalized (eq. 1, sections III-B and III-D)."""
 
     model: str = ""
     regions: Literal["left-right", "whole"] = "left-right"
@@ -61,7 +61,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[map]: the reference map, or the folder of maps, to recognise places of."""
+    """[map]: the reference map, or the folder of maps, to recognize places of."""
 
     path: str = "/var/lib/lookback/map"
     require_signature_by: str = ""
@@ -109,11 +109,11 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_across_m: Positive = 2.0
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
-        """The offset of matches of that kind, in metres in the direction of travel."""
+        """The offset of matches of that kind, in meters in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
 
     def sigma_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
-        """The standard deviation along the route that the offset of that kind leaves, in metres."""
+        """The standard deviation along the route that the offset of that kind leaves, in meters."""
         return float(getattr(self, f"sigma_{direction}_{order}_m")) or self.sigma_along_m
 
 

@@ -1,4 +1,4 @@
-"""What the daemon keeps from one run to the next: the normalisation's statistics, and how it was last seen.
+"""What the daemon keeps from one run to the next: the normalization's statistics, and how it was last seen.
 
 One file beside the journal: a line of JSON, then mean and deviation (2, R, D) float64, little-endian. It is replaced
 by one rename, so that after a crash there is the old one or the new one. What is damaged, too old, or made with
@@ -150,7 +150,7 @@ class WarmStart:
     """The state file of a daemon, beside its journal; without a journal, or where it is not asked for, none."""
 
     def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
-        """Read what the last run has kept, and start the recogniser with it."""
+        """Read what the last run has kept, and start the recognizer with it."""
         self._recognizer = recognizer
         self._file: StateFile | None = None
         self._written_ns = 0

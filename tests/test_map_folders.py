@@ -104,7 +104,7 @@ def test_nothing_is_told_of_a_damaged_tile(
 def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     street: Path, damaged: Path, network: Network, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognised."""
+    """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognized."""
     config = config_for_map(open_map(street / "map").header, 5, 1.02)
     acceptance = msgspec.structs.replace(config.acceptance, window_m=10.0)
     config = msgspec.structs.replace(config, map=MapConfig(places_per_frame=79), acceptance=acceptance)

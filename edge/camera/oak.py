@@ -112,7 +112,7 @@ def import_depthai() -> ModuleType:
 
 
 def device_source(config: CameraConfig) -> OakSource:
-    """A pipeline on an OAK: its colour camera (socket A), scaled and converted on the device."""
+    """A pipeline on an OAK: its color camera (socket A), scaled and converted on the device."""
     import depthai as dai
 
     info = _find_device(config.device)

@@ -1,4 +1,4 @@
-"""`lookback replay`: a recorded feed through the same recogniser as `run`, as fast as it goes, always the same."""
+"""`lookback replay`: a recorded feed through the same recognizer as `run`, as fast as it goes, always the same."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def as_line(used: FrameUsed) -> str:
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
-    """The default settings with regions, normalisation and sampling as the map has them."""
+    """The default settings with regions, normalization and sampling as the map has them."""
     regions = header.regions
     config = Config(
         descriptor=DescriptorConfig(

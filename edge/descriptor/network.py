@@ -39,7 +39,7 @@ def open_session(model: bytes) -> onnxruntime.InferenceSession:
 
 
 class Network:
-    """Regions to fc6. Normalisation and channel order are inside the graph: no float image exists outside it."""
+    """Regions to fc6. Normalization and channel order are inside the graph: no float image exists outside it."""
 
     def __init__(self, file: ModelFile) -> None:
         """file: as `read_model_file` returned it. ModelError if the graph does not agree with its metadata."""

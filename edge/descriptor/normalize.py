@@ -1,4 +1,4 @@
-"""The normalised set of descriptors (NSD), equation 1: for a whole set, and online for the query.
+"""The normalized set of descriptors (NSD), equation 1: for a whole set, and online for the query.
 
 The map is normalized over its whole set. The query's mean and standard deviation are updated with every frame (section
 III-B). By default the ring of recent frames is then normalized again with the newest statistics: most of the online
@@ -16,7 +16,7 @@ DEAD_DEVIATION = 1e-4
 """A dimension whose deviation is below this fraction of the mean deviation is dead after ReLU, and is set to 0."""
 
 RENORMALIZE_GROWTH = 0.05
-"""The ring is normalised again when the frames behind the statistics have grown by this share: below it the mean
+"""The ring is normalized again when the frames behind the statistics have grown by this share: below it the mean
 moves by under a twentieth of a deviation, and matching the whole ring again would cost L times a frame."""
 
 
@@ -63,7 +63,7 @@ class RunningStatistics:
 
 
 class OnlineNormalizer:
-    """Normalises the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
+    """Normalizes the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
 
     def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
         """enabled: if False, raw descriptors are returned unchanged (Raw-fc6 of the paper)."""
@@ -110,12 +110,12 @@ class OnlineNormalizer:
         return NormalizedRows(normalize(raw[np.newaxis], statistics.mean, statistics.deviation), replaces_ring=False)
 
     def rows(self) -> NDArray[np.float32]:
-        """The whole ring as it was last normalised, (n, R, D), oldest first."""
+        """The whole ring as it was last normalized, (n, R, D), oldest first."""
         return np.stack(self._normalized)
 
     @property
     def statistics(self) -> RunningStatistics | None:
-        """Of all frames so far; None before the first, and where nothing is normalised."""
+        """Of all frames so far; None before the first, and where nothing is normalized."""
         return self._statistics
 
     def begin_with(self, statistics: RunningStatistics) -> None:

@@ -1,6 +1,6 @@
 """Building a map: place after place to the disk, then eq. 1 over the whole set, then one rename.
 
-Memory does not grow with the map: raw descriptors go to their file as they come, and the whole set is normalised
+Memory does not grow with the map: raw descriptors go to their file as they come, and the whole set is normalized
 from there in blocks.
 """
 
@@ -114,7 +114,7 @@ class MapBuilder:
                 self.add(raw[index].astype(np.float32), place)
 
     def finish(self, normalize: Normalize, lookback_version: str) -> MapHeader:
-        """Normalise the whole set, write, sync, and rename into place. MapError if no place was added."""
+        """Normalize the whole set, write, sync, and rename into place. MapError if no place was added."""
         self._segments = [segment for segment in self._segments if segment.end > segment.start]
         if len(self._records) < 2:
             raise MapError(f"{self._path}: a map needs at least 2 places, and {len(self._records)} were added")

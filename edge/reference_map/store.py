@@ -1,12 +1,12 @@
 """The map's folder, used only after its header, sizes and checksums match.
 
     map.json         header: format, model, regions, sampling, counts, segments, bounds, checksums; its own last
-    descriptors.i8   (R, N, K) int8, normalised over the whole set, as `costs.encode` has it; memory-mapped, the only
+    descriptors.i8   (R, N, K) int8, normalized over the whole set, as `costs.encode` has it; memory-mapped, the only
                      file that matching reads
     places.bin       (N,) records of PLACE: where the place is, and its thumbnail
     statistics.f64   (2, R, D) mean and deviation of the raw set
     projection.f32   (K, D) of a map whose descriptors were shrunk to K < D dimensions
-    raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalised again without images
+    raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalized again without images
     thumbnails.jpgs  one small JPEG after another, for people
 
 Numbers are little-endian. A map is written to a folder beside it, synced, and put in place by one rename, so that
@@ -71,7 +71,7 @@ class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How images were cut (section III-D) and normalised (eq. 1); a query must be treated alike."""
+    """How images were cut (section III-D) and normalized (eq. 1); a query must be treated alike."""
 
     kind: Literal["left-right", "whole"]
     width: float
@@ -151,7 +151,7 @@ class ReferenceMap:
             return file.read(int(record["thumbnail_bytes"]))
 
     def raw(self) -> NDArray[np.float16]:
-        """Raw descriptors (N, R, D) float16, memory-mapped, for normalising again."""
+        """Raw descriptors (N, R, D) float16, memory-mapped, for normalizing again."""
         header = self.header
         shape = (header.places, header.regions.count, header.model.dimensions)
         return np.memmap(self.path / RAW, dtype="<f2", mode="r", shape=shape)

@@ -1,6 +1,6 @@
 """Cutting a map into tiles: the same bytes in several maps, which searched together give the same matches.
 
-Descriptors are copied as they were normalised over the whole set, with its statistics and its directions if they were
+Descriptors are copied as they were normalized over the whole set, with its statistics and its directions if they were
 shrunk. Drives are cut at borders and joined again when a folder of tiles is opened (`numbering`), so no place is kept
 twice and no sequence is lost.
 """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.acceptance import Neighbourhood, best_match
+from edge.sequence.acceptance import Neighborhood, best_match
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
 
@@ -28,7 +28,7 @@ class RowMatcher:
         segments: Sequence[tuple[int, int]],
         views: Sequence[str],
         regions: int,
-        neighbourhood: Neighbourhood,
+        neighborhood: Neighborhood,
         config: Config,
         frame: int = 0,
     ) -> None:
@@ -36,7 +36,7 @@ class RowMatcher:
 
         config: [sequence], [acceptance], and the view of [camera]. frame: how many frames came before the first row.
         """
-        self.neighbourhood = neighbourhood
+        self.neighborhood = neighborhood
         self._count = segments[-1][1]
         self._per_frame_order = config.sequence.region_order == "frame"
         self._acceptance = config.acceptance
@@ -54,7 +54,7 @@ class RowMatcher:
         self.lines = self._search.lines()
         if self.lines is None:
             return None
-        match = best_match(self._search, self.lines, self.neighbourhood, self._acceptance)
+        match = best_match(self._search, self.lines, self.neighborhood, self._acceptance)
         if match is None or not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.

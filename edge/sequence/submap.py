@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import MapSet, Ranges
 from edge.sequence import PlaceMatch
-from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.acceptance import Neighborhood
 from edge.sequence.row_matcher import RowMatcher
 
 
@@ -25,7 +25,7 @@ class Submap(RowMatcher):
         self._map_set = map_set
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
-        neighbourhood = Neighbourhood(
+        neighborhood = Neighborhood(
             map_set.east_north_m(ranges),
             np.ascontiguousarray(map_set.places_in(ranges)["route_m"]),
             np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
@@ -33,7 +33,7 @@ class Submap(RowMatcher):
         )
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         views = [map_set.index.view(number) for number, _, _ in pieces]
-        super().__init__(segments, views, map_set.headers[0].regions.count, neighbourhood, config, frame)
+        super().__init__(segments, views, map_set.headers[0].regions.count, neighborhood, config, frame)
 
     def advance(self, costs: NDArray[np.int32], *, replaces_ring: bool) -> PlaceMatch | None:
         """Add cost rows (n, orders, places of the part); the best match now, in coordinates of the maps."""

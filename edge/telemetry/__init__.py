@@ -1,8 +1,8 @@
 """Telemetry: what the robot says about itself comes in, place fixes go out, over MAVLink 2.
 
 `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` keeps it
-open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time, `odometer` for metres driven and
-`displacement` for metres east and north. `fixes` writes what we send, `ways` says which message carries a position to
+open. `vehicle` reads what arrives, with `boot_clock` for the autopilot's time, `odometer` for meters driven and
+`displacement` for meters east and north. `fixes` writes what we send, `ways` says which message carries a position to
 which firmware, `gates` (with `witnesses`) when it may go, `answers` what an acknowledgement means, and `positions`
 joins those. `manners` keeps the link as others expect it, `texts` and `reports` tell people. `autopilot` joins all into
 the one object that the daemon polls, and `journal` keeps what happened.

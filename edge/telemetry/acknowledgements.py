@@ -46,7 +46,7 @@ def result_name(result: int) -> str:
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump that an accepted fix should have caused: metres east and north, from the position before it."""
+    """A jump that an accepted fix should have caused: meters east and north, from the position before it."""
 
     before: VehiclePosition
     east_m: float
@@ -59,7 +59,7 @@ class Jump:
         The mean of both velocities is taken, since a vehicle turns and brakes meanwhile.
         """
         between_s = (after.stamp_ns - self.before.stamp_ns) / 1e9
-        # Metres per degree are the same for both, so a difference of positions may be taken on a sphere.
+        # Meters per degree are the same for both, so a difference of positions may be taken on a sphere.
         north_m = math.radians(after.lat_deg - self.before.lat_deg) * EARTH_M
         east_m = math.radians(after.lon_deg - self.before.lon_deg) * EARTH_M * math.cos(math.radians(after.lat_deg))
         driven_east_m = (self.before.east_mps + after.east_mps) / 2 * between_s

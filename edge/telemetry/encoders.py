@@ -91,7 +91,7 @@ def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
 
 
 def vision_position(fix: PlaceFix, sending: Sending) -> Message:
-    """VISION_POSITION_ESTIMATE 102: metres north, east and down of the filter's origin, now, for ArduPilot.
+    """VISION_POSITION_ESTIMATE 102: meters north, east and down of the filter's origin, now, for ArduPilot.
 
     The time is on its boot clock, as it must be in 43003, whose lag corrector it shares. Down is the autopilot's own:
     NaN would spread to north and east. The heading is that of the route, with a variance that says not to use it.

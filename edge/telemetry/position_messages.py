@@ -27,7 +27,7 @@ class PositionMessage:
     of: the moment whose position it carries: that of the exposure, where the message has an age that is heeded, or
     that of sending, to which the fix must have been moved. period_s: between messages while the vehicle is on the
     map; None where each is a hard reset, whose interval [gates] sets. oldest_s: the greatest age of an exposure.
-    acknowledged: COMMAND_ACK follows. needs_origin: metres from the origin of the autopilot's filter.
+    acknowledged: COMMAND_ACK follows. needs_origin: meters from the origin of the autopilot's filter.
     """
 
     name: str
@@ -42,7 +42,7 @@ class PositionMessage:
 POSITION_MESSAGES: dict[str, PositionMessage] = {
     way.name: way
     for way in (
-        # ArduPilot honours an age of up to 5 s, PX4 of 15.
+        # ArduPilot honors an age of up to 5 s, PX4 of 15.
         PositionMessage("external_position", encoders.external_position, "exposure", None, 5.0, acknowledged=True),
         PositionMessage("global_position_sensor", encoders.global_position_sensor, "now", 0.2, 1.0),
         # Arming wants one every 300 ms.

@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 
 class PositionSender:
-    """What is between a recognised place and a position message; one for each link that carries positions."""
+    """What is between a recognized place and a position message; one for each link that carries positions."""
 
     def __init__(
         self,

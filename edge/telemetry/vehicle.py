@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the autopilot's filter has its local zero: degrees (WGS 84), metres above mean sea level."""
+    """Where the autopilot's filter has its local zero: degrees (WGS 84), meters above mean sea level."""
 
     lat_deg: float
     lon_deg: float
@@ -111,11 +111,11 @@ class Vehicle:
         return None if boot_ns is None else boot_ns / 1e9
 
     def distance_m(self, stamp_ns: int) -> float | None:
-        """Metres driven since the first report, at the moment of a frame; None when no speed is known around it."""
+        """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._motion.distance_m(stamp_ns)
 
     def driven_m(self, now_ns: int) -> float | None:
-        """Metres driven up to the newest report; None when no speed has come for a second."""
+        """Meters driven up to the newest report; None when no speed has come for a second."""
         return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m
 
     def displacement(self, stamp_ns: int) -> Displacement | None:
@@ -202,7 +202,7 @@ class Vehicle:
         self._motion.add_speed(now_ns, math.hypot(message.vx, message.vy), source=2)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
-        """Cumulative metres of up to 16 wheels; both sides turn against each other on the spot, so take the mean."""
+        """Cumulative meters of up to 16 wheels; both sides turn against each other on the spot, so take the mean."""
         stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)

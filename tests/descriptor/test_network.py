@@ -139,8 +139,8 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
     assert int8_share >= float_share - 0.01
 
 
-def test_grey_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
-    """Training had zeros after normalisation beyond the edge; the graph has one grey for all channels."""
+def test_gray_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
+    """Training had zeros after normalization beyond the edge; the graph has one gray for all channels."""
     weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
     regions = read_regions(shared / "feeds" / "corridor_reference", "whole")[::40, 0]
     mean_level = 255 * np.array(MEAN_RGB)

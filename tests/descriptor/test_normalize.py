@@ -38,7 +38,7 @@ def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
     np.testing.assert_allclose(normalized, nsd(raw), atol=1e-4)
 
 
-def test_online_as_the_paper_has_it_normalises_each_frame_with_what_came_before() -> None:
+def test_online_as_the_paper_has_it_normalizes_each_frame_with_what_came_before() -> None:
     raw = descriptors(40)
     online = OnlineNormalizer(10, renormalize_ring=False)
     for count, row in enumerate(raw, start=1):
@@ -47,7 +47,7 @@ def test_online_as_the_paper_has_it_normalises_each_frame_with_what_came_before(
         np.testing.assert_allclose(rows.rows[0], nsd(raw[:count])[-1], atol=1e-3)
 
 
-def test_the_ring_is_normalised_again_with_the_newest_statistics() -> None:
+def test_the_ring_is_normalized_again_with_the_newest_statistics() -> None:
     raw = descriptors(100)
     online = OnlineNormalizer(10, renormalize_ring=True)
     renewed = []

@@ -181,5 +181,5 @@ def test_a_word_that_names_nothing_is_found() -> None:
     """Also a word that stands somewhere in the program, and a key that is in another section."""
     assert unknown_words("`[sampling] spacing_m`, `spacing_m`, `fix_sent`, `lat_deg`, `external_position`") == []
     assert unknown_words(
-        "`[telemetry] spacing_m`, `spacing_metres`, `open_network`, `config_keys`, `[no_such] key_of`"
-    ) == [*("spacing_m", "spacing_metres", "open_network", "config_keys", "key_of")]
+        "`[telemetry] spacing_m`, `spacing_meters`, `open_network`, `config_keys`, `[no_such] key_of`"
+    ) == [*("spacing_m", "spacing_meters", "open_network", "config_keys", "key_of")]

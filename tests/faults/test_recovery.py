@@ -1,4 +1,4 @@
-"""A camera that shows nothing for a while, an autopilot that falls silent, a recogniser that is slow.
+"""A camera that shows nothing for a while, an autopilot that falls silent, a recognizer that is slow.
 
 All say so in the same words, nothing old is sent, and it comes back.
 """

@@ -249,8 +249,8 @@ def test_positions_between_and_beyond_places(small_map: Path) -> None:
     assert at_rest and ahead and beyond
     assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
     assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
-    metres = MapSet.of(open_map(small_map)).east_north_m([(0, 12)])
-    assert np.hypot(*(metres[5] - metres[0])) == pytest.approx(10.0, abs=0.05)
+    meters = MapSet.of(open_map(small_map)).east_north_m([(0, 12)])
+    assert np.hypot(*(meters[5] - meters[0])) == pytest.approx(10.0, abs=0.05)
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
