@@ -1,6 +1,6 @@
-"""Lookback recognizes places that were seen from behind, in other light, and sends an autopilot its position.
+"""Lookback recognizes places of earlier drives, also in the opposite direction, and gives an autopilot its position.
 
-A frame goes through these rooms in this order, and none calls back; each hands a plain record to the next:
+A frame goes through these stages in this order, and none calls back; each passes a plain record to the next:
 
     feed/           recorded traverses  read, written, sampled
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
@@ -16,15 +16,36 @@ A frame goes through these rooms in this order, and none calls back; each hands 
 
 The files beside them:
 
-    recognizer      one frame in, one answer out: the file to read first
+    recognizer      one frame in, one match out: the file to read first
     daemon          opens the parts that the config names, and runs the loop
     config          the one TOML file
     warm_start      what is kept from one run to the next
     errors          everything that can go wrong, in three kinds
     geodesy         degrees and local meters
     toml_file       a TOML file as a typed record
-    atomic_file     a file that is replaced whole
-    backoff         pauses that double while attempts fail
+    atomic_file     a file that is replaced as a whole
+    backoff         delays that double while attempts fail
+
+The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.
 """
 
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
+__all__ = ["PlaceMatch", "ReferenceMap", "load_config", "open_map", "open_recognizer"]
+
+_HOMES = {
+    "PlaceMatch": "edge.sequence",
+    "ReferenceMap": "edge.reference_map",
+    "load_config": "edge.config",
+    "open_map": "edge.reference_map",
+    "open_recognizer": "edge.recognizer",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported when it is first used: `import edge` alone loads no stage."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,15 +1,15 @@
-"""Everything that can go wrong, in three kinds.
+"""All errors, in three kinds.
 
     LookbackError
-    ├── SetupError        cannot start: bad configuration, map, model or feed. Exit 78, and no restart.
+    ├── SetupError        cannot start: invalid configuration, map, model or feed. Exit code 78, and no restart.
     │   ├── ConfigError
     │   ├── MapError
     │   ├── ModelError
     │   └── FeedError
-    ├── LostError         a device or a link went away. Recovered inside the daemon, and reported.
+    ├── LostError         a device or a link is gone. The daemon recovers, and reports it.
     │   ├── CameraLost
     │   └── LinkLost
-    └── FrameError        one bad frame. Dropped and counted.
+    └── FrameError        one bad frame. It is dropped and counted.
 
 Every message is one line that names the file, key or field and says what to do.
 """
@@ -26,11 +26,11 @@ class SetupError(LookbackError):
 
 
 class ConfigError(SetupError):
-    """A configuration file or an option is wrong; names the file and the key."""
+    """A configuration file or an option is invalid; names the file and the key."""
 
 
 class MapError(SetupError):
-    """A reference map is missing, damaged, or made with something else."""
+    """A reference map is missing, damaged, or made with another model or other regions."""
 
 
 class ModelError(SetupError):
@@ -42,7 +42,7 @@ class FeedError(SetupError):
 
 
 class LostError(LookbackError):
-    """A device or a link that was there is gone."""
+    """A device or a link is gone."""
 
 
 class CameraLost(LostError):
@@ -50,8 +50,8 @@ class CameraLost(LostError):
 
 
 class LinkLost(LostError):
-    """The MAVLink port vanished or refuses to be written."""
+    """The MAVLink port is gone or cannot be written."""
 
 
 class FrameError(LookbackError):
-    """One frame could not be read; the next may be good."""
+    """One frame could not be read; the next may be valid."""

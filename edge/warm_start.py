@@ -1,4 +1,4 @@
-"""What the daemon keeps from one run to the next: the normalisation's statistics, and how it was last seen.
+"""What the daemon keeps from one run to the next: the normalization's statistics, and how it was last seen.
 
 One file beside the journal: a line of JSON, then mean and deviation (2, R, D) float64, little-endian. It is replaced
 by one rename, so that after a crash there is the old one or the new one. A file that is damaged, too old, or made with
@@ -97,7 +97,7 @@ class StateFile:
             return self._read(now, max_age_s)
         except (OSError, ValueError) as error:  # msgspec's errors are ValueErrors
             why = error.strerror if isinstance(error, OSError) else str(error)
-            log.warning("%s: not used: %s", self._path, why)
+            log.warning("%s: ignored: %s", self._path, why)
             return None
 
     def _read(self, now: Moment, max_age_s: float) -> KeptState:
@@ -109,7 +109,7 @@ class StateFile:
         if (header.format, header.version) != (FORMAT, VERSION):
             raise ValueError(f"format {header.format!r} version {header.version}; this program reads {VERSION}")
         if _encode(msgspec.structs.replace(header, sha256=""), body) != line:
-            raise ValueError("damaged (its checksum does not hold)")
+            raise ValueError("damaged (checksum mismatch)")
         if header.key != self._key or header.shape != self._shape or len(body) != size:
             raise ValueError("made with another model, other regions or another map")
         values = np.frombuffer(body, "<f8").reshape(2, *self._shape)
@@ -117,7 +117,7 @@ class StateFile:
             raise ValueError("not statistics")
         age_s = now.since(header.moment)
         if not 0 <= age_s <= max_age_s:
-            raise ValueError(f"{age_s / 60:.0f} minutes old, and the light changes")
+            raise ValueError(f"{age_s / 60:.0f} minutes old; the light may have changed")
         return KeptState(header.count, values[0], values[1], header.state, header.place, age_s)
 
     def write(self, kept: KeptState, now: Moment) -> None:
@@ -153,7 +153,7 @@ class WarmStart:
     """The state file of a daemon, beside its journal; none without a journal or with keep_statistics_min = 0."""
 
     def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
-        """Read what the last run has kept, and start the recogniser with it."""
+        """Read what the last run has kept, and start the recognizer with it."""
         self._recognizer = recognizer
         self._file: StateFile | None = None
         self._written_ns = 0
@@ -170,7 +170,7 @@ class WarmStart:
             recognizer.matcher.begin_with(
                 RunningStatistics.of_another_run(kept.count, kept.mean, kept.deviation, at_most=COUNTS_AS_MOST)
             )
-            log.info("starting with the statistics of a run that was here %.0f s ago, %s", kept.age_s, _spell(kept))
+            log.info("starting with the statistics of the run that ended %.0f s ago, %s", kept.age_s, _spell(kept))
 
     def keep_if_due(self, now_ns: int, state: str, newest: PlaceMatch | None) -> None:
         """Write the file, once a minute."""

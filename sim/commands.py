@@ -25,7 +25,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     pace.add_argument(
         "--spacing-m", metavar="M", type=float, default=SPACING_M, help="a frame every M meters, default 2"
     )
-    pace.add_argument("--fps", metavar="HZ", type=float, help="instead, HZ frames a second")
+    pace.add_argument("--fps", metavar="HZ", type=float, help="or HZ frames per second")
     drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)
     trial_command.add_command(sim_commands)

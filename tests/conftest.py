@@ -91,7 +91,7 @@ def video_path(tmp_path: Path) -> Path:
 
 
 def _street(length_px: int) -> np.ndarray:
-    """A long strip of coloured fronts with windows: every stretch of it looks like no other."""
+    """A long strip of colored fronts with windows: every stretch of it looks like no other."""
     rng = np.random.default_rng(7)
     strip = np.full((120, length_px, 3), 200, dtype=np.uint8)
     at = 0

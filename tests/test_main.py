@@ -44,7 +44,7 @@ def test_map_info_and_verify(street_map: Path, capsys: pytest.CaptureFixture[str
     assert "30, 30 of them with a position" in told
     assert "every 2 m" in told
     assert main(["map", "verify", str(street_map)]) == 0
-    assert "whole" in capsys.readouterr().out
+    assert "checksums match" in capsys.readouterr().out
 
 
 def test_a_map_is_extended_without_its_images(
@@ -81,7 +81,7 @@ def test_a_map_of_another_model_or_other_regions(
     config.write_text('[descriptor]\nregions = "whole"\n')
     told = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
     assert "made with regions left-right of width 0.4" in told
-    assert "asks for whole" in told
+    assert "[descriptor] is whole" in told
 
     from edge.config import SamplingConfig
     from edge.descriptor.normalize import normalize

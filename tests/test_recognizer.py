@@ -1,4 +1,4 @@
-"""The recogniser as a whole, on a street driven twice: warm-up, gaps, standing, off the map, both directions."""
+"""The recognizer as a whole, on a street driven twice: warm-up, gaps, standing, off the map, both directions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def frames(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
     return [images.read(row) for row in range(80)]
 
 
-def recognizer(network: Network, reference_map: ReferenceMap, config: Config = CONFIG) -> PlaceRecognizer:
+def recognizer_of(network: Network, reference_map: ReferenceMap, config: Config = CONFIG) -> PlaceRecognizer:
     return open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
 
 
@@ -66,7 +66,7 @@ def drive(recognizer: PlaceRecognizer, images: list[np.ndarray], start_ns: int =
 
 
 def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
-    matches = drive(recognizer(network, street_map), frames[:60])
+    matches = drive(recognizer_of(network, street_map), frames[:60])
     assert matches[: LENGTH - 1] == [None] * (LENGTH - 1)
     places = [match.place for match in matches if match]
     assert np.abs(np.array(places) - np.arange(LENGTH - 1, 60)).max() <= 1
@@ -83,7 +83,7 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
 def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
     # The camera looks back and drives home: the same view, the map in reverse.
     rear = msgspec.structs.replace(CONFIG, camera=CameraConfig(view="rear"), rig=RigConfig(ahead_reverse_same_m=4.0))
-    matches = drive(recognizer(network, street_map, rear), frames[59:0:-1])
+    matches = drive(recognizer_of(network, street_map, rear), frames[59:0:-1])
     last = matches[-1]
     assert last and last.accepted
     position = match_position(last, Route(MapSet.of(street_map)), rear.rig)
@@ -97,15 +97,15 @@ def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, fra
 def test_beyond_the_end_of_the_map_nothing_is_believed(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
-    recogniser = recognizer(network, street_map)
-    matches = drive(recogniser, frames)
-    assert recogniser.state == "off the map"
+    recognizer = recognizer_of(network, street_map)
+    matches = drive(recognizer, frames)
+    assert recognizer.state == "off the map"
     assert not any(match.accepted for match in matches[60 + LENGTH :] if match)
 
 
 def test_standing_still_changes_nothing(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
     rng = np.random.default_rng(0)
-    moving, halting = recognizer(network, street_map), recognizer(network, street_map)
+    moving, halting = recognizer_of(network, street_map), recognizer_of(network, street_map)
     expected = drive(moving, frames[:30])
     drive(halting, frames[:20])
     for _ in range(30):
@@ -119,10 +119,10 @@ def test_places_passed_unseen_leave_room_in_the_line(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
     """Three frames are lost on the way: every later line through the hole ends where the vehicle is."""
-    recogniser = recognizer(network, street_map)
-    drive(recogniser, frames[:20])
+    recognizer = recognizer_of(network, street_map)
+    drive(recognizer, frames[:20])
     rows = range(23, 23 + LENGTH)
-    matches = [recogniser.observe(frames[row], row * FRAME_NS, missed=3 if row == rows[0] else 0) for row in rows]
+    matches = [recognizer.observe(frames[row], row * FRAME_NS, missed=3 if row == rows[0] else 0) for row in rows]
     assert [match.place for match in matches if match] == pytest.approx(list(rows), abs=1)
 
 
@@ -138,28 +138,28 @@ def test_lost_frames_are_the_same_to_a_search_that_begins_anew(
             descriptor=DescriptorConfig(renormalize_ring=renormalize_ring),
             sequence=SequenceConfig(length=LENGTH, region_order=order),
         )
-        recogniser = recognizer(network, street_map, config)
-        drive(recogniser, frames[:12])
-        answers.append(recogniser.observe(frames[14], 14 * FRAME_NS, missed=2))
+        recognizer = recognizer_of(network, street_map, config)
+        drive(recognizer, frames[:12])
+        answers.append(recognizer.observe(frames[14], 14 * FRAME_NS, missed=2))
     assert all(answer and abs(answer.place - 14) <= 1 for answer in answers)
 
 
 def test_when_too_much_was_missed_a_sequence_begins_anew(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
-    recogniser = recognizer(network, street_map)
-    drive(recogniser, frames[:20])
-    assert recogniser.observe(frames[30], 30 * FRAME_NS, missed=LENGTH // 2 + 1) is None
-    assert recogniser.state == "warming up"
+    recognizer = recognizer_of(network, street_map)
+    drive(recognizer, frames[:20])
+    assert recognizer.observe(frames[30], 30 * FRAME_NS, missed=LENGTH // 2 + 1) is None
+    assert recognizer.state == "warming up"
 
 
 @pytest.mark.parametrize("next_s", [100.0, -5.0])
 def test_after_a_gap_a_sequence_begins_anew(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray], next_s: float
 ) -> None:
-    recogniser = recognizer(network, street_map)
-    drive(recogniser, frames[:20])
-    after = drive(recogniser, frames[40:55], round(next_s * 1e9))
+    recognizer = recognizer_of(network, street_map)
+    drive(recognizer, frames[:20])
+    after = drive(recognizer, frames[40:55], round(next_s * 1e9))
     assert after[: LENGTH - 1] == [None] * (LENGTH - 1)
     assert after[-1] and abs(after[-1].place - 54) <= 1
 
@@ -179,7 +179,7 @@ def test_every_kind_of_descriptor(
     build_map([street], tmp_path / "m", descriptor, CONFIG.sampling, network=network)
     reference_map = open_map(tmp_path / "m")
     config = msgspec.structs.replace(CONFIG, descriptor=descriptor)
-    matches = drive(recognizer(network, reference_map, config), frames[:60])
+    matches = drive(recognizer_of(network, reference_map, config), frames[:60])
     places = np.array([match.place for match in matches[2 * LENGTH :] if match])
     assert (np.abs(places - np.arange(2 * LENGTH, 60)) <= 2).mean() > 0.9
 
@@ -187,7 +187,7 @@ def test_every_kind_of_descriptor(
 def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_path: Path) -> None:
     build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling, network=network)
     with pytest.raises(MapError, match=r"regions left-right of width 0\.5"):
-        recognizer(network, open_map(tmp_path / "m"))
+        recognizer_of(network, open_map(tmp_path / "m"))
 
 
 @pytest.mark.parametrize("region_order", ["sequence", "frame"])
@@ -195,7 +195,7 @@ def test_every_way_to_choose_the_region_order(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray], region_order: str
 ) -> None:
     sequence = SequenceConfig(length=LENGTH, region_order=region_order)  # type: ignore[arg-type]
-    matches = drive(recognizer(network, street_map, msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
+    matches = drive(recognizer_of(network, street_map, msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
     last = matches[-1]
     assert last and abs(last.place - 59) <= 1
     assert (last.direction, last.order) == ("forward", "same")
@@ -204,4 +204,4 @@ def test_every_way_to_choose_the_region_order(
 def test_the_same_frames_give_the_same_answers(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
-    assert drive(recognizer(network, street_map), frames) == drive(recognizer(network, street_map), frames)
+    assert drive(recognizer_of(network, street_map), frames) == drive(recognizer_of(network, street_map), frames)

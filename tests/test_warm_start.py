@@ -1,4 +1,4 @@
-"""A run starts where the last one was: the recogniser's statistics survive a restart."""
+"""A run starts where the last one was: the recognizer's statistics survive a restart."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def test_of_another_model_cut_or_map_it_is_refused_in_one_line(
     assert StateFile(file, replace(KEY, **{change: "other"}), SHAPE).read(later(1), 1800) is None
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
-    assert record.getMessage() == f"{file}: not used: made with another model, other regions or another map"
+    assert record.getMessage() == f"{file}: ignored: made with another model, other regions or another map"
 
 
 def test_of_another_shape_it_is_refused(file: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_disk_that_takes_nothing_costs_the_state_and_is_told_once(
     state.write(KEPT, NOW)
     state.write(KEPT, NOW)
     (record,) = caplog.records
-    assert "cannot keep the state: No such file" in record.getMessage()
+    assert "cannot save the state: No such file" in record.getMessage()
 
 
 def test_this_moment_can_be_told() -> None:

@@ -19,7 +19,7 @@ __all__ = ["Camera", "CameraHealth", "Frame", "open_camera"]
 
 
 def open_camera(config: CameraConfig) -> Camera:
-    """Open the camera that `config.kind` names; modules are imported only when they are asked for."""
+    """Open the camera that `config.kind` names; only its module is imported."""
     # Imported here, so that a vehicle without an OAK never loads DepthAI.
     if config.kind == "v4l2":
         from edge.camera.v4l2 import V4l2Camera
@@ -37,8 +37,7 @@ def open_camera(config: CameraConfig) -> Camera:
     if not found:
         plugins = sorted(point.name for point in entry_points(group="lookback.cameras"))
         raise ConfigError(
-            f"[camera] kind: no camera is called {config.kind!r}; "
-            f"use one of {', '.join(['v4l2', 'oak', 'feed', *plugins])}"
+            f"[camera] kind: unknown camera {config.kind!r}; use one of {', '.join(['v4l2', 'oak', 'feed', *plugins])}"
         )
     camera: Camera = next(iter(found)).load()(config)
     return camera

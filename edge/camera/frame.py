@@ -12,12 +12,12 @@ from edge.feed import Frame
 class CameraHealth:
     """State of the camera and counts since the start.
 
-    reason: why it is lost, or the last bad frame while running; "" when there is nothing to say.
+    reason: why it is lost, or the last bad frame while running; "" if neither.
     since_ns: CLOCK_MONOTONIC of the last change of `state`.
-    delivered: frames read; overwritten: of these, how many were replaced by a newer one before anybody took them.
-    bad: frames that could not be read, of another size than the first, or whose stamp was not after the last one's or
-    lay in the future (drivers' clocks do that).
-    reopened: how often the camera came back, with a frame: one that opens and gives nothing is still lost.
+    delivered: frames read; overwritten: of these, how many a newer one replaced before `take` returned them.
+    bad: frames that could not be read, that differ in size from the first, or whose timestamp was not after the last
+    one's or was in the future (drivers' clocks do that).
+    reopened: how often the camera came back and gave a frame.
     """
 
     state: Literal["running", "lost", "ended"]
@@ -31,21 +31,21 @@ class CameraHealth:
 
 
 class Camera(Protocol):
-    """What every camera can do; used by one thread, the one that opens it.
+    """Methods of every camera; used by one thread, the one that opens it.
 
-    Opening takes effect in the constructor, which raises SetupError or CameraLost. The stamps and indices of its frames
+    The constructor opens the camera, and raises SetupError or CameraLost. The timestamps and indices of the frames
     strictly increase.
     """
 
     differences: tuple[str, ...]
-    """What the device did not accept, read back after opening: "fps: asked for 30, device gives 25"."""
+    """Settings that the device did not accept, read back after opening: "fps: asked for 30, device gives 25"."""
     read_timeout_s: float
-    """read() comes back within this time, with a frame or an error, unless the driver hangs."""
+    """read() returns or raises within this time, unless the driver hangs."""
 
     def read(self) -> Frame | None:
         """Block until the next frame, at most `stall_timeout_s` for a device; None at the end of a feed.
 
-        Raises FrameError for one unreadable frame (call again) and CameraLost when the camera is gone.
+        Raises FrameError for one unreadable frame (call again) and CameraLost if the camera is gone.
         """
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""Pictures that show nothing: a blank one (lens covered, no exposure) and a frozen one (the same again and again).
+"""Detects unusable images: blank (lens covered, no exposure) and frozen (the same image again and again).
 
-Cameras fail that way without a word: frames go on coming, with good stamps.
+Cameras fail this way silently: frames keep coming, with valid timestamps.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from edge.backoff import BackOff
 
 BLANK_DEVIATION = 2.0
-"""Grey levels, of the channel that varies most. The flattest picture of the recorded feeds has 56."""
+"""Standard deviation in gray levels, of the channel with the largest. The minimum in the recorded feeds is 56."""
 BLANK_AFTER_NS = 500_000_000
 FROZEN_AFTER_NS = 2_000_000_000
 REOPEN_FIRST_NS = 3_000_000_000
 REOPEN_LAST_NS = 60_000_000_000
 STEP_PX = 4
-BLANK = "the picture is blank; is the lens covered, or the exposure wrong?"
-FROZEN = "the picture is frozen"
+BLANK = "the image is blank; is the lens covered, or the exposure wrong?"
+FROZEN = "the image is frozen"
 
 
 @dataclass(frozen=True)
 class PictureFault:
-    """What is wrong with a picture that must not be used.
+    """Why an image must not be used.
 
-    sure: it has been so for long enough to be told. reopen: opening the camera again is worth a try now.
+    sure: the fault has lasted long enough to be reported. reopen: the camera should be opened again now.
     """
 
     what: str
@@ -37,7 +37,7 @@ class PictureFault:
 
 
 class FrozenPictureDetector:
-    """Looks at every frame that is taken."""
+    """Checks every frame; keeps what it needs of the last one."""
 
     def __init__(self) -> None:
         self._checksum: int | None = None
@@ -46,11 +46,11 @@ class FrozenPictureDetector:
         self._reopening = BackOff(REOPEN_FIRST_NS, REOPEN_LAST_NS)
 
     def check(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> PictureFault | None:
-        """What is wrong with a picture (H, W, 3) uint8; moves: whether the vehicle drives, None where nobody tells.
+        """Check an image (H, W, 3) uint8; None if it is usable. moves: whether the vehicle drives, None if unknown.
 
-        The same bytes again are a frozen camera, since sensors have noise; but not while the vehicle is known to stand,
-        because rendered pictures have none. One such picture may be a driver's, of a camera that is slower than asked
-        for: it says nothing new either, and is not used.
+        Identical bytes mean a frozen camera, because sensors have noise; but not while the vehicle is known to stand,
+        because rendered images have none. A single repetition may come from a driver whose camera is slower than
+        requested: it has no new information and is not used either.
         """
         thinned = image[::STEP_PX, ::STEP_PX]
         checksum = zlib.crc32(thinned.tobytes())
@@ -59,7 +59,7 @@ class FrozenPictureDetector:
             self._checksum, self._same_since_ns = checksum, stamp_ns
             self._reopening.reset()
             self._reopening.failed(stamp_ns)
-        # By channel, since a buffer of zeros in YUV is a plain green.
+        # By channel, because a buffer of zeros in YUV is uniformly green.
         is_blank = float(thinned.std(axis=(0, 1)).max()) < BLANK_DEVIATION
         if not is_blank:
             self._blank_since_ns = None
@@ -73,7 +73,7 @@ class FrozenPictureDetector:
         return PictureFault(FROZEN, sure, reopen=sure and self._is_due(stamp_ns))
 
     def _is_due(self, stamp_ns: int) -> bool:
-        """Whether to open a frozen camera again now; the pauses grow while that does not help."""
+        """Whether to open a frozen camera again now; the delays grow while that does not help."""
         if not self._reopening.is_over(stamp_ns):
             return False
         self._reopening.failed(stamp_ns)

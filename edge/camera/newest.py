@@ -1,7 +1,7 @@
 """The camera's thread: reads a camera as fast as it delivers, and keeps only the newest frame.
 
-A recogniser that is slower than the camera must work on what the camera sees now, not on a queue that grows older,
-and a camera that is unplugged must come back without a restart.
+A recognizer that is slower than the camera must process the current frame, not a growing queue of old ones, and a
+camera that was unplugged must come back without a restart.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from edge.feed import Frame
 FIRST_BACK_OFF_S = 0.5
 LONGEST_BACK_OFF_S = 5.0
 BAD_FRAMES_S = 2.0
-"""A camera that gives nothing but bad frames for so long is opened again."""
+"""A camera that gives only bad frames for this long is opened again."""
 OPENING_S = 30.0
-"""Opening an OAK boots it first."""
+"""Opening an OAK includes its boot."""
 CLOSING_S = 10.0
 GRACE_S = 1.0
 FUTURE_NS = 100_000_000
-"""Cameras sync their clocks to ours by estimate."""
+"""Tolerance: cameras estimate the offset of their clocks to ours."""
 
 
 class NewestFrame:
@@ -47,9 +47,9 @@ class NewestFrame:
     ) -> None:
         """Start the thread and wait for the first opening; SetupError from it is raised here.
 
-        A camera that is not there yet (CameraLost) is reported by `health` and opened again with back-off.
+        A missing camera (CameraLost) is reported by `health` and opened again with back-off.
         close_timeout_s: how long close() waits for a read that hangs.
-        reopens: whether a camera that only gives bad or frozen pictures is opened again; a recording would begin anew.
+        reopens: whether a camera that gives only bad or frozen images is opened again; a recording would start over.
         """
         self._open = open
         self._close_timeout_s = close_timeout_s
@@ -63,7 +63,7 @@ class NewestFrame:
         self._newest: Frame | None = None
         self._health = CameraHealth("lost", "opening", clock_ns())
         self._last_stamp_ns = -1
-        self._shape: tuple[int, ...] | None = None  # of the first picture ever: a map fits one shape
+        self._shape: tuple[int, ...] | None = None  # of the first image: a map fits one shape
         self._good_ns = 0
         self._bad_why = ""
         self._reopen_why = ""
@@ -80,7 +80,7 @@ class NewestFrame:
     def configured(
         cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns, close_timeout_s: float = 5.0
     ) -> NewestFrame:
-        """The camera that [camera] names. A feed is not opened again, since it would begin anew."""
+        """The camera that [camera] names. A feed is never opened again, since it would start over."""
         return cls(
             lambda: open_camera(config),
             close_timeout_s=close_timeout_s,
@@ -96,15 +96,15 @@ class NewestFrame:
 
     @property
     def ended(self) -> bool:
-        """True once the feed has ended and its last frame was taken; take() then returns None at once."""
+        """True once the feed has ended and `take` has returned its last frame; `take` then returns None at once."""
         with self._changed:
             return self._health.state == "ended" and self._newest is None
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that nobody took yet; waits for one up to `timeout_s`.
+        """Return the newest frame, once; wait for one up to `timeout_s`.
 
-        None when there is none in that time (see `health`) or the feed has ended. An error that no camera should
-        raise (a defect) is raised here, in the thread that can report it.
+        None if there is none in that time (see `health`) or the feed has ended. An unexpected exception of the camera's
+        thread (a defect) is raised here.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._finished(), timeout_s)
@@ -117,15 +117,15 @@ class NewestFrame:
         return self._failure is not None or self._health.state == "ended" or self._stop.is_set()
 
     def reopen(self, why: str) -> None:
-        """Have the camera closed and opened again, since its pictures show nothing."""
+        """Close and open the camera again, in its thread, because its images are unusable."""
         with self._changed:
             self._reopen_why = why if self._reopens else ""
 
     def hang(self, now_ns: int) -> str:
-        """What the thread has been doing for longer than it may take; "" while it moves.
+        """What the thread has been doing for longer than allowed; "" if it is not overdue.
 
-        A camera that is lost and tried again with back-off moves. Nothing here can end a call that hangs in a driver:
-        whoever watches over the process must.
+        Retrying a lost camera with back-off is not a hang. A call that hangs in a driver can only be ended by
+        a watchdog outside the process.
         """
         with self._changed:
             doing, due_ns = self._expected
@@ -139,7 +139,7 @@ class NewestFrame:
     def close(self) -> None:
         """Stop the thread, which closes the camera; more than once is harmless.
 
-        A read that hangs in a driver is waited for at most `close_timeout_s`; the thread never outlives the process.
+        Waits at most `close_timeout_s` for a read that hangs in a driver; the thread ends with the process.
         """
         with self._changed:
             self._stop.set()
@@ -147,7 +147,7 @@ class NewestFrame:
         self._thread.join(self._close_timeout_s)
 
     def _run(self) -> None:
-        # A signal that reached this thread would end a wait for a frame, which OpenCV reports as a lost camera.
+        # A signal in this thread would interrupt a wait for a frame, which OpenCV reports as a lost camera.
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
             while not self._stop.is_set():
@@ -167,13 +167,13 @@ class NewestFrame:
             self._opened.set()
 
     def _open_and_read(self) -> bool:
-        """Open the camera and read it until it is lost; True when it is over for good (feed ended, or close())."""
+        """Open the camera and read it until it is lost; True if no more frames will come (feed ended, or close())."""
         first = not self._opened.is_set()
         self._expect("opening", OPENING_S)
         try:
             camera = self._open()
         except LookbackError as error:
-            # Later on, a device that is just coming back can look like a wrong one for a moment.
+            # After the start, a device that is just coming back can look like an invalid one for a moment.
             if first and isinstance(error, SetupError):
                 raise
             self._set_state("lost", str(error))
@@ -209,26 +209,26 @@ class NewestFrame:
                 return False
             why = self._reopen_why or self._nothing_good()
             if why:
-                self._reopen_why, self._last_stamp_ns = "", -1  # its clock may begin anew
+                self._reopen_why, self._last_stamp_ns = "", -1  # its clock may start over
                 self._set_state("lost", f"{why}; opened again")
                 return False
         return True
 
     def _take_in(self, frame: Frame) -> None:
-        """Keep a frame; FrameError for one that is of no use."""
+        """Check a frame and keep it as the newest; FrameError if it is invalid."""
         now_ns = self._clock_ns()
         if frame.stamp_ns <= self._last_stamp_ns:
-            raise FrameError("a stamp that is not after the last one's")
+            raise FrameError("timestamp not after the last frame's")
         if frame.stamp_ns > now_ns + FUTURE_NS:
-            raise FrameError(f"a stamp {(frame.stamp_ns - now_ns) / 1e9:.1f} s ahead")
+            raise FrameError(f"timestamp {(frame.stamp_ns - now_ns) / 1e9:.1f} s in the future")
         shape, self._shape = frame.image.shape, self._shape or frame.image.shape
         if shape != self._shape:
-            raise FrameError(f"a picture {_size(shape)}, and the first was {_size(self._shape)}")
+            raise FrameError(f"an image {_size(shape)}, but the first was {_size(self._shape)}")
         self._last_stamp_ns, self._good_ns = frame.stamp_ns, now_ns
         self._put(frame)
 
     def _nothing_good(self) -> str:
-        """Why the camera must be opened again: nothing but bad frames for too long."""
+        """Why the camera must be opened again: only bad frames for too long; "" otherwise."""
         if not self._reopens or self._clock_ns() - self._good_ns <= BAD_FRAMES_S * 1e9:
             return ""
         return f"nothing but bad frames for {BAD_FRAMES_S:g} s ({self._bad_why})"
@@ -247,7 +247,7 @@ class NewestFrame:
     def _count_bad(self, reason: str) -> None:
         with self._changed:
             health, self._bad_why = self._health, reason
-            why = health.reason if health.state == "lost" else reason  # of which it is just one more sign
+            why = health.reason if health.state == "lost" else reason  # the bad frame is a symptom of it
             self._health = replace(health, bad=health.bad + 1, reason=why)
 
     def _set_state(self, state: Literal["running", "lost", "ended"], reason: str) -> None:

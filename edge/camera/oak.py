@@ -1,6 +1,6 @@
 """A Luxonis OAK camera through DepthAI 3 (`pip install lookback[oak]`).
 
-The OAK scales and converts on the device, so that frames arrive in the asked size as BGR.
+The OAK scales and converts on the device, so that frames arrive as BGR in the requested size.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ FIRST_FRAME_TIMEOUT_S = 10.0  # an OAK boots its firmware over USB when it is op
 
 @dataclass(frozen=True)
 class OakSource:
-    """A pipeline that is ready to be started, and its output of BGR888i frames.
+    """A pipeline that is ready to start, and its output of BGR888i frames.
 
-    device: None for a pipeline that runs on the host alone and replays a file. Its end is the end of a feed, where a
-    device that ends is lost.
+    device: None for a pipeline that replays a file on the host. Its end is the end of a feed; a device whose stream
+    ends is lost.
     """
 
     pipeline: dai.Pipeline
@@ -41,19 +41,19 @@ class OakSource:
 
 
 class OakCamera:
-    """Starts a pipeline and hands on its newest frame, stamped with the device's time as DepthAI syncs it to ours."""
+    """Starts a pipeline and returns its newest frame, with the device's timestamp synchronized to ours by DepthAI."""
 
     def __init__(self, config: CameraConfig, build: Callable[[CameraConfig], OakSource] | None = None) -> None:
-        """Open the OAK whose device id is `config.device`, the first one found if that is "", and wait for a frame.
+        """Open the OAK with the device ID `config.device`, or the first one found if that is "", and wait for a frame.
 
-        build: makes the pipeline; by default one on a device. Raises ConfigError when DepthAI is not installed, and
-        CameraLost when there is no such device or it gives no frame.
+        build: makes the pipeline; by default one on a device. Raises ConfigError if DepthAI is not installed, and
+        CameraLost if there is no such device or it gives no frame.
         """
         self._dai = import_depthai()
         self._source = (build or device_source)(config)
         self._stall_timeout_s = self.read_timeout_s = config.stall_timeout_s
         try:
-            # One place, not blocking: the device never waits for us, and we never get an old frame.
+            # A queue of one frame, not blocking: the device never waits for us, and we never get an old frame.
             self._queue = self._source.output.createOutputQueue(maxSize=1, blocking=False)
             self._source.pipeline.start()
             self._first = self._next(FIRST_FRAME_TIMEOUT_S)
@@ -75,7 +75,7 @@ class OakCamera:
         return Frame(image, stamp_ns, message.getSequenceNum())
 
     def _next(self, timeout_s: float) -> dai.ImgFrame | None:
-        # The time is watched as well, since a device that is lost does not always end its queue.
+        # With a timeout, because a lost device does not always end its queue.
         try:
             message = cast("dai.ImgFrame | None", self._queue.get(timedelta(seconds=timeout_s)))
         except self._dai.MessageQueue.QueueException:
@@ -89,7 +89,7 @@ class OakCamera:
         return message
 
     def close(self) -> None:
-        """Stop the pipeline and let go of the device; more than once is harmless."""
+        """Stop the pipeline and release the device; more than once is harmless."""
         self._source.pipeline.stop()
         self._source.pipeline.wait()
         if self._source.device is not None:
@@ -101,8 +101,8 @@ def import_depthai() -> ModuleType:
 
     Raises ConfigError that names the extra to install.
     """
-    # It reports its use to its maker, and keeps files for that, unless it is told not to before it is imported; and it
-    # takes over signals that are the program's (SIGXFSZ then kills, where Python makes it an OSError).
+    # Unless turned off before the import, it sends usage data to its vendor, writes files for that, and installs its
+    # own signal handlers (with which SIGXFSZ kills the process; Python turns it into an OSError).
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
     os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
     try:
@@ -112,14 +112,14 @@ def import_depthai() -> ModuleType:
 
 
 def device_source(config: CameraConfig) -> OakSource:
-    """A pipeline on an OAK: its colour camera (socket A), scaled and converted on the device."""
+    """A pipeline on an OAK: its color camera (socket A), scaled and converted on the device."""
     import depthai as dai
 
     info = _find_device(config.device)
     name = f"OAK {info.deviceId}"
     try:
         device = dai.Device(info)
-        # DepthAI would reconnect by itself and go on for ever; here the newest-frame thread does that, and reports it.
+        # DepthAI would reconnect silently and forever; here the camera's thread reconnects, and reports it.
         device.setMaxReconnectionAttempts(0)
         pipeline = dai.Pipeline(device)
         pipeline.setStopOnDeviceLoss(True)
@@ -132,23 +132,25 @@ def device_source(config: CameraConfig) -> OakSource:
 
 
 def _find_device(device_id: str) -> dai.DeviceInfo:
-    """Look once, half a second: `dai.Device()` would search for ten."""
+    """Search once, for half a second: `dai.Device()` would search for ten."""
     import depthai as dai
 
     if device_id.startswith("/dev/"):
-        raise ConfigError(f'[camera] device: {device_id} is no OAK device id; write "" for the first OAK found')
+        raise ConfigError(f'[camera] device: {device_id} is not an OAK device ID; write "" for the first OAK found')
     found = dai.Device.getAllAvailableDevices()
     for info in found:
         if device_id in {"", info.deviceId, info.name}:
             return info
     others = f"; found: {', '.join(info.deviceId for info in found)}" if found else ""
-    raise CameraLost(f"OAK {device_id or 'camera'}: not found; is it plugged in, and are the udev rules set?{others}")
+    raise CameraLost(
+        f"OAK {device_id or 'camera'}: not found; is it plugged in, and are the udev rules installed?{others}"
+    )
 
 
 def frame_differences(config: CameraConfig, frame: dai.ImgFrame) -> tuple[str, ...]:
-    """What the first frame says of its size and rate, where that is not what the config asks for."""
+    """One line for each difference of the first frame's size and rate from the config."""
     given: dict[str, Setting] = {"width": frame.getWidth(), "height": frame.getHeight()}
-    if frame.getFps() > 0:  # not known of replayed frames
+    if frame.getFps() > 0:  # unknown for replayed frames
         given["fps"] = frame.getFps()
     return differences({"width": config.width, "height": config.height, "fps": config.fps}, given)
 

@@ -1,7 +1,7 @@
 """A recorded feed, or a bare video file, played as a camera.
 
-Two ways: at its recorded pace, as the stand-in for a live camera (`in_real_time`), or as fast as the reader asks, with
-the feed's own stamps (maps, replays).
+Either at its recorded pace, in place of a live camera (`in_real_time`), or as fast as the reader asks, with the feed's
+own timestamps (maps, replays).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from pathlib import Path
 from edge.config import CameraConfig
 from edge.feed import Feed, FeedImages, Frame, read_feed
 
-DECODE_S = 2.0  # a picture from a slow disk
+DECODE_S = 2.0  # an image from a slow disk
 
 
 class RecordedCamera:
-    """Plays the rows of a feed in order; a picture that cannot be read is a FrameError, and the next read goes on."""
+    """Plays the rows of a feed in order; an unreadable image raises FrameError, and the next read continues."""
 
-    differences: tuple[str, ...] = ()  # a recording is what it is: nothing is asked of it
+    differences: tuple[str, ...] = ()  # nothing is requested of a recording
 
     def __init__(
         self,
@@ -31,11 +31,10 @@ class RecordedCamera:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        """Open the feed's pictures; FeedError if its video cannot be opened.
+        """Open the feed's images; FeedError if its video cannot be opened.
 
-        real_time: each frame comes when it is due and is stamped with that moment of `clock_ns`, the first at
-        `begins_ns` or else with the first read(). A frame that is asked for late comes at once, with the stamp that it
-        was due at.
+        real_time: each frame comes when it is due, with that time of `clock_ns` as its timestamp; the first is due at
+        `begins_ns`, or else at the first read(). A frame that is read late comes at once, with its due time.
         """
         self._feed = feed
         self._images: FeedImages | None = FeedImages(feed)
@@ -65,7 +64,7 @@ class RecordedCamera:
         return cls(read_feed(Path(config.device)), real_time=True, clock_ns=clock_ns, sleep=sleep)
 
     def read(self) -> Frame | None:
-        """The next row's frame, None after the last; FrameError names the picture and the next call goes on.
+        """The next row's frame, None after the last; FrameError names the image, and the next call continues.
 
         In real time this blocks until the frame is due, however long the gap in the recording is.
         """
@@ -73,7 +72,7 @@ class RecordedCamera:
             return None
         index, self._next = self._next, self._next + 1
         stamp_ns = self._due_ns(index)
-        # Decoded before the wait, so that the frame is handed on at its stamp and not a decoding time later.
+        # Decode before the wait, so that the frame is returned at its timestamp.
         image = self._images.read(index)
         self._wait_until(stamp_ns)
         return Frame(image, stamp_ns, index)
@@ -91,7 +90,7 @@ class RecordedCamera:
             self._sleep(wait_ns / 1e9)
 
     def close(self) -> None:
-        """Release the pictures; a later read() returns None."""
+        """Release the images; a later read() returns None."""
         if self._images is not None:
             self._images.close()
             self._images = None

@@ -1,4 +1,4 @@
-"""What was asked of a device, against what it gives: drivers round, ignore and promise."""
+"""Compares the requested settings of a device with those it reports: drivers round or ignore requests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FPS_TOLERANCE = 0.01  # 29.97 is what many drivers call 30
 
 
 def differences(asked: Mapping[str, Setting], given: Mapping[str, Setting]) -> tuple[str, ...]:
-    """One line for each setting in `given` that is not as asked: "fps: asked for 30, device gives 25"."""
+    """One line for each setting in `given` that differs from the request: "fps: asked for 30, device gives 25"."""
     return tuple(
         f"{key}: asked for {_text(asked[key])}, device gives {_text(value)}"
         for key, value in given.items()

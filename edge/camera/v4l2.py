@@ -29,25 +29,25 @@ _CAPABILITY: Final = struct.Struct("16s32s32sIII12x")
 _VIDIOC_QUERYCAP: Final = 2 << 30 | _CAPABILITY.size << 16 | ord("V") << 8
 _CAN_CAPTURE: Final = 0x1 | 0x1000  # V4L2_CAP_VIDEO_CAPTURE, single or multi-planar
 
-_OLDEST_BUFFER_NS: Final = 10 * 1_000_000_000  # older than this, a stamp is of another clock
+_OLDEST_BUFFER_NS: Final = 10 * 1_000_000_000  # a larger difference means another clock
 
 
 class Settings(Protocol):
-    """The part of cv2.VideoCapture that tells its settings."""
+    """The part of cv2.VideoCapture that reads settings."""
 
     def get(self, propId: int, /) -> float:  # noqa: N803 - OpenCV's name
         """Value of a CAP_PROP."""
 
 
 class V4l2Camera:
-    """Opens a device, asks for the configured format, and reads back what it got into `differences`."""
+    """Opens a device, requests the configured format, and compares it with what the device reports."""
 
     def __init__(
         self, config: CameraConfig, open_capture: Callable[[CameraConfig], cv2.VideoCapture] | None = None
     ) -> None:
-        """Open `config.device`, or what `open_capture` makes of it.
+        """Open `config.device` with `open_capture`, by default `open_device`.
 
-        Raises ConfigError when the device is no camera or may not be opened, CameraLost when it is not there.
+        Raises ConfigError if the device is not a camera or permission is denied, CameraLost if it is missing.
         """
         self._device = config.device
         self._capture = (open_capture or open_device)(config)
@@ -78,9 +78,9 @@ class V4l2Camera:
 def open_device(config: CameraConfig) -> cv2.VideoCapture:
     """Open a V4L2 device in OpenCV, to be read within `stall_timeout_s`; ConfigError or CameraLost."""
     check_is_camera(config.device)
-    # OpenCV waits 10 s for a dead camera unless told otherwise. It reads this once, at the first wait.
+    # By default OpenCV waits 10 s for a dead camera. It reads this variable once, at the first wait.
     os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"] = str(math.ceil(config.stall_timeout_s))
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # its warnings come out as our errors
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we raise errors instead of its warnings
     capture = cv2.VideoCapture(config.device, cv2.CAP_V4L2)
     if not capture.isOpened():
         raise CameraLost(f"{config.device}: OpenCV cannot open it; is another program using this camera?")
@@ -88,10 +88,10 @@ def open_device(config: CameraConfig) -> cv2.VideoCapture:
 
 
 def check_is_camera(device: str) -> None:
-    """Ask the driver whether a node can capture video.
+    """Ask the driver whether a node can capture video; OpenCV does not say why it cannot open one.
 
-    OpenCV only says that it cannot open a node; this says why. ConfigError: it is not a camera (UVC cameras have a
-    second node that gives metadata only), or may not be opened. CameraLost: it is not there (any more).
+    ConfigError: it is not a camera (UVC cameras have a second node that gives metadata only), or permission is denied.
+    CameraLost: it is missing.
     """
     try:
         descriptor = os.open(device, os.O_RDWR | os.O_NONBLOCK)
@@ -108,13 +108,13 @@ def check_is_camera(device: str) -> None:
     _, card, _, _, _, device_caps = _CAPABILITY.unpack(answer)
     if not device_caps & _CAN_CAPTURE:
         name = card.rstrip(b"\0").decode(errors="replace")
-        raise ConfigError(f"[camera] device: {device} ({name}) gives no pictures; use the camera's other node")
+        raise ConfigError(f"[camera] device: {device} ({name}) gives no images; use the camera's other node")
 
 
 def open_error(device: str, error: OSError) -> ConfigError | CameraLost:
-    """Whether a node that cannot be opened is a wrong config, or a camera that may come (back)."""
+    """ConfigError for a node that is not a usable camera, CameraLost for a camera that may come back."""
     if error.errno in {errno.EACCES, errno.EPERM}:
-        # At boot the node is there a moment before udev gives it to its group: that is worth another try.
+        # At boot the node exists a moment before udev sets its group: try again.
         if Path(device).exists() and Path(device).stat().st_gid == 0:
             return CameraLost(f"{device}: no permission, it belongs to the group root; waiting for udev")
         return ConfigError(f"[camera] device: {device}: no permission; add the user to the group `video`")
@@ -124,7 +124,7 @@ def open_error(device: str, error: OSError) -> ConfigError | CameraLost:
 
 
 def apply_settings(config: CameraConfig, capture: cv2.VideoCapture) -> None:
-    """Ask for the configured format; the order matters, as each choice limits the next in the driver."""
+    """Request the configured format; the order matters, because each setting limits the next in the driver."""
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*config.fourcc))
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, config.width)
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, config.height)
@@ -133,7 +133,7 @@ def apply_settings(config: CameraConfig, capture: cv2.VideoCapture) -> None:
 
 
 def settings_differences(config: CameraConfig, settings: Settings) -> tuple[str, ...]:
-    """Read the settings back; one line for each that is not what the config asks for."""
+    """Read the settings back; one line for each that differs from the config."""
     fourcc = int(settings.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
     given: dict[str, Setting] = {
         "fourcc": fourcc.to_bytes(4, "little").decode("latin-1"),
@@ -147,8 +147,8 @@ def settings_differences(config: CameraConfig, settings: Settings) -> tuple[str,
 def monotonic_stamp_ns(position_ms: float, monotonic_ns: int, realtime_ns: int) -> int:
     """The driver's buffer time on CLOCK_MONOTONIC, in ns.
 
-    position_ms: CAP_PROP_POS_MSEC, which for V4L2 is the buffer's timestamp. Nearly all drivers take it from
-    CLOCK_MONOTONIC; uvcvideo can be told to use CLOCK_REALTIME; a few give none, and then it is "now".
+    position_ms: CAP_PROP_POS_MSEC, which for V4L2 is the buffer's timestamp. Nearly all drivers use
+    CLOCK_MONOTONIC; uvcvideo can be set to CLOCK_REALTIME; a few give none: then the result is `monotonic_ns`.
     """
     stamp_ns = round(position_ms * 1e6)
     if abs(stamp_ns - monotonic_ns) < _OLDEST_BUFFER_NS:

@@ -56,8 +56,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         help="check a config file, and the model, maps and keys that it names",
         description="The same as `lookback doctor --offline CONFIG`. Exit code 78 if something is wrong.",
     )
-    check.add_argument("config", type=Path, nargs="?", metavar="CONFIG")
-    check.add_argument("--default", action="store_true", help="print the commented default config instead")
+    check.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="config file (TOML)")
+    check.add_argument("--default", action="store_true", help="print the default config, with comments")
     check.set_defaults(run=_run, json=False, seconds=0.0, offline=True, error=check.error)
 
 

@@ -184,7 +184,7 @@ def requirements(config: TelemetryConfig, autopilot: int | None, version: tuple[
         name = suitable.name if suitable else "report"
     needed = [one for one in REQUIREMENTS if (one.autopilot, one.message) == (autopilot, name)]
     if autopilot == PX4 and name == "global_position_sensor":
-        why = "it must be the id that [telemetry] sensor_id gives"
+        why = "it must equal [telemetry] sensor_id"
         needed.append(Requirement(PX4, name, "EKF2_AGP0_ID", why, values=(config.sensor_id,)))
     return needed
 

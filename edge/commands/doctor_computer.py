@@ -21,7 +21,7 @@ from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
 
 LEAST_FREE_MB = 500
-BUILT_UNIX_S = 1_763_000_000  # November 2025: a clock before it was never set
+BUILT_UNIX_S = 1_763_000_000  # November 2025: an earlier clock was never set
 OAK_VENDOR = "03e7"
 
 
@@ -114,7 +114,7 @@ def check_camera(config: CameraConfig) -> Iterator[Diagnostic]:
     finally:
         camera.close()
     if frame is None:
-        yield bad("camera", f"{where}: it has no frame", "record a feed with at least one frame")
+        yield bad("camera", f"{where}: the feed has no frames", "record a feed with at least one frame")
         return
     height, width = frame.image.shape[:2]
     yield good("camera", f"{where}: {width} x {height} pixels")

@@ -33,7 +33,7 @@ def check_model_and_map(config: Config) -> Iterator[Diagnostic]:
     except LookbackError as error:
         yield bad("map", str(error), f"record a drive, then: lookback map build FEED -o {config.map.path}")
         return
-    yield good("map", f"{config.map.path}: map of {maps}, all checksums hold")
+    yield good("map", f"{config.map.path}: map of {maps}, all checksums match")
     for excluded in maps.excluded:
         yield note("map", f"{excluded.why}; excluded", "the others are used; build or copy this one again")
     yield from _places(maps, config)

@@ -28,28 +28,34 @@ THUMBNAIL_WIDTH_PX = 120
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback map` to the command line."""
-    actions = commands.add_parser("map", help="build and look at reference maps").add_subparsers(required=True)
+    actions = commands.add_parser("map", help="build, inspect, split and sign reference maps").add_subparsers(
+        required=True
+    )
 
-    build = actions.add_parser("build", help="make a map of recorded feeds, each a segment of it")
-    build.add_argument("feeds", nargs="+", type=Path, metavar="FEED")
-    build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP")
-    build.add_argument("--config", type=Path, help="take [descriptor] and [sampling] from this file")
-    build.add_argument("--regions", choices=("left-right", "whole"), help="what is described (default left-right)")
+    build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
+    build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
+    build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
+    build.add_argument("--config", type=Path, help="read [descriptor] and [sampling] from this file")
+    build.add_argument(
+        "--regions", choices=("left-right", "whole"), help="image regions to describe (default left-right)"
+    )
     add_spacing_options(build)
     add_feed_options(build)
     build.add_argument(
         "--dimensions",
         type=int,
         metavar="D",
-        help="shrink the descriptor of each region to D values",
+        help="reduce the descriptor of each region to D dimensions (PCA)",
     )
-    build.add_argument("--replace", action="store_true", help="replace the map at MAP, in one step")
+    build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
     build.set_defaults(run=_build)
 
-    extend = actions.add_parser("extend", help="add feeds to a map; the whole set is normalised again, without images")
-    extend.add_argument("map", type=Path, metavar="MAP")
-    extend.add_argument("feeds", nargs="+", type=Path, metavar="FEED")
-    extend.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
+    extend = actions.add_parser("extend", help="add feeds to a map and normalize all of its descriptors again")
+    extend.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
+    extend.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
+    extend.add_argument(
+        "--model", type=Path, help="the model file that the map was made with (default: the shipped model)"
+    )
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
@@ -59,20 +65,28 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose frames; at most one of them."""
     spacing = parser.add_mutually_exclusive_group()
-    spacing.add_argument("--spacing-m", type=float, metavar="M", help="take a frame every M metres")
-    spacing.add_argument("--spacing-frames", type=int, metavar="N", help="take every N-th frame")
-    spacing.add_argument("--interval-s", type=float, metavar="S", help="take a frame every S seconds")
+    spacing.add_argument("--spacing-m", type=float, metavar="M", help="use one frame every M meters")
+    spacing.add_argument("--spacing-frames", type=int, metavar="N", help="use every Nth frame")
+    spacing.add_argument("--interval-s", type=float, metavar="S", help="use one frame every S seconds")
 
 
 def add_feed_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for recordings that do not say all that a feed says."""
     parser.add_argument(
-        "--video", type=Path, metavar="FILE", help="of a log (.tlog, .bin, .ulg); default: the one of the same name"
+        "--video",
+        type=Path,
+        metavar="FILE",
+        help="video of a log (.tlog, .bin, .ulg); default: the video of the same name",
     )
     parser.add_argument(
-        "--video-start-s", type=float, metavar="S", help="from the log's first position to the video's first frame"
+        "--video-start-s",
+        type=float,
+        metavar="S",
+        help="seconds from the log's first position to the video's first frame",
     )
-    parser.add_argument("--view", choices=("front", "rear"), help="where the camera of a video looked (default front)")
+    parser.add_argument(
+        "--view", choices=("front", "rear"), help="which way the camera of a video faced (default front)"
+    )
 
 
 def feed_options(args: argparse.Namespace) -> FeedOptions:
@@ -171,13 +185,15 @@ def _build(args: argparse.Namespace) -> int:
     sampling = sampling_from(args, config.sampling)
     if args.video is not None and len(args.feeds) > 1:
         raise ConfigError(
-            "--video: of several logs each has its own: call them alike (a.tlog, a.mp4), and leave it out"
+            "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
     feeds = [read_feed(path, feed_options(args)) for path in args.feeds]
     if sampling.by == "distance" and args.spacing_m is None:
         for feed in feeds:
             if driven_m(feed) is None:
-                print(f"{feed.path}: no distance in it, so there will be a place every {sampling.interval_s:g} s")
+                print(
+                    f"{feed.path}: no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
+                )
     header = build_map(
         feeds,
         args.output,

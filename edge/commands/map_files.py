@@ -15,18 +15,20 @@ from edge.reference_map.tiles import split_map
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add them to `lookback map`."""
-    info = actions.add_parser("info", help="say what a map is, or what a folder of maps holds")
-    info.add_argument("map", type=Path, metavar="MAP")
+    info = actions.add_parser("info", help="print the properties of a map, or of the maps of a folder")
+    info.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
     info.set_defaults(run=_info)
 
-    verify = actions.add_parser("verify", help="check every byte of a map, or of a folder of maps, against checksums")
-    verify.add_argument("map", type=Path, metavar="MAP")
+    verify = actions.add_parser(
+        "verify", help="check every byte of a map, or of a folder of maps, against its checksums"
+    )
+    verify.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
     verify.set_defaults(run=_verify)
 
-    split = actions.add_parser("split", help="cut a map into tiles, which are opened only where they are searched")
-    split.add_argument("map", type=Path, metavar="MAP")
-    split.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER")
-    split.add_argument("--places", type=int, required=True, metavar="N", help="in a tile, at most, or up to 63 more")
+    split = actions.add_parser("split", help="cut a large map into tiles")
+    split.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
+    split.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for the tiles")
+    split.add_argument("--places", type=int, required=True, metavar="N", help="places per tile (at most N + 63)")
     split.set_defaults(run=_split)
 
 
@@ -56,7 +58,7 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
         f"regions   {header.regions.kind}, width {header.regions.width:g}, normalization {header.regions.normalization}"
     )
     if header.dimensions < header.model.dimensions:
-        print(f"shrunk    to {header.dimensions} of {header.model.dimensions} dimensions a region")
+        print(f"reduced   to {header.dimensions} of {header.model.dimensions} dimensions per region")
     print(f"sampling  {sampling[header.sampling.by]}")
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
     print(f"bounds    {_spell_bounds(header)}")
@@ -88,7 +90,7 @@ def _verify(args: argparse.Namespace) -> int:
         names = ", ".join(excluded.name for excluded in maps.excluded)
         raise MapError(f"{args.map}: {len(maps.excluded)} of its maps would be excluded: {names}")
     count = sum(len(header.files) for header in maps.headers)
-    print(f"{args.map}: whole; all {count} checksums hold")
+    print(f"{args.map}: valid; all {count} checksums match")
     return 0
 
 

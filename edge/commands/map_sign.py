@@ -12,19 +12,22 @@ from edge.reference_map.signature import make_key, sign_map
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add them to `lookback map`."""
-    keygen = actions.add_parser("keygen", help="make a key to sign maps with, and its public half NAME.pub")
-    keygen.add_argument("key", type=Path, metavar="NAME")
+    keygen = actions.add_parser("keygen", help="make a key pair to sign maps with: NAME and NAME.pub")
+    keygen.add_argument("key", type=Path, metavar="NAME", help="file for the secret key")
     keygen.set_defaults(run=_keygen)
 
-    sign = actions.add_parser("sign", help="sign a map, or each of a folder, after checking every byte of it")
-    sign.add_argument("map", type=Path, metavar="MAP")
-    sign.add_argument("--key", type=Path, required=True, metavar="NAME", help="the secret key of `map keygen`")
+    sign = actions.add_parser("sign", help="check every byte of a map, or of each map of a folder, and sign it")
+    sign.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
+    sign.add_argument("--key", type=Path, required=True, metavar="NAME", help="the secret key that `map keygen` made")
     sign.set_defaults(run=_sign)
 
 
 def _keygen(args: argparse.Namespace) -> int:
     public = make_key(args.key)
-    print(f'{args.key}: keep it to yourself; the vehicle gets {public}: [map] require_signature_by = "{public.name}"')
+    print(
+        f"{args.key}: keep this file secret; copy {public} to the vehicle and set"
+        f' [map] require_signature_by = "{public.name}"'
+    )
     return 0
 
 

@@ -47,15 +47,15 @@ class Recording:
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback record` to the command line."""
     parser = commands.add_parser("record", help="record a traverse: the camera's frames and positions, as a feed")
-    parser.add_argument("config", type=Path, metavar="CONFIG")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FEED", help="folder to make")
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="config file (TOML)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FEED", help="folder of the new feed")
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="stop after S seconds")
     parser.add_argument(
         "--min-free-mb",
         type=float,
         default=MIN_FREE_BYTES / 1e6,
         metavar="MB",
-        help="stop when the disk has less than this left (default %(default)g)",
+        help="stop when less disk space than this is free (default %(default)g)",
     )
     parser.set_defaults(run=_run)
 
@@ -76,7 +76,7 @@ def record(
     refuses a frame; CameraLost when no frame came at all.
     """
     if (path / "frames.csv").exists():  # checked before the camera is opened, which can take seconds
-        raise FeedError(f"{path}: there is a feed here already; name another folder")
+        raise FeedError(f"{path}: a feed already exists here; name another folder")
     with ExitStack() as parts:
         autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry, clock_ns)))
         camera = parts.enter_context(closing(NewestFrame.configured(config.camera, clock_ns)))

@@ -1,4 +1,4 @@
-"""`lookback replay`: a recorded feed through the same recogniser as `run`, as fast as it goes, always the same."""
+"""`lookback replay`: a recorded feed through the same recognizer as `run`, as fast as it goes, always the same."""
 
 from __future__ import annotations
 
@@ -27,17 +27,24 @@ CHECK_BYTES = 64 << 20
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback replay` to the command line."""
-    parser = commands.add_parser("replay", help="recognise a recording; events as JSON lines")
+    parser = commands.add_parser("replay", help="recognize the places of a recording; prints events as JSON lines")
     parser.add_argument(
-        "feed", type=Path, metavar="FEED", help="a feed, an MCAP file, a video, or a log (.tlog) with its video"
+        "feed",
+        type=Path,
+        metavar="FEED",
+        help="a feed, an MCAP file, a video, or an autopilot log (.tlog) with its video",
     )
-    parser.add_argument("--map", type=Path, required=True)
-    parser.add_argument("--model", type=Path, help="the model file the map was made with, if not the shipped one")
-    parser.add_argument("--config", type=Path, help="take all settings of the recogniser from this file")
+    parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
+    parser.add_argument(
+        "--model", type=Path, help="the model file that the map was made with (default: the shipped model)"
+    )
+    parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
-    parser.add_argument("--uniqueness-min", type=float, metavar="U", help="accept matches from this uniqueness on")
-    parser.add_argument("--all", action="store_true", help="write every used frame, not only events")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write there instead of to standard output")
+    parser.add_argument("--uniqueness-min", type=float, metavar="U", help="minimum uniqueness of an accepted match")
+    parser.add_argument("--all", action="store_true", help="write a line for every used frame, not only for events")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write to this file (default: standard output)"
+    )
     add_spacing_options(parser)
     add_feed_options(parser)
     parser.set_defaults(run=_run)
@@ -78,7 +85,7 @@ def as_line(used: FrameUsed) -> str:
 
 
 def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
-    """The default settings with regions, normalisation and sampling as the map has them."""
+    """The default settings with regions, normalization and sampling as the map has them."""
     regions = header.regions
     config = Config(
         descriptor=DescriptorConfig(

@@ -1,4 +1,4 @@
-"""From a picture to what a place means: regions, fc6 of each, and its normalisation over the traverse.
+"""From a picture to what a place means: regions, fc6 of each, and its normalization over the traverse.
 
     image (H, W, 3) --regions--> (R, 224, 224, 3) --network--> raw fc6 (R, 4096) --normalize--> NSD (R, 4096)
 

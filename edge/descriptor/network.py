@@ -1,7 +1,8 @@
-"""fc6 under ONNX Runtime: regions in, descriptors out; and the small head that names the place category.
+"""fc6 with ONNX Runtime: regions in, descriptors out; and the small head that gives the place category.
 
-The one place that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment says not to before
-the import, and 1.28 on crashes at import on a Cortex-A76, so pyproject.toml stays below; a test watches both.
+The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
+import, and from 1.28 on it crashes at import on a Cortex-A76, so pyproject.toml requires an earlier version; a test
+checks both.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ def lacks_int8_products() -> bool:
 
 
 def open_session(model: bytes) -> onnxruntime.InferenceSession:
-    """A session of the CPU that keeps to the calling thread."""
+    """A session that runs on the CPU, in the calling thread only."""
     options = onnxruntime.SessionOptions()
-    # A second thread gains little and jitters a lot; spinning would take a core from the rest of the vehicle.
+    # A second thread gains little and adds jitter; spinning would use a core that other programs need.
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
@@ -49,13 +50,13 @@ def open_session(model: bytes) -> onnxruntime.InferenceSession:
 
 
 class Network:
-    """Regions to fc6. Normalisation and channel order are inside the graph: no float image exists outside it."""
+    """Regions to fc6. Normalization and channel order are inside the graph: no float image exists outside it."""
 
     def __init__(self, file: ModelFile) -> None:
-        """Takes a file that passed `read_model_file`; ModelError when it is not a network of its own metadata."""
+        """file: as `read_model_file` returned it. ModelError if the graph does not agree with its metadata."""
         size = file.info.input_size
         if file.info.tap == "categories":
-            raise ModelError(f"{file.path}: is a head of categories; name the network file, {FC6_FILE}")
+            raise ModelError(f"{file.path}: is the category head; name the network file, {FC6_FILE}")
         self.info = file.info
         self.path = file.path
         self._session = _open_checked(file, IMAGE, "tensor(uint8)", [size, size, 3])
@@ -68,18 +69,18 @@ class Network:
     def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """fc6 after ReLU, (B, dimensions) float32, of images (B, input_size, input_size, 3) uint8 BGR, contiguous.
 
-        One batch reads the weights once: 2 regions take far less than twice the time of one. The values of an
-        image do not depend on the others in its batch.
+        A batch reads the weights once: two regions take far less than twice the time of one. The descriptor of an
+        image does not depend on the others in its batch.
         """
         descriptors: NDArray[np.float32] = self._session.run(None, {IMAGE: images})[0]
         return descriptors
 
 
 class Head:
-    """fc6 to place categories (fc7, fc8, softmax); understands the fc6 of one network file only."""
+    """fc6 to place categories (fc7, fc8, softmax); works only with the fc6 of one network file."""
 
     def __init__(self, file: ModelFile, network: ModelInfo) -> None:
-        """Takes a checked file and the network it must belong to; ModelError when it does not."""
+        """file: as `read_model_file` returned it; ModelError if it does not belong to the network."""
         if file.info.fc6_sha256 != network.sha256:
             raise ModelError(
                 f"{file.path}: belongs to the network {file.info.fc6_sha256[:12] or '(none)'}, not to {network.name} "
@@ -109,14 +110,14 @@ class Head:
 
 
 def _open_checked(file: ModelFile, name: str, dtype: str, shape: list[int]) -> onnxruntime.InferenceSession:
-    """Open a session whose one input and one output are what the metadata says; the first axis is the batch."""
+    """Open a session and check that its input and output agree with the metadata; the first axis is the batch."""
     try:
         session = open_session(file.data)
         tensors = [*session.get_inputs(), *session.get_outputs()]
         found = [(tensor.name, tensor.type, tensor.shape[1:]) for tensor in tensors]
     except Exception as error:  # ONNX Runtime's own classes share only Exception
         reason = str(error).replace("\n", " ")
-        raise ModelError(f"{file.path}: ONNX Runtime refuses it: {reason[:300]}") from None
+        raise ModelError(f"{file.path}: ONNX Runtime rejects it: {reason[:300]}") from None
     wanted = [(name, dtype, shape), (file.info.tap, "tensor(float)", [file.info.dimensions])]
     if found != wanted or isinstance(tensors[0].shape[0], int):
         raise ModelError(f"{file.path}: has inputs and outputs {found}, its metadata needs {wanted}")

@@ -1,4 +1,4 @@
-"""The normalised set of descriptors (NSD), equation 1: for a whole set, and online for the query.
+"""The normalized set of descriptors (NSD), equation 1: for a whole set, and online for the query.
 
 The map is normalised over its whole set. The query's mean and deviation are updated with every frame (section
 III-B). By default the rows of the ring whose statistics have become stale are normalized again, a few with each
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from edge.descriptor import NormalizedRows
 
 DEAD_DEVIATION = 1e-4
-"""A dimension that varies less than this share of the mean deviation is dead after ReLU, and counts for nothing."""
+"""A dimension whose deviation is below this fraction of the mean deviation is dead after ReLU, and is set to 0."""
 
 STALE_GROWTH = 0.05
 """A row of the ring is stale when the frames behind the statistics have grown by this share since it was normalized:
@@ -50,7 +50,7 @@ class RunningStatistics:
     def of_another_run(
         cls, count: int, mean: NDArray[np.float64], deviation: NDArray[np.float64], *, at_most: int
     ) -> RunningStatistics:
-        """Statistics (R, D) of `count` frames of another run; they weigh as `at_most`, so that ours soon count."""
+        """Statistics (R, D) of `count` frames of another run, with the weight of at most `at_most` frames."""
         statistics = cls((mean.shape[0], mean.shape[1]))
         statistics.count = min(count, at_most)
         statistics.mean = mean.copy()
@@ -58,7 +58,7 @@ class RunningStatistics:
         return statistics
 
     def update(self, raw: NDArray[np.float32]) -> None:
-        """Take in one raw descriptor (R, D)."""
+        """Add one raw descriptor (R, D)."""
         self.count += 1
         difference = raw - self.mean
         self.mean += difference / self.count
@@ -117,9 +117,9 @@ class OnlineNormalizer:
         return normalize(raw, self._statistics.mean, self._statistics.deviation)
 
     def skip(self) -> bool:
-        """Leave a row of NaN for a place of which there is no frame; False at the beginning, which needs none.
+        """Add a row of NaN for a place without a frame; False if the ring is empty, which needs none.
 
-        It is all zero to the map, and so as far from every place as another.
+        The row matches as zeros, and so equally badly with every place.
         """
         if not self._ring:
             return False
@@ -137,7 +137,7 @@ class OnlineNormalizer:
         return self._statistics
 
     def begin_with(self, statistics: RunningStatistics) -> None:
-        """Start from statistics of an earlier run instead of from nothing."""
+        """Start with the statistics of an earlier run."""
         if self._enabled:
             self._statistics = statistics
 

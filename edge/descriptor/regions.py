@@ -1,4 +1,4 @@
-"""Whole image, or left and right regions described apart (section III-D)."""
+"""The whole image, or its left and right regions, for the network (section III-D)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def cut_regions(
 ) -> NDArray[np.uint8]:
     """Cut an image (H, W, 3) into R regions resized to `size` (height, width): (R, height, width, 3) uint8.
 
-    "left-right" takes the outer `width` (fraction of W) at each side, left first, full height; "whole" ignores
-    `width`. A mirror image of one region is not its other side, so nothing is flipped.
+    "left-right" uses the outer `width` (fraction of W) at each side, left first, at full height; "whole" ignores
+    `width`. Nothing is mirrored: an object seen from behind is not its mirror image.
     """
     width_px = image.shape[1]
     if regions == "whole":

@@ -34,7 +34,7 @@ def read_header(file: Path) -> FeedHeader:
     """Read and check `feed.toml`; FeedError names it, and the key."""
     header = read_toml(file, FeedHeader, FeedError)
     if header.video and not stays_inside(header.video):
-        raise FeedError(f"{file}: video: {header.video!r} leads out of the feed's folder")
+        raise FeedError(f"{file}: video: {header.video!r} is outside the feed's folder")
     return header
 
 
@@ -111,7 +111,7 @@ def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:
     if not texts["file"]:
         raise FeedError(f"{where}: file is empty")
     if not stays_inside(texts["file"]):
-        raise FeedError(f"{where}: file: {texts['file']!r} leads out of the feed's folder")
+        raise FeedError(f"{where}: file: {texts['file']!r} is outside the feed's folder")
     extra = {key: text for key, text in texts.items() if key not in {"file", "stamp_ns", *MEASURES}}
     measures = {column: _parse_measure(where, column, texts.get(column)) for column in MEASURES}
     return FeedRow(texts["file"], _parse_stamp(where, texts["stamp_ns"]), **measures, extra=extra)

@@ -77,7 +77,9 @@ def read_feed(path: Path, options: FeedOptions | None = None) -> Feed:
     if not path.is_dir():
         raise FeedError(f"{path}: no such feed; it is a folder with feed.toml, frames.csv and frames/, or a video file")
     if options != FeedOptions():
-        raise FeedError(f"{path}: --view and --video are for recordings; this is a feed, and its feed.toml says it all")
+        raise FeedError(
+            f"{path}: --view and --video are for recordings; this is a feed folder; edit its feed.toml instead"
+        )
     header = read_header(path / "feed.toml")
     rows = read_rows(path / "frames.csv")
     if header.video and not (path / header.video).is_file():
@@ -94,7 +96,7 @@ def _read_file(path: Path, options: FeedOptions) -> Feed:
             raise FeedError(f"{path}: to read it, {point.value} needs the package {error.name}") from None
         return feed
     if (options.video, options.video_start_s) != (None, None):
-        raise FeedError(f"{path}: --video belongs to a log, and this is a video or nothing that is known here")
+        raise FeedError(f"{path}: --video is for a log (.tlog, .bin, .ulg), and this is not one")
     return _read_bare_video(path, options.view or "front")
 
 
@@ -104,7 +106,7 @@ def _read_bare_video(path: Path, view: View) -> Feed:
     width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
     video.release()
     if count < 1 or not fps > 0:
-        raise FeedError(f"{path}: this video does not say how many frames it has, and how many a second")
+        raise FeedError(f"{path}: this video has no frame count or frame rate")
     header = FeedHeader(path.stem, view, width, height, source=path.name, video=path.name)
     return Feed(path.parent, header, tuple(FeedRow("", round(index * 1e9 / fps)) for index in range(count)))
 
@@ -126,7 +128,7 @@ def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]
         raise FrameError(f"{file}: cannot read it: {error.strerror}") from None
     image = cv2.imdecode(data, flags) if data.size else None
     if image is None:
-        raise FrameError(f"{file}: not a whole JPEG or PNG picture")
+        raise FrameError(f"{file}: not a complete JPEG or PNG image")
     return np.asarray(image, dtype=np.uint8)
 
 

@@ -33,7 +33,7 @@ class FeedWriter:
         self._whole_bytes = 0
         self._extra_columns = extra_columns
         if (path / "frames.csv").exists():
-            raise FeedError(f"{path}: there is a feed here already; name another folder")
+            raise FeedError(f"{path}: a feed already exists here; name another folder")
         try:
             (path / "frames").mkdir(parents=True, exist_ok=True)
             (path / "feed.toml").write_text(tomli_w.dumps(msgspec.structs.asdict(header)), encoding="utf-8")

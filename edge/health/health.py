@@ -1,13 +1,13 @@
-"""What state the daemon is in, and why. Pure, and the only place that decides it.
+"""The daemon's state, and why. Pure functions; the only module that decides it.
 
-The journal, systemd's STATUS=, the heartbeat's system_status and the pilot's lines all come from one `Health`:
+The journal, systemd's STATUS=, the heartbeat's system_status and the pilot's status text all show one `Health`:
 
-    starting     no picture has been used yet
-    warming up   fewer pictures than a sequence needs, or a large map is still being gone through
-    on the map   the newest match is believed
-    off the map  it is not
-    degraded     something is missing that can come back by itself, and what; "blind" where no place can be recognised
-    failed       the program ends: what was found cannot be recovered from inside
+    starting     no image has been used yet
+    warming up   fewer frames than a sequence needs, or a large map is still being searched
+    on the map   the newest match is accepted
+    off the map  it is rejected
+    degraded     something is missing that may come back; "blind" if no place can be recognized
+    failed       the program ends: an error that it cannot recover from
 
 A vehicle that stands keeps the state in which it stopped.
 """
@@ -31,14 +31,14 @@ MAV_STATES: dict[HealthState, int] = {
     "failed": mavlink.MAV_STATE_EMERGENCY,
 }
 LINK_GRACE_S = 5.0
-"""Autopilots say something every second; a link that has just been opened is not yet silent."""
+"""Autopilots send every second; a link that has just been opened is not yet silent."""
 SLOW_FRAME_S = 1.0
-"""A frame that took longer tells of a place that the vehicle has left."""
+"""The result of a slower frame is about a place that the vehicle has left."""
 
 
 @dataclass(frozen=True)
 class Health:
-    """The state, why it is so ("" where there is nothing to say), and what the recogniser is able to do in it."""
+    """The state, its reason ("" if there is none), and the state of recognition behind it."""
 
     state: HealthState
     why: str = ""
@@ -55,11 +55,12 @@ class Health:
 
 @dataclass(frozen=True)
 class HealthInputs:
-    """What the stages say of themselves.
+    """States that the stages report.
 
     recognizer: its state, as in `edge.recognizer`. frames_used: since the start, or since the last blindness.
-    camera: running | lost | ended, with the reason. picture: what is wrong with it. link: closed | waiting | up, with
-    the reason and since when it is not up. journal: why it cannot be written. frame_s: what the last frame took.
+    camera: running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed | waiting |
+    up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how long the
+    last frame took.
     """
 
     recognizer: str = "warming up"
@@ -75,7 +76,7 @@ class HealthInputs:
 
     @property
     def blind(self) -> str:
-        """Why no place can be recognised now; "" when one can."""
+        """Why no place can be recognized now; "" if one can."""
         if self.camera == "lost":
             return f"camera: {self.camera_why}"
         return f"camera: {self.picture}" if self.picture else ""
@@ -85,7 +86,7 @@ STARTING = Health("starting")
 
 
 def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
-    """The state now; `before` is the one told last, which a standing vehicle keeps."""
+    """The state now; `before` is the last one, which a standing vehicle keeps."""
     able = _able(signs, before)
     troubles = [trouble for trouble in (_link_trouble(signs), _journal_trouble(signs), _slow(signs)) if trouble]
     if signs.blind:

@@ -84,7 +84,7 @@ class HealthMonitor:
         thread is stuck in.
         """
         if hang and not self._hang:
-            log.error("the camera hangs (%s); the watchdog is not fed any more", hang)
+            log.error("the camera hangs (%s); WATCHDOG=1 is no longer sent", hang)
         self._hang = hang
         inputs = HealthInputs(
             recognizer=recognizer,

@@ -13,11 +13,11 @@ STOPS = (signal.SIGTERM, signal.SIGINT)
 EXTEND_EACH_S = 20
 FED_EACH_S = 0.1
 MANAGER_S = 1.0
-"""A service manager that does not read fills its socket: nothing is worth waiting for it for longer."""
+"""A service manager that does not read fills its socket: do not wait for it any longer."""
 
 
 class Supervision:
-    """What a service owes systemd from turn to turn: that it is ready, and that it is alive."""
+    """Reports to systemd, in each turn of the loop, that the service is ready and alive."""
 
     def __init__(self) -> None:
         self._is_ready = False
@@ -25,9 +25,9 @@ class Supervision:
         self._fed_ns: int | None = None
 
     def publish(self, can_work: bool, hangs: bool, now_ns: int) -> None:
-        """Ready from the first turn in which it can work; alive unless a part of it hangs.
+        """Send READY=1 in the first turn in which it can work, and WATCHDOG=1 unless a part of it hangs.
 
-        What it waits for may come much later than the computer: its start must not time out meanwhile.
+        Until it is ready, extend the start timeout: a port may appear long after the computer has booted.
         """
         if can_work and not self._is_ready:
             self._is_ready = True
@@ -48,10 +48,10 @@ class Supervision:
 
 @contextlib.contextmanager
 def on_stop_signal(then: Callable[[], object]) -> Iterator[None]:
-    """Call `then` at the first SIGTERM or SIGINT; any that follow do nothing.
+    """Call `then` at the first SIGTERM or SIGINT; ignore all that follow.
 
-    They come in pairs (timeout(1) sends two), and the second would interrupt the handling of the first: an Event, whose
-    lock is taken while it is being set, would be waited for without end.
+    Signals come in pairs (timeout(1) sends two). The second would interrupt the handler of the first, and could
+    deadlock on the lock of an Event that is being set.
     """
     stopped = False
 
@@ -66,7 +66,7 @@ def on_stop_signal(then: Callable[[], object]) -> Iterator[None]:
     try:
         yield
     finally:
-        if not stopped:  # else they stay ignored until the process is gone
+        if not stopped:  # otherwise they stay ignored until the process ends
             for each, handler in zip(STOPS, before, strict=True):
                 signal.signal(each, handler)
 
@@ -74,7 +74,7 @@ def on_stop_signal(then: Callable[[], object]) -> Iterator[None]:
 def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
     """Send one message, such as "READY=1" or "STATUS=on the map", to the socket that systemd named.
 
-    What it does not take within `wait_s` seconds is dropped.
+    A message that is not read within `wait_s` seconds is dropped.
     """
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:

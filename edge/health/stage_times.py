@@ -1,4 +1,4 @@
-"""How long each stage of a frame takes: medians over the recent frames."""
+"""Duration of each stage of a frame: medians over the recent frames."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RECENT_FRAMES = 1000
 
 
 class StageTimes:
-    """A stopwatch whose laps have names."""
+    """A stopwatch with named laps."""
 
     def __init__(self, clock_ns: Callable[[], int] = time.perf_counter_ns) -> None:
         self._clock_ns = clock_ns
@@ -19,11 +19,11 @@ class StageTimes:
         self._laps_ns: dict[str, deque[int]] = {}
 
     def start(self) -> None:
-        """A frame begins."""
+        """Start timing a frame."""
         self._last_ns = self._clock_ns()
 
     def lap(self, stage: str) -> None:
-        """A stage has ended; it took the time since the last lap."""
+        """Record the time since the last lap as the duration of a stage."""
         now_ns = self._clock_ns()
         self._laps_ns.setdefault(stage, deque(maxlen=RECENT_FRAMES)).append(now_ns - self._last_ns)
         self._last_ns = now_ns

@@ -1,8 +1,8 @@
-"""From matches and the odometer to a position of the vehicle, and whether it may be sent.
+"""From matches and odometry to a position of the vehicle, and the checks before it is published.
 
 `place_fix` makes positions of matches; `route_tracker` follows the vehicle along the map's drive, with
 `line_refinement` for where a line really ends; `dead_reckoning` integrates what the autopilot reports of its motion;
-`integrity` and `fix_consistency` are the rules that a position must pass.
+`integrity` and `fix_consistency` are the checks that a position must pass.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""When a position may go to the autopilot: pure rules, each with its reason. The autopilot has none of them.
+"""Checks before a position is published to the autopilot, each with its reason; the autopilot has no such checks.
 
-A wrong fix does more harm than none, so a fix must come from a vehicle that moves and is on the map now, agree with
-the distance driven for several matches, and lie where the autopilot may be: within its uncertainty at once, further
-off only after many more matches, and beyond all reason never. Where the autopilot may be anywhere, an earlier fix from
-another place must confirm it (`witnesses`).
+A wrong fix does more harm than none. So the vehicle must move and be on the map now, several matches must agree with
+the distance driven, and the fix must be consistent with the autopilot's position: within its uncertainty at once,
+farther away only after many more matches, and too far away never. If the autopilot's position may be anything, an
+earlier fix of another place must confirm the fix (`fix_consistency`).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ GPS_SIGMA_M = 3.0
 
 @dataclass(frozen=True)
 class Situation:
-    """What the gates look at besides the fix, at the moment `now_ns`.
+    """What the checks use besides the fix, at the time `now_ns`.
 
-    position: the autopilot's own, None where it has none. uncertainty_m: one standard deviation of it, None where
-    nothing has ever bound it. speed_mps: None where nobody tells. last_sent_ns: of the last fix, None for none yet.
+    position: the autopilot's own, None if it has none. uncertainty_m: its standard deviation, None if unbounded.
+    speed_mps: None if unknown. last_sent_ns: of the last fix, None if there was none.
     confirmed: whether an earlier fix elsewhere agrees with this one.
     """
 
@@ -50,7 +50,7 @@ class Situation:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a fix stays here. distance_m: from the autopilot's own position, where that was known."""
+    """Why a fix is withheld. distance_m: from the autopilot's own position, None if unknown."""
 
     reason: Reason
     distance_m: float | None = None
@@ -59,7 +59,7 @@ class Refusal:
 def refusal(
     fix: PlaceFix, situation: Situation, gates: GatesConfig, period_s: float, oldest_s: float
 ) -> Refusal | None:
-    """None when the fix may go, else the first rule against it."""
+    """The first check that the fix fails; None if it may be published."""
     age_s = (situation.now_ns - fix.stamp_ns) / 1e9
     since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
     rules: tuple[tuple[bool, Reason], ...] = (
@@ -77,10 +77,10 @@ def refusal(
 
 
 def _too_far(fix: PlaceFix, situation: Situation, gates: GatesConfig) -> Refusal | None:
-    """The distance from the autopilot's own position, in units of what both may be wrong by."""
+    """Check the distance from the autopilot's own position against the standard deviations of both."""
     distance_m = distance_from(situation.position, fix) if situation.position is not None else None
     if distance_m is None or situation.uncertainty_m is None:
-        # Nothing is known of where the vehicle may be: only what it recognises can tell.
+        # The autopilot's position is unknown or unbounded: only other recognized places can confirm the fix.
         if fix.matches < gates.far_matches:
             return Refusal("too few matches for a far fix", distance_m)
         return None if situation.confirmed else Refusal("not confirmed by another place yet", distance_m)
@@ -93,9 +93,9 @@ def _too_far(fix: PlaceFix, situation: Situation, gates: GatesConfig) -> Refusal
 
 
 def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
-    """Metres east and north from where the autopilot believed to be at the fix's moment to the fix.
+    """Meters east and north from the autopilot's position at the fix's time to the fix.
 
-    Its newest position is moved to that moment by its own velocity.
+    The autopilot's newest position is moved to that time by its velocity.
     """
     apart_s = (fix.stamp_ns - position.stamp_ns) / 1e9
     assert fix.lat_deg is not None and fix.lon_deg is not None
@@ -109,14 +109,14 @@ def distance_from(position: VehiclePosition, fix: PlaceFix) -> float:
 
 
 class Uncertainty:
-    """How wrong the autopilot's own position may be: bound by GPS or a fix, and growing with the distance since."""
+    """Standard deviation of the autopilot's position: set by GPS or a fix, and growing with the distance driven."""
 
     def __init__(self, drift_percent: float) -> None:
         self._drift = drift_percent / 100
-        self._bound: tuple[float, float] | None = None  # one standard deviation, and metres driven when it held
+        self._bound: tuple[float, float] | None = None  # standard deviation, and meters driven at that time
 
     def bind(self, sigma_m: float, driven_m: float | None) -> None:
-        """The position is known to `sigma_m`, at that reading of the odometer."""
+        """Set the standard deviation at a distance driven."""
         if driven_m is not None:
             self._bound = sigma_m, driven_m
 
@@ -125,7 +125,7 @@ class Uncertainty:
         self._bound = None
 
     def at(self, driven_m: float | None, reported_m: float | None) -> float | None:
-        """One standard deviation now: the larger of ours and the autopilot's own, None where nothing is known."""
+        """Standard deviation now: the larger of ours and the autopilot's own; None if unbounded."""
         if self._bound is None or driven_m is None:
             return reported_m
         sigma_m, since_m = self._bound

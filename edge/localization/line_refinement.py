@@ -27,7 +27,7 @@ PUSHED = 3.0
 
 @dataclass(frozen=True)
 class LineEnd:
-    """Metres along the drive at which a line ends, in the drive's own route_m.
+    """Meters along the drive at which a line ends, in the drive's own route_m.
 
     spacing_m: between places there. width_m: the error that the match's half width
     stands for, one standard deviation.
@@ -54,7 +54,7 @@ class LineRefinement:
         self._driven_m: float | None = None
         self._spacing_m = 0.0
         self.odometer_m = 0.0
-        """Metres driven: by the odometer, or where there is none by the lines' own slopes."""
+        """Meters driven: by the odometer, or where there is none by the lines' own slopes."""
 
     def move(self, match: PlaceMatch | None, driven_m: float | None, missed: int = 0) -> bool:
         """A frame was used at that reading, None where nobody tells; False when the odometer was counted anew.
@@ -82,7 +82,7 @@ class LineRefinement:
         return self.odometer_m + driven_m - self._driven_m
 
     def end_of(self, match: PlaceMatch) -> LineEnd | None:
-        """Where the match's line ends; None where the map knows no metres, and for a line that is no sighting."""
+        """Where the match's line ends; None where the map knows no meters, and for a line that is no sighting."""
         drive, place_m = self._route.drive(match.place_index), self._route.route_m(match.place_index)
         if drive.places < 2 or math.isnan(place_m):
             return None

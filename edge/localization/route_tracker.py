@@ -4,7 +4,7 @@ Each accepted match says where on the drive the vehicle is; the odometer says ho
 of the two, the offset, is constant while the vehicle stays on the drive, so matches in a row can be held against each
 other, averaged, and moved on between frames:
 
-    along the drive = offset + metres driven (forward), offset - metres driven (reverse)
+    along the drive = offset + meters driven (forward), offset - meters driven (reverse)
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class _Track:
 
     @property
     def sigma_m(self) -> float:
-        """Of the mean. Errors of neighbouring matches are alike, so that averaging is not taken to reduce them."""
+        """Of the mean. Errors of neighboring matches are alike, so that averaging is not taken to reduce them."""
         return math.hypot(float(np.mean(self.sigmas_m)), float(np.std(self.offsets_m)))
 
     def agrees(self, other: _Track, drifted_m: float) -> bool:

@@ -26,7 +26,7 @@ def open_page(config: PageConfig, map_view: MapView) -> StatusPage | None:
 
         page = StatusPage(config, map_view)
     except ModuleNotFoundError as error:
-        log.info("no live page: it needs %s: pip install 'lookback[page]'", error.name)
+        log.info("no live page: the package %s is missing: pip install 'lookback[page]'", error.name)
         return None
     except OSError as error:
         log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))

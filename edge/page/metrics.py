@@ -26,7 +26,7 @@ class _OneStatus(Collector):
 
     def collect(self) -> Iterable[Metric]:
         status = self._status
-        yield _gauge("info", "1; what runs", {"version": status.version, "map": status.map_name}, 1)
+        yield _gauge("info", "Version and map; always 1", {"version": status.version, "map": status.map_name}, 1)
         yield _gauge("start_time_seconds", "Unix time at which the daemon started", {}, status.started_unix_s)
         yield _counter("frames_used", "Frames that went through the recognizer", {"": status.frames_used})
         yield _counter("events", "Places that were published", {"": status.events})
@@ -35,26 +35,26 @@ class _OneStatus(Collector):
         camera = status.camera
         yield _gauge("camera_up", "Whether the camera delivers", {}, float(camera.state == "running"))
         outcomes = {"delivered": camera.delivered, "overwritten": camera.overwritten, "bad": camera.bad}
-        yield _counter("camera_frames", "Frames by what became of them", outcomes, "outcome")
+        yield _counter("camera_frames", "Frames by outcome", outcomes, "outcome")
         yield _counter("camera_reopened", "How often a lost camera came back", {"": camera.reopened})
         yield _gauge("link_up", "Whether an autopilot is heard", {}, float(status.link.state == "up"))
-        yield _gauge("gps_healthy", "Whether the autopilot has a 3-D fix", {}, float(status.link.gps_healthy))
+        yield _gauge("gps_healthy", "Whether the autopilot has a 3D fix", {}, float(status.link.gps_healthy))
         yield _gauge(
             "journal_lines_lost", "Lines that could not be written since the last one that was", {}, status.journal_lost
         )
 
     @staticmethod
     def _recognizer(status: Status) -> Iterable[Metric]:
-        states = GaugeMetricFamily("lookback_state", "1 for the state it is in", labels=["state"])
+        states = GaugeMetricFamily("lookback_state", "1 for the current state", labels=["state"])
         for state in dict.fromkeys((*STATES, status.state)):
             states.add_metric([state], float(state == status.state))
         yield states
         yield _gauge("uniqueness_min", "Uniqueness from which on a match is believed", {}, status.uniqueness_min)
         newest = status.newest
         if newest is not None and newest.place is not None:
-            yield _gauge("uniqueness", "Of the newest match", {}, newest.uniqueness or 0.0)
+            yield _gauge("uniqueness", "Uniqueness of the newest match", {}, newest.uniqueness or 0.0)
             of_map = {"map": newest.map} if newest.map else {}
-            yield _gauge("place", "Row of the map that was matched last", of_map, newest.place)
+            yield _gauge("place", "Map row of the newest match", of_map, newest.place)
         stages = GaugeMetricFamily("lookback_stage_seconds", "Median time of a stage of a frame", labels=["stage"])
         for stage, took_ms in status.stages_ms.items():
             stages.add_metric([stage], took_ms / 1e3)

@@ -88,4 +88,4 @@ def _exchange(new: Path, old: Path) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.renameat2(at_fdcwd, os.fsencode(new), at_fdcwd, os.fsencode(old), rename_exchange) != 0:
         reason = os.strerror(ctypes.get_errno())
-        raise MapError(f"{old}: this file system cannot replace a map in one step ({reason}); remove the old map first")
+        raise MapError(f"{old}: this file system cannot replace a map atomically ({reason}); remove the old map first")

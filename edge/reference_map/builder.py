@@ -1,6 +1,6 @@
 """Building a map: place after place to the disk, then eq. 1 over the whole set, then one rename.
 
-Memory does not grow with the map: raw descriptors go to their file as they come, and the whole set is normalised
+Memory does not grow with the map: raw descriptors go to their file as they come, and the whole set is normalized
 from there in blocks.
 """
 
@@ -65,7 +65,7 @@ class MapBuilder:
         dimensions: shrink the descriptors of each region to so many, at most the model's (None: as they are).
         """
         if path.exists() and not replace:
-            raise MapError(f"{path}: there is something here already; name another folder, or use --replace")
+            raise MapError(f"{path}: already exists; name another folder, or use --replace")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
         self._path = path
@@ -96,7 +96,7 @@ class MapBuilder:
     def add_map(self, other: ReferenceMap) -> None:
         """Add all places of another map, with its segments and raw descriptors, as if driven again."""
         if (other.header.model, other.header.regions) != (self._model, self._regions):
-            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be joined")
+            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be added")
         raw = other.raw()
         for segment in other.header.segments:
             self.begin_segment(segment.source, segment.view)
@@ -114,7 +114,7 @@ class MapBuilder:
                 self.add(raw[index].astype(np.float32), place)
 
     def finish(self, normalize: Normalize, lookback_version: str) -> MapHeader:
-        """Normalise the whole set, write, sync, and rename into place. MapError if no place was added."""
+        """Normalize the whole set, write, sync, and rename into place. MapError if no place was added."""
         self._segments = [segment for segment in self._segments if segment.end > segment.start]
         if len(self._records) < 2:
             raise MapError(f"{self._path}: a map needs at least 2 places, and {len(self._records)} were added")

@@ -77,7 +77,7 @@ class Checksums:
         self.close()
         name = self._names.pop(0)
         if self._digest.hexdigest() != self._files[name].sha256:
-            raise MapError(f"{self._path / name}: damaged (its checksum does not hold); build or copy the map again")
+            raise MapError(f"{self._path / name}: damaged (checksum mismatch); build or copy the map again")
 
 
 @dataclass(frozen=True)

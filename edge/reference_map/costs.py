@@ -88,7 +88,7 @@ class CostMatcher:
         return cls(reference_map.descriptors, reference_map.places["norm_sq"], reference_map.projection)
 
     def costs(self, query: NDArray[np.float32], ranges: Sequence[tuple[int, int]] | None = None) -> NDArray[np.int32]:
-        """Normalised query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".
+        """Normalized query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".
 
         With `ranges`, [start, end) of places, only those are read and N is their number together. A query that is
         all zero has no direction: its cost is COST_ONE to every place, as if unrelated.
@@ -96,7 +96,7 @@ class CostMatcher:
         return self.costs_of_encoded(self.encoded(query), ranges)
 
     def encoded(self, query: NDArray[np.float32]) -> NDArray[np.int8]:
-        """Normalised query rows (n, R, D) as the map keeps its own: (R, n, D) int8, shrunk if the map is."""
+        """Normalized query rows (n, R, D) as the map keeps its own: (R, n, D) int8, shrunk if the map is."""
         return encode(query if self._projection is None else project(query, self._projection))
 
     def costs_of_encoded(

@@ -221,7 +221,7 @@ def open_map_set(path: Path, *, require_signature_by: Path | None = None, every_
 def _of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
     if not maps:
         first = next(iter(excluded)).why
-        raise MapError(f"{path}: none of its {len(excluded)} maps can be used; the first: {first}")
+        raise MapError(f"{path}: none of its {len(excluded)} maps is usable; the first: {first}")
     return MapSet.of(maps, path, excluded)
 
 
@@ -239,7 +239,7 @@ def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str
     if ours != theirs:
         return (
             f"{one.path}: made with regions {_spell_regions(*theirs)},"
-            f" but [descriptor] asks for {_spell_regions(*ours)}; change the one or build the map again"
+            f" but [descriptor] is {_spell_regions(*ours)}; change it or build the map again"
         )
     return ""
 

@@ -1,7 +1,7 @@
-"""Descriptors shrunk to fewer dimensions: the principal directions of a map's own normalised set.
+"""Descriptors shrunk to fewer dimensions: the principal directions of a map's own normalized set.
 
 Both regions share one matrix, so that their order can still be swapped. Directions are those in which places differ
-most (PCA about 0, which is the mean of a normalised set), found by subspace iteration over blocks of the set: memory
+most (PCA about 0, which is the mean of a normalized set), found by subspace iteration over blocks of the set: memory
 grows with the dimensions and not with the map.
 """
 

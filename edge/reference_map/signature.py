@@ -31,7 +31,7 @@ def make_key(path: Path) -> Path:
             with os.fdopen(descriptor, "w", encoding="ascii") as stream:
                 stream.write(f"{value.hex()}\n")
     except FileExistsError as error:
-        raise ConfigError(f"{error.filename}: there is a key here already; name another file") from None
+        raise ConfigError(f"{error.filename}: a key already exists here; name another file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot write a key here: {error.strerror}") from None
     return public
@@ -82,7 +82,7 @@ def _read_key(file: Path, *, secret: bool) -> bytes:
     except OSError as error:
         raise ConfigError(f"{file}: cannot read this key: {error.strerror}") from None
     if secret and mode & 0o077:
-        raise ConfigError(f"{file}: others may read this key; chmod 600 {file}")
+        raise ConfigError(f"{file}: this key is readable by other users; chmod 600 {file}")
     try:
         key = bytes.fromhex(text.decode("ascii"))
     except ValueError:

@@ -1,12 +1,12 @@
-"""The map's folder, used only after its header, sizes and checksums hold.
+"""The map's folder, used only after its header, sizes and checksums match.
 
     map.json         header: format, model, regions, sampling, counts, segments, bounds, checksums; its own last
-    descriptors.i8   (R, N, K) int8, normalised over the whole set, as `costs.encode` has it; memory-mapped, the only
+    descriptors.i8   (R, N, K) int8, normalized over the whole set, as `costs.encode` has it; memory-mapped, the only
                      file that matching reads
     places.bin       (N,) records of PLACE: where the place is, and its thumbnail
     statistics.f64   (2, R, D) mean and deviation of the raw set
     projection.f32   (K, D) of a map whose descriptors were shrunk to K < D dimensions
-    raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalised again without images
+    raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalized again without images
     thumbnails.jpgs  one small JPEG after another, for people
 
 Numbers are little-endian. A map is written to a folder beside it, synced, and put in place by one rename, so that
@@ -71,7 +71,7 @@ class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How images were cut (section III-D) and normalised (eq. 1); a query must be treated alike."""
+    """How images were cut (section III-D) and normalized (eq. 1); a query must be treated alike."""
 
     kind: Literal["left-right", "whole"]
     width: float
@@ -151,7 +151,7 @@ class ReferenceMap:
             return file.read(int(record["thumbnail_bytes"]))
 
     def raw(self) -> NDArray[np.float16]:
-        """Raw descriptors (N, R, D) float16, memory-mapped, for normalising again."""
+        """Raw descriptors (N, R, D) float16, memory-mapped, for normalizing again."""
         header = self.header
         shape = (header.places, header.regions.count, header.model.dimensions)
         return np.memmap(self.path / RAW, dtype="<f2", mode="r", shape=shape)
@@ -256,7 +256,7 @@ def read_header(path: Path) -> MapHeader:
         raise MapError(f"{file}: damaged, or not a map header: {error}") from None
     # The canonical encoding must give the same bytes, so that no bit of the file goes unchecked.
     if encode_header(msgspec.structs.replace(header, header_sha256="")) != data:
-        raise MapError(f"{file}: damaged (its checksum does not hold); build or copy the map again")
+        raise MapError(f"{file}: damaged (checksum mismatch); build or copy the map again")
     _check_header(file, header)
     return header
 
@@ -268,7 +268,7 @@ def plain_size(file: Path) -> int:
     except OSError as error:
         raise MapError(f"{file}: cannot read it: {error.strerror}") from None
     if not stat.S_ISREG(status.st_mode):
-        raise MapError(f"{file}: not a plain file; build or copy the map again")
+        raise MapError(f"{file}: not a regular file; build or copy the map again")
     return status.st_size
 
 
@@ -296,7 +296,7 @@ def _check_header(file: Path, header: MapHeader) -> None:
         raise MapError(f"{file}: dimensions: {header.dimensions} of the model's {header.model.dimensions}")
     sizes = expected_sizes(header.places, header.regions.count, header.model.dimensions, header.dimensions)
     if set(header.files) != {*sizes, THUMBNAILS}:
-        raise MapError(f"{file}: files: not the files of a map")
+        raise MapError(f"{file}: files: not the list of files of a map")
     for name, size in sizes.items():
         if header.files[name].bytes != size:
             raise MapError(f"{file}: files: {name} should have {size} bytes by the counts in the header")
@@ -324,4 +324,4 @@ def _check_extent(file: Path, bounds: Bounds | None, tile: TileOf | None) -> Non
         raise MapError(f"{file}: bounds: not south to north and west to east in degrees")
     lat_deg, lon_deg = (tile.origin if tile else None) or (0.0, 0.0)
     if tile is not None and not (tile.start >= 0 and abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
-        raise MapError(f"{file}: tile: no map has such a place, or such an origin")
+        raise MapError(f"{file}: tile: not a valid place or origin")

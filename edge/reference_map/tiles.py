@@ -1,6 +1,6 @@
 """Cutting a map into tiles: the same bytes in several maps, which searched together give the same matches.
 
-Descriptors are copied as they were normalised over the whole set, with its statistics and its directions if they were
+Descriptors are copied as they were normalized over the whole set, with its statistics and its directions if they were
 shrunk. Drives are cut at borders and joined again when a folder of tiles is opened (`numbering`), so no place is kept
 twice and no sequence is lost.
 """
@@ -40,7 +40,7 @@ def split_map(reference_map: ReferenceMap, output: Path, places: int) -> list[Ma
     if not 0 < places < total:
         raise ConfigError(f"--places: {places} is not between 1 and {total - 1}, less than what the map has")
     if output.exists():
-        raise MapError(f"{output}: there is something here already; name another folder")
+        raise MapError(f"{output}: already exists; name another folder")
     borders = _borders(total, places)
     digits = len(str(len(borders) - 2))
     with AtomicFolder(output) as new:

@@ -1,7 +1,7 @@
-"""Whether the best line is believed: trajectory uniqueness (section IV-B) with its window in metres, and hold-off.
+"""Whether the best line is believed: trajectory uniqueness (section IV-B) with its window in meters, and hold-off.
 
 The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What tells is how
-much worse the best line elsewhere is. Elsewhere is in metres: neighbours of a place are as good as the place itself.
+much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a place are as good as the place itself.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from edge.sequence import PlaceMatch
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 
-class Neighbourhood:
+class Neighborhood:
     """Which places count as the same place as another, for uniqueness."""
 
     def __init__(
@@ -34,7 +34,7 @@ class Neighbourhood:
     def around(self, place: int) -> NDArray[np.bool_]:
         """Places (N,) within `window_m` of `place`, along its drive or as the crow flies.
 
-        Where the map knows no metres, those within `window_places` of it in its segment.
+        Where the map knows no meters, those within `window_places` of it in its segment.
         """
         window_m = self._config.window_m
         segment = self.segment(place)
@@ -55,19 +55,19 @@ class Neighbourhood:
 
 
 def best_match(
-    search: SequenceSearch, lines: Lines, neighbourhood: Neighbourhood, config: AcceptanceConfig
+    search: SequenceSearch, lines: Lines, neighborhood: Neighborhood, config: AcceptanceConfig
 ) -> PlaceMatch | None:
     """Equation 3 and the uniqueness test; None where no whole line ends anywhere (a map shorter than a sequence)."""
     place = int(lines.costs.argmin())
     best = int(lines.costs[place])
     if best == NO_LINE:
         return None
-    second = int(np.where(neighbourhood.around(place), NO_LINE, lines.costs).min())
+    second = int(np.where(neighborhood.around(place), NO_LINE, lines.costs).min())
     # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
     uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
     plane = lines.plane(place)
     direction, order = search.planes[plane]
-    segment = neighbourhood.segment(place)
+    segment = neighborhood.segment(place)
     along, at = lines.costs[segment], place - segment.start
     return PlaceMatch(
         place_index=place,
@@ -135,7 +135,7 @@ def _parabola(steps: list[int], costs: list[int]) -> tuple[float, float]:
 
 
 def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) -> float:
-    """Half the number of neighbours in a row, `place` among them, whose cost is near the lowest.
+    """Half the number of neighbors in a row, `place` among them, whose cost is near the lowest.
 
     elsewhere: the lowest cost outside the window of uniqueness, against which "near" is measured.
     """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.acceptance import Neighbourhood, best_match
+from edge.sequence.acceptance import Neighborhood, best_match
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
 
@@ -29,7 +29,7 @@ class RowMatcher:
         segments: Sequence[tuple[int, int]],
         views: Sequence[str],
         regions: int,
-        neighbourhood: Neighbourhood,
+        neighborhood: Neighborhood,
         config: Config,
         frame: int = 0,
     ) -> None:
@@ -37,7 +37,7 @@ class RowMatcher:
 
         config: [sequence], [acceptance], and the view of [camera]. frame: how many frames came before the first row.
         """
-        self.neighbourhood = neighbourhood
+        self.neighborhood = neighborhood
         self._count = segments[-1][1]
         self._per_frame_order = config.sequence.region_order == "frame"
         self._acceptance = config.acceptance
@@ -65,7 +65,7 @@ class RowMatcher:
         self.lines = self._search.lines()
         if self.lines is None:
             return None
-        match = best_match(self._search, self.lines, self.neighbourhood, self._acceptance)
+        match = best_match(self._search, self.lines, self.neighborhood, self._acceptance)
         if match is None or not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
@@ -95,7 +95,7 @@ class Submap(RowMatcher):
         self._map_set = map_set
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
-        neighbourhood = Neighbourhood(
+        neighborhood = Neighborhood(
             map_set.east_north_m(ranges),
             np.ascontiguousarray(map_set.places_in(ranges)["route_m"]),
             np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
@@ -103,7 +103,7 @@ class Submap(RowMatcher):
         )
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         views = [map_set.index.view(number) for number, _, _ in pieces]
-        super().__init__(segments, views, map_set.headers[0].regions.count, neighbourhood, config, frame)
+        super().__init__(segments, views, map_set.headers[0].regions.count, neighborhood, config, frame)
 
     def _match(self, newest: NDArray[np.int32]) -> PlaceMatch | None:
         match = super()._match(newest)

@@ -30,7 +30,7 @@ class Laps:
         self._last_ns = 0
 
     def begin(self) -> None:
-        """A frame begins."""
+        """Start timing a frame."""
         self.frames.append({})
         self._last_ns = time.thread_time_ns()
 

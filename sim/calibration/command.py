@@ -31,23 +31,27 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     """Add `lookback calibrate` to the command line; an entry point of `lookback.commands`."""
     parser = commands.add_parser(
         "calibrate",
-        help="find the rig's offset and the acceptance threshold",
-        description="Find the rig's along-route offset from recorded drives with GPS, and the acceptance threshold for"
-        " the precision you want. Without a FEED the threshold is set from the map against itself.",
+        help="measure the camera's offset and the acceptance threshold",
+        description="Measure the camera's offset along the route from recorded drives with GPS, and the acceptance"
+        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone.",
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
-    parser.add_argument("--map", type=Path, required=True)
+    parser.add_argument("--map", type=Path, required=True, help="the map's folder")
     parser.add_argument("--config", type=Path, help="settings of the recognizer")
-    parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='such as 0.99 or "99 %%" (default)')
+    parser.add_argument(
+        "--precision", type=_share, default=0.99, metavar="P", help='required precision: 0.99 or "99 %%" (default)'
+    )
     parser.add_argument(
         "--tolerance-m",
         type=float,
         default=TOLERANCE_M,
         metavar="M",
-        help="a match this near is right (default 40)",
+        help="a match within M meters is correct (default 40)",
     )
     parser.add_argument("--curve", type=Path, metavar="CSV", help="write precision over threshold to this file")
-    parser.add_argument("--write", type=Path, metavar="CONFIG", help="write the lines into this file; comments stay")
+    parser.add_argument(
+        "--write", type=Path, metavar="CONFIG", help="write the result into this config file; comments are kept"
+    )
     parser.set_defaults(run=_run)
 
 

@@ -91,7 +91,7 @@ def _uniqueness_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
-            costs[..., part.neighbourhood.around(place)] = missing
+            costs[..., part.neighborhood.around(place)] = missing
             match = part.push(costs)
             if match is None or match.distance * COST_ONE * config.sequence.length >= missing:
                 continue

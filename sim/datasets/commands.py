@@ -20,8 +20,8 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     """Add `import` to the commands of `lookback sim`."""
     parser = sim_commands.add_parser(
         "import",
-        help="make a feed of a published data set, a bag, or a video and a log",
-        description="Make a feed of a recording in its own layout.",
+        help="convert a published data set, a ROS bag, or a video and a log to a feed",
+        description="Convert a recording in another layout to a feed.",
         epilog=_kinds(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -60,8 +60,8 @@ Fields: TypeAlias = dict[str, Any]
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback mcap` to the command line; an entry point of `lookback.commands`."""
-    actions = commands.add_parser("mcap", help="feeds as MCAP files, and back").add_subparsers(required=True)
-    write = actions.add_parser("write", help="write a feed as an MCAP file for Foxglove")
+    actions = commands.add_parser("mcap", help="convert feeds to MCAP files and back").add_subparsers(required=True)
+    write = actions.add_parser("write", help="convert a feed to an MCAP file for Foxglove")
     write.add_argument("feed", type=Path, metavar="FEED")
     write.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
     write.set_defaults(run=lambda args: _write(read_feed(args.feed), args.output))
@@ -168,7 +168,7 @@ class McapPictures:
         data = np.frombuffer(self.data(index), np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
         if image is None:
-            raise FrameError(f"{self._path}: picture {index}: not a whole JPEG or PNG picture")
+            raise FrameError(f"{self._path}: picture {index}: not a complete JPEG or PNG image")
         return np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:

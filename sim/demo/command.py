@@ -44,10 +44,12 @@ WITH_GPS = (
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback demo` to the command line; the entry point of `lookback.commands`."""
-    parser = commands.add_parser("demo", help="the main job in simulation: map, drive back, fixes, report")
+    parser = commands.add_parser("demo", help="the main task in simulation: map, drive back, fixes, report")
     parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="FOLDER")
-    parser.add_argument("--require-good", action="store_true", help="exit 1 unless both drives gave right fixes (CI)")
-    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write the README's pictures there as well")
+    parser.add_argument(
+        "--require-good", action="store_true", help="exit with 1 unless both drives gave correct fixes (CI)"
+    )
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="also write the README's images to this folder")
     parser.set_defaults(run=_run)
 
 

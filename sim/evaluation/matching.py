@@ -12,7 +12,7 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.acceptance import Neighborhood
 from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
 from sim.evaluation import seqslam
@@ -97,7 +97,7 @@ def open_matcher(
     """
     acceptance = AcceptanceConfig(window_m=window)
     config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
-    near = Neighbourhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
+    near = Neighborhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
     return RowMatcher([(0, len(along))], [views[0]], regions, near, config)
 
 

@@ -20,7 +20,7 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import STATISTICS, ReferenceMap, open_map
-from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.acceptance import Neighborhood
 from edge.sequence.submap import RowMatcher
 from sim.evaluation.matching import int8_matcher
 
@@ -119,7 +119,7 @@ def _search(
     segment_of = np.repeat(np.arange(len(segments), dtype=np.int32), [end - start for start, end in segments])
     acceptance = AcceptanceConfig(window_places=LENGTH)
     config = Config(sequence=SEQUENCE, acceptance=acceptance)
-    near = Neighbourhood(np.full((count, 2), np.nan), np.full(count, np.nan), segment_of, acceptance)
+    near = Neighborhood(np.full((count, 2), np.nan), np.full(count, np.nan), segment_of, acceptance)
     matcher = RowMatcher(segments, ["front"] * len(segments), 1, near, config)
     place, margin = np.full(len(queries), -1), np.ones(len(queries))
     for start, end in segments:

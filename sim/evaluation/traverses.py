@@ -83,7 +83,7 @@ def anchored_errors(pair: Pair, query_rows: NDArray[np.intp], rows: NDArray[np.i
 
 
 def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the places are, for `Neighbourhood`: (N, 2) on the ground and (N,) along the drive, NaN where unknown.
+    """Where the places are, for `Neighborhood`: (N, 2) on the ground and (N,) along the drive, NaN where unknown.
 
     In meters, or in frames where the truth is: a loop is then a circle of so many frames.
     """

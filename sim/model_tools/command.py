@@ -39,8 +39,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
     make = actions.add_parser("import", help="make an int8 network from AlexNet weights in torchvision's layout")
     make.add_argument("weights", type=Path, help=".npz, or a published .pth.tar (needs the extra torch)")
-    make.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network's file (.onnx)")
-    make.add_argument("--labels", type=Path, help="names of the categories, one a line")
+    make.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
+    make.add_argument("--labels", type=Path, help="names of the categories, one per line")
     ranges = make.add_mutually_exclusive_group(required=True)
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")

@@ -22,23 +22,31 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     usual = Recipe()
     parser = commands.add_parser(
         "train",
-        help="train AlexNet on a folder of pictures for each class",
-        description="Train AlexNet on a folder of pictures for each class, such as MiniPlaces' images/train, as the"
+        help="train AlexNet on labeled images",
+        description="Train AlexNet on a folder of images for each class, such as MiniPlaces' images/train, as the"
         " shipped network was trained. Beside WEIGHTS.npz come WEIGHTS.labels.txt and WEIGHTS.ranges.json, which"
         " `lookback model import` takes. A training that was cut off goes on when the same command is given again.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="has a folder of pictures for each class")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with a subfolder of images for each class")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="WEIGHTS.npz")
     parser.add_argument("--epochs", type=int, default=usual.epochs, help="default %(default)s")
-    parser.add_argument("--batch", type=int, default=usual.batch, help="pictures a step (default %(default)s)")
-    parser.add_argument("--size", type=int, default=128, metavar="PIXELS", help="side they are kept at (default 128)")
+    parser.add_argument("--batch", type=int, default=usual.batch, help="images per step (default %(default)s)")
+    parser.add_argument(
+        "--size", type=int, default=128, metavar="PIXELS", help="size that images are scaled to (default 128)"
+    )
     parser.add_argument("--rate", type=float, default=usual.peak_rate, help="peak learning rate (default %(default)s)")
     parser.add_argument(
-        "--contrast", type=float, default=usual.contrast, help="weight of telling pictures apart (default %(default)s)"
+        "--contrast", type=float, default=usual.contrast, help="weight of the contrastive loss (default %(default)s)"
     )
-    parser.add_argument("--hold-out", type=float, default=0.02, metavar="SHARE", help="to measure on (default 0.02)")
+    parser.add_argument(
+        "--hold-out",
+        type=float,
+        default=0.02,
+        metavar="SHARE",
+        help="fraction of the images held out for validation (default 0.02)",
+    )
     parser.add_argument("--seed", type=int, default=usual.seed)
-    parser.add_argument("--device", choices=["cpu", "cuda"], help="default: cuda where there is one")
+    parser.add_argument("--device", choices=["cpu", "cuda"], help="default: cuda if available")
     parser.set_defaults(run=_run)
 
 

@@ -22,15 +22,19 @@ POSITION_MESSAGES = ("auto", "external_position", "global_position_sensor", "vis
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `fixes` to the commands of `lookback sim`."""
-    parser = sim_commands.add_parser("fixes", help="many drives without GPS: are the fixes right?")
-    parser.add_argument("--runs", type=int, default=50, metavar="N", help="seeded drives, default 50")
-    parser.add_argument("--first-seed", type=int, default=1, metavar="SEED", help="of the first run, default 1")
-    parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="roads to drive on, default 5")
+    parser = sim_commands.add_parser(
+        "fixes", help="simulate many drives without GPS and measure the autopilot's position error"
+    )
+    parser.add_argument("--runs", type=int, default=50, metavar="N", help="number of seeded drives (default 50)")
+    parser.add_argument("--first-seed", type=int, default=1, metavar="SEED", help="seed of the first run (default 1)")
+    parser.add_argument("--worlds", type=int, default=len(LIGHTS), metavar="N", help="number of roads (default 5)")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
-    parser.add_argument("--emit", choices=POSITION_MESSAGES, default="auto", help="as [telemetry] emit, default auto")
-    parser.add_argument("--no-gps", action="store_true", help="no GPS even at the start; an origin is set near it")
-    parser.add_argument("--live", action="store_true", help="in real time, the daemon as a process of its own")
-    parser.add_argument("--at-once", type=int, default=1, metavar="N", help="live drives at the same time, default 1")
+    parser.add_argument("--emit", choices=POSITION_MESSAGES, default="auto", help="as [telemetry] emit (default auto)")
+    parser.add_argument("--no-gps", action="store_true", help="no GPS even at the start; an origin is set nearby")
+    parser.add_argument("--live", action="store_true", help="in real time, with the daemon in its own process")
+    parser.add_argument(
+        "--at-once", type=int, default=1, metavar="N", help="number of live drives in parallel (default 1)"
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER")
     parser.set_defaults(run=_run)
 

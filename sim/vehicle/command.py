@@ -27,19 +27,19 @@ PRINT_S = 0.1
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `autopilot` to the commands of `lookback sim`."""
-    parser = sim_commands.add_parser("autopilot", help="a simulated autopilot on a pseudo-terminal or UDP")
+    parser = sim_commands.add_parser("autopilot", help="run a simulated autopilot on a pseudo-terminal or UDP")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal; its path is printed (default)")
     where.add_argument("--udp", metavar="HOST:PORT", help="send to HOST:PORT, where a daemon listens with udpin:")
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
-    parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north, default 0")
-    parser.add_argument("--no-gps", action="store_true", help="odometry only")
+    parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
+    parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
     parser.add_argument("--no-origin", action="store_true", help="no origin at boot: until it is set, or GPS has a fix")
     parser.add_argument(
         "--drift", metavar="PERCENT", type=float, default=0.0, help="error of odometry in %% of the distance"
     )
-    parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after that time")
+    parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after S seconds")
     parser.set_defaults(run=run)
 
 

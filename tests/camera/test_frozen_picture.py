@@ -29,12 +29,12 @@ def test_pictures_that_differ_only_by_noise_are_sound() -> None:
     assert watch(FrozenPictureDetector(), [noisy(seed) for seed in range(100)]) == [None] * 100
 
 
-@pytest.mark.parametrize("colour", [(0, 0, 0), (255, 255, 255), (0, 154, 0)], ids=["black", "white", "zeros in YUV"])
+@pytest.mark.parametrize("color", [(0, 0, 0), (255, 255, 255), (0, 154, 0)], ids=["black", "white", "zeros in YUV"])
 def test_a_blank_picture_is_told_after_half_a_second_and_forgotten_with_the_next_good_one(
-    colour: tuple[int, int, int],
+    color: tuple[int, int, int],
 ) -> None:
     eyes = FrozenPictureDetector()
-    blank = np.full((48, 64, 3), colour, np.uint8)
+    blank = np.full((48, 64, 3), color, np.uint8)
     told = watch(eyes, [blank] * 6)
     assert [fault and fault.sure for fault in told] == [False] * 3 + [True] * 3, "and is not used from the first"
     assert told[-1] is not None

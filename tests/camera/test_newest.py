@@ -284,7 +284,7 @@ def test_a_camera_can_be_opened_again_on_request(let_go: threading.Event) -> Non
 
     frozen, after = Frozen(0, 1, 2), ScriptedCamera(0, then_wait=let_go)
     newest = NewestFrame(opener(frozen, after), first_back_off_s=0.001)
-    newest.reopen("the picture is frozen")
+    newest.reopen("the image is frozen")
     asked.set()
     assert after.drained.wait(PATIENCE_S)
     assert frozen.closed.is_set()

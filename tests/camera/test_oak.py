@@ -79,7 +79,7 @@ def test_no_oak_is_one_line() -> None:
 
 def test_a_device_node_is_no_oak() -> None:
     needs_depthai()
-    with pytest.raises(ConfigError, match=r"\[camera\] device: /dev/video0 is no OAK device id"):
+    with pytest.raises(ConfigError, match=r"\[camera\] device: /dev/video0 is not an OAK device ID"):
         open_camera(CameraConfig(kind="oak"))
 
 

@@ -96,7 +96,7 @@ def test_nothing_is_told_of_a_damaged_tile(
     lines = replayed(street, damaged, capsys)
     assert {line.get("map") for line in lines} == {None, "0"}
     assert [record.message for record in caplog.records] == [
-        f"{damaged / '1' / DESCRIPTORS}: damaged (its checksum does not hold); build or copy the map again; excluded"
+        f"{damaged / '1' / DESCRIPTORS}: damaged (checksum mismatch); build or copy the map again; excluded"
     ]
     assert sum(line["accepted"] for line in lines) > 30
 
@@ -104,7 +104,7 @@ def test_nothing_is_told_of_a_damaged_tile(
 def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     street: Path, damaged: Path, network: Network, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognised."""
+    """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognized."""
     config = config_for_map(open_map(street / "map").header, 5, 1.02)
     acceptance = msgspec.structs.replace(config.acceptance, window_m=10.0)
     config = msgspec.structs.replace(config, map=MapConfig(places_per_frame=79), acceptance=acceptance)
@@ -146,7 +146,7 @@ def test_info_verify_and_check_of_a_folder(
     assert main(["map", "info", str(street / "tiles" / "1")]) == 0
     assert "from its place 64 on" in capsys.readouterr().out
     assert main(["map", "verify", str(street / "tiles")]) == 0
-    assert "all 10 checksums hold" in capsys.readouterr().out
+    assert "all 10 checksums match" in capsys.readouterr().out
     assert main(["map", "verify", str(damaged)]) == 78
     out, err = capsys.readouterr()
     assert f"{DESCRIPTORS}: damaged" in out
@@ -154,7 +154,7 @@ def test_info_verify_and_check_of_a_folder(
     assert main(["check", str(write_config(tmp_path, street / "again", damaged))]) == 0
     out = capsys.readouterr().out
     assert "map of 64 places in 1 map" in out
-    assert "damaged (its checksum does not hold); build or copy the map again; excluded\n" in out
+    assert "damaged (checksum mismatch); build or copy the map again; excluded\n" in out
     assert "1 of its maps (0): not sampled as [sampling] says" in out
 
 
@@ -182,7 +182,7 @@ def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsy
     assert "map of 16 places in 1 map" in out
     (tmp_path / "tiles" / "1" / SIGNATURE).write_text("00" * 64)
     assert main(["check", str(config)]) == 78
-    assert "none of its 2 maps can be used" in capsys.readouterr().out
+    assert "none of its 2 maps is usable" in capsys.readouterr().out
 
 
 def test_the_page_shows_where_the_maps_are(street: Path) -> None:
@@ -212,7 +212,7 @@ def test_splitting_is_refused_in_one_line(street: Path, tmp_path: Path, capsys: 
         assert told in capsys.readouterr().err
     command = ["map", "split", str(street / "map"), "-o", str(street / "tiles"), "--places", "40"]
     assert main(command) == 78
-    assert "there is something here already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

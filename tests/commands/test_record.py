@@ -85,9 +85,9 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
     done = record.record(config, tmp_path / "out", threading.Event())
     rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
     assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
-    stamps_s, metres = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
-    assert np.median(np.diff(metres)) == pytest.approx(1.0, abs=0.3)
-    assert np.diff(metres) / np.diff(stamps_s) == pytest.approx(speed_mps, rel=0.2)
+    stamps_s, meters = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
+    assert np.median(np.diff(meters)) == pytest.approx(1.0, abs=0.3)
+    assert np.diff(meters) / np.diff(stamps_s) == pytest.approx(speed_mps, rel=0.2)
     for row in rows:
         assert row.speed_mps == pytest.approx(speed_mps, abs=0.1)
         assert row.heading_deg == pytest.approx(0.0, abs=0.1)
@@ -128,7 +128,7 @@ def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
 
 
 def test_a_feed_that_is_there_already_is_not_touched(config: Config, tmp_path: Path) -> None:
-    with pytest.raises(FeedError, match="camera: there is a feed here already"):
+    with pytest.raises(FeedError, match="camera: a feed already exists here"):
         record.record(config, tmp_path / "camera", threading.Event())
     assert len(read_feed(tmp_path / "camera").rows) == COUNT
 

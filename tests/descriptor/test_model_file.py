@@ -224,7 +224,7 @@ def test_tap_that_is_not_what_the_metadata_says(model: Any, save: Save) -> None:
 
 def test_graph_that_does_not_fit_together(model: Any, save: Save) -> None:
     model.graph.node[0].input[0] = "nothing"
-    assert_refused(save(model), "ONNX Runtime refuses it: ")
+    assert_refused(save(model), "ONNX Runtime rejects it: ")
 
 
 def test_sha256_is_of_the_file(model: Any, save: Save) -> None:

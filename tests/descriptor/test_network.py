@@ -110,7 +110,7 @@ def test_head_of_another_network_is_refused() -> None:
 
 
 def test_head_in_place_of_a_network_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"head_int8\.onnx: is a head of categories; name the network file"):
+    with pytest.raises(ModelError, match=r"head_int8\.onnx: is the category head; name the network file"):
         Network.load(SHIPPED_MODEL / HEAD_FILE)
 
 
@@ -139,8 +139,8 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
     assert int8_share >= float_share - 0.01
 
 
-def test_grey_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
-    """Training had zeros after normalisation beyond the edge; the graph has one grey for all channels."""
+def test_gray_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
+    """Training had zeros after normalization beyond the edge; the graph has one gray for all channels."""
     weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
     regions = read_regions(shared / "feeds" / "corridor_reference", "whole")[::40, 0]
     mean_level = 255 * np.array(MEAN_RGB)

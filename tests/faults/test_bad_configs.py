@@ -29,7 +29,7 @@ SECTIONS: list[tuple[str, str, Any]] = [
     ("camera", "stall_timeout_s", 0),
     ("camera", "stall_timeout_s", float("inf")),
     ("camera", "fsp", 15),
-    ("sampling", "by", "metres"),
+    ("sampling", "by", "meters"),
     ("sampling", "spacing_m", 0),
     ("sampling", "spacing_m", 101.0),
     ("sampling", "spacing_frames", 0),

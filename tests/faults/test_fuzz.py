@@ -158,7 +158,7 @@ def test_model_file(fuzz: Fuzz, tmp_path: Path) -> None:
 
 def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
     class Flat:
-        """A network that costs nothing: a descriptor of the mean colours."""
+        """A network that costs nothing: a descriptor of the mean colors."""
 
         info, path = network.info, network.path
 

@@ -75,7 +75,7 @@ def test_a_map_header_names_no_other_files(name: str, make_map: Callable[..., Pa
     header = read_header(path)
     files = {**header.files, name: header.files["raw.f16"]}
     (path / HEADER).write_bytes(encode_header(msgspec.structs.replace(header, files=files, header_sha256="")))
-    with pytest.raises(MapError, match="files: not the files of a map"):
+    with pytest.raises(MapError, match="files: not the list of files of a map"):
         open_map(path)
 
 

@@ -1,4 +1,4 @@
-"""A recogniser that never comes back: the loop stands, and nothing else feeds the watchdog."""
+"""A recognizer that never comes back: the loop stands, and nothing else feeds the watchdog."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A camera that shows nothing for a while, an autopilot that falls silent, a recogniser that is slow.
+"""A camera that shows nothing for a while, an autopilot that falls silent, a recognizer that is slow.
 
 All say so in the same words, nothing old is sent, and it comes back.
 """
@@ -131,8 +131,8 @@ def frozen(bench: Any, image: Image, last: Image) -> Image | None:
     ("fault", "words", "told_after"),
     [
         (lost, "blind, camera: /dev/video0: unplugged", 1),
-        (black, "blind, camera: the picture is blank; is the lens covered, or the exposure wrong?", 4),
-        (frozen, "blind, camera: the picture is frozen", 11),
+        (black, "blind, camera: the image is blank; is the lens covered, or the exposure wrong?", 4),
+        (frozen, "blind, camera: the image is frozen", 11),
     ],
 )
 def test_a_blindness(
@@ -214,7 +214,7 @@ class HandedCamera:
         ),
         (
             time_goes_back,
-            "blind, camera: nothing but bad frames for 2 s (a stamp that is not after the last one's); opened again",
+            "blind, camera: nothing but bad frames for 2 s (timestamp not after the last frame's); opened again",
             FAULT_FROM + 10,
             FAULT_FROM + 10,
         ),

@@ -53,7 +53,7 @@ def test_further_columns_of_a_recording_are_kept(shared: Path) -> None:
 
 
 def test_a_second_feed_in_the_same_folder_is_refused(feed_path: Path) -> None:
-    with pytest.raises(FeedError, match=f"{re.escape(str(feed_path))}: there is a feed here already"):
+    with pytest.raises(FeedError, match=f"{re.escape(str(feed_path))}: a feed already exists here"):
         FeedWriter(feed_path, HEADER)
 
 
@@ -71,8 +71,8 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         ("feed.toml", "width = 64", "width = ", r"feed\.toml: .*line 3"),
         ("feed.toml", "width = 64", "", r"feed\.toml: .*missing.*width"),
         ("feed.toml", 'video = ""', 'video = "none.mp4"', r"none\.mp4: the video that feed.toml names is missing"),
-        ("feed.toml", 'video = ""', 'video = "../x.mp4"', r"feed\.toml: video: '\.\./x\.mp4' leads out of"),
-        ("feed.toml", 'video = ""', 'video = "/x.mp4"', r"feed\.toml: video: '/x\.mp4' leads out of"),
+        ("feed.toml", 'video = ""', 'video = "../x.mp4"', r"feed\.toml: video: '\.\./x\.mp4' is outside"),
+        ("feed.toml", 'video = ""', 'video = "/x.mp4"', r"feed\.toml: video: '/x\.mp4' is outside"),
         ("feed.toml", 'video = ""', 'video = "feed.toml"', r"feed\.toml: neither a feed folder nor a video"),
         ("frames.csv", "stamp_ns", "time", r"frames\.csv: no column stamp_ns in its first line"),
         ("frames.csv", "000001.jpg,1050000000", "000001.jpg,soon", r"frames\.csv: line 3: stamp_ns: 'soon' is not"),
@@ -89,9 +89,9 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         ),
         ("frames.csv", "0,,,,,,2.0", "0,,,,,,2.0,7", r"frames\.csv: line 4: more values than"),
         ("frames.csv", "frames/000002.jpg", "", r"frames\.csv: line 4: file is empty"),
-        ("frames.csv", "frames/000002.jpg", "../../etc/passwd", r"line 4: file: '\.\./\.\./etc/passwd' leads out of"),
-        ("frames.csv", "frames/000002.jpg", "/etc/passwd", r"line 4: file: '/etc/passwd' leads out of"),
-        ("frames.csv", "frames/000002.jpg", "frames/../../x", r"line 4: file: 'frames/\.\./\.\./x' leads out of"),
+        ("frames.csv", "frames/000002.jpg", "../../etc/passwd", r"line 4: file: '\.\./\.\./etc/passwd' is outside"),
+        ("frames.csv", "frames/000002.jpg", "/etc/passwd", r"line 4: file: '/etc/passwd' is outside"),
+        ("frames.csv", "frames/000002.jpg", "frames/../../x", r"line 4: file: 'frames/\.\./\.\./x' is outside"),
     ],
 )
 def test_a_malformed_feed_is_one_line_that_names_the_place(
@@ -140,7 +140,7 @@ def test_an_empty_picture_a_torn_one_and_a_missing_one_are_frame_errors_that_nam
     whole = picture.read_bytes()
     for content in (b"", b"GIF89a", whole[: len(whole) // 2]):
         picture.write_bytes(content)
-        with pytest.raises(FrameError, match=r"000002\.jpg: not a whole JPEG or PNG picture"):
+        with pytest.raises(FrameError, match=r"000002\.jpg: not a complete JPEG or PNG image"):
             images.read(2)
     picture.unlink()
     with pytest.raises(FrameError, match=r"000002\.jpg: cannot read it: No such file"):

@@ -8,10 +8,10 @@ from edge.feed.sampling import Sampler
 
 def taken(config: SamplingConfig, frames: list[tuple[float, float | None]]) -> list[int]:
     sampler = Sampler(config)
-    return [index for index, (time_s, metres) in enumerate(frames) if sampler.is_place(round(time_s * 1e9), metres)]
+    return [index for index, (time_s, meters) in enumerate(frames) if sampler.is_place(round(time_s * 1e9), meters)]
 
 
-def test_by_distance_a_place_every_two_metres_and_none_while_standing() -> None:
+def test_by_distance_a_place_every_two_meters_and_none_while_standing() -> None:
     frames = [(i * 0.1, min(i * 0.5, 5.0)) for i in range(30)]
     assert taken(SamplingConfig(spacing_m=2.0), frames) == [0, 4, 8]
 

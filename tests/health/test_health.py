@@ -21,7 +21,7 @@ WELL = HealthInputs(recognizer="on the map", frames_used=50)
         ({"frames_used": 0}, "starting", ""),
         ({"camera": "ended"}, "on the map", ""),
         ({"camera": "lost", "camera_why": "no frame"}, "degraded", "blind, camera: no frame"),
-        ({"picture": "the picture is frozen"}, "degraded", "blind, camera: the picture is frozen"),
+        ({"picture": "the image is frozen"}, "degraded", "blind, camera: the image is frozen"),
         ({"link": "closed", "link_why": "ttyX: gone"}, "degraded", "link: ttyX: gone; on the map"),
         ({"link": "waiting", "link_down_s": 4.0}, "on the map", ""),
         ({"link": "waiting", "link_down_s": 6.0}, "degraded", "link: no autopilot heard; on the map"),

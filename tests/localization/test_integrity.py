@@ -22,8 +22,8 @@ OWN = VehiclePosition(NOW_NS - S, 0.0, 10.0, 20.0, 0.0, 10.0)
 MOVING = Situation(NOW_NS, False, 10.0, OWN, 4.0, None)  # combined deviation 5 m
 
 
-def north(metres: float) -> PlaceFix:
-    return msgspec.structs.replace(FIX, lat_deg=metres * METRE_DEG)
+def north(meters: float) -> PlaceFix:
+    return msgspec.structs.replace(FIX, lat_deg=meters * METRE_DEG)
 
 
 def judged(fix: PlaceFix = FIX, gates: GatesConfig = GATES, **changes: Any) -> str | None:
@@ -59,7 +59,7 @@ def test_a_map_without_positions_and_a_first_match() -> None:
 
 
 @pytest.mark.parametrize(
-    ("metres", "matches", "reason"),
+    ("meters", "matches", "reason"),
     [
         (14.0, 5, None),
         (16.0, 5, "too few matches for a far fix"),
@@ -69,8 +69,8 @@ def test_a_map_without_positions_and_a_first_match() -> None:
         (51.0, 500, "impossibly far"),
     ],
 )
-def test_the_distance_counts_in_deviations_of_both(metres: float, matches: int, reason: str | None) -> None:
-    assert judged(msgspec.structs.replace(north(metres), matches=matches)) == reason
+def test_the_distance_counts_in_deviations_of_both(meters: float, matches: int, reason: str | None) -> None:
+    assert judged(msgspec.structs.replace(north(meters), matches=matches)) == reason
 
 
 @pytest.mark.parametrize("unknown", [{"position": None}, {"uncertainty_m": None}])

@@ -240,7 +240,7 @@ def test_the_way_back_is_not_the_way_out(open_tracker: Callable[..., RouteTracke
 
 
 @pytest.mark.parametrize("unseen", [None, match(5, accepted=False)])
-def test_off_the_map_it_is_lost_after_some_metres(
+def test_off_the_map_it_is_lost_after_some_meters(
     open_tracker: Callable[..., RouteTracker], unseen: PlaceMatch | None
 ) -> None:
     drive = warm(open_tracker(lost_after_m=20.0))

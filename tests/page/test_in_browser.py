@@ -1,6 +1,6 @@
 """The live page of a real `lookback run`, in headless Chromium, at the width of a phone and of a desk.
 
-The daemon recognises a real corridor in real time, with a simulated autopilot at its link, or with none.
+The daemon recognizes a real corridor in real time, with a simulated autopilot at its link, or with none.
 """
 
 from __future__ import annotations

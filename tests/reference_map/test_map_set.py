@@ -42,7 +42,7 @@ Look = Callable[[int], np.ndarray]
 def build(
     path: Path, seed: int, places: int, *, known: bool = True, lat_deg: float = 0.0, lon_deg: float = 0.0
 ) -> None:
-    """Drives of 2500 places going north, side by side, each neighbour a little alike."""
+    """Drives of 2500 places going north, side by side, each neighbor a little alike."""
     rng = np.random.default_rng(seed)
     raw = rng.normal(size=(places + 2, 2, 48))
     raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
@@ -85,7 +85,7 @@ def look(city: Path) -> Look:
 
 
 def look_at(path: Path) -> Look:
-    """What a normalised query shows at a place of a map: the place on another day."""
+    """What a normalized query shows at a place of a map: the place on another day."""
     rng = np.random.default_rng(5)
     half_sum, half_difference = open_map(path).descriptors.astype(np.float32)
     rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
@@ -94,7 +94,7 @@ def look_at(path: Path) -> Look:
 
 
 class Drive:
-    """Feeds a search with one place after another, as the recogniser does."""
+    """Feeds a search with one place after another, as the recognizer does."""
 
     def __init__(self, maps: MapSet, look: Look, config: Config = CONFIG) -> None:
         self.search = PlaceSearch(maps, config)
@@ -130,8 +130,8 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
     for field in set(whole.places.dtype.names or ()) - {"thumbnail_at"}:
         np.testing.assert_array_equal(maps.places[field], whole.places[field])
     somewhere = [(1500, 1900)]
-    metres = MapSet.of(whole).east_north_m(somewhere)
-    np.testing.assert_array_equal(maps.east_north_m(somewhere), metres)
+    meters = MapSet.of(whole).east_north_m(somewhere)
+    np.testing.assert_array_equal(maps.east_north_m(somewhere), meters)
     for tile in tiles:
         assert (tile.path / "statistics.f64").read_bytes() == (city / "whole.map/statistics.f64").read_bytes()
         bounds = tile.header.bounds
@@ -271,7 +271,7 @@ def test_nothing_left_to_use_is_an_error(city: Path, tmp_path: Path) -> None:
     for number in range(2):
         shutil.copytree(city / "tiles" / "03", tmp_path / "maps" / str(number))
         (tmp_path / "maps" / str(number) / PLACES).unlink()
-    with pytest.raises(MapError, match=f"none of its 2 maps can be used; the first: .*{PLACES}: cannot read it"):
+    with pytest.raises(MapError, match=f"none of its 2 maps is usable; the first: .*{PLACES}: cannot read it"):
         open_map_set(tmp_path / "maps")
 
 
@@ -298,8 +298,8 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     assert drive.search.folders_in_use == [tmp_path / "maps" / "there"]
     assert [match.place_index for match in matches if match and match.accepted] == list(range(1600 + LENGTH - 1, 1700))
     assert drive.search.part is not None
-    metres = maps.east_north_m(drive.search.part.ranges)
-    steps_m = np.hypot(*np.diff(metres, axis=0).T)
+    meters = maps.east_north_m(drive.search.part.ranges)
+    steps_m = np.hypot(*np.diff(meters, axis=0).T)
     np.testing.assert_allclose(steps_m, SPACING_M, rtol=0.01)
     # On a map without positions only a scan finds the vehicle, and then it is followed there, whatever is told.
     unknown = look_at(tmp_path / "maps" / "unknown")

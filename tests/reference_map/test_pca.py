@@ -21,7 +21,7 @@ MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
 
 
 def street(places: int, *, carriers: int, noise: float = 0.05, seed: int = 0) -> np.ndarray:
-    """Raw descriptors (n, 2, D) that vary along a few directions, each place a little like its neighbours."""
+    """Raw descriptors (n, 2, D) that vary along a few directions, each place a little like its neighbors."""
     rng = np.random.default_rng(seed)
     along = rng.normal(size=(places + 2, 2, carriers))
     along = along[:-2] + along[1:-1] + along[2:]

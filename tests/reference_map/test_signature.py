@@ -106,5 +106,5 @@ def test_keys_that_are_none(signed: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "owner.pub: cannot read this key: No such file" in refusal(signed / "lookback.toml", capsys)
     (signed / "owner").chmod(0o644)
     told = refusal(signed / "map", capsys, "map", "sign", "--key", str(signed / "owner"))
-    assert "others may read this key; chmod 600" in told
-    assert "there is a key here already" in refusal(signed / "owner", capsys, "map", "keygen")
+    assert "this key is readable by other users; chmod 600" in told
+    assert "a key already exists here" in refusal(signed / "owner", capsys, "map", "keygen")

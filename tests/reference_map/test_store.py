@@ -166,7 +166,7 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
     left = maps.without({damages[0].path: damages[0].why})
     assert (left.names, [one.name for one in left.excluded]) == (("a", "b"), ["c"])
     assert len(left.places) == left.index.places == 2 * len(maps.maps[0].places)
-    with pytest.raises(MapError, match="none of its 3 maps can be used"):
+    with pytest.raises(MapError, match="none of its 3 maps is usable"):
         left.without({a: "gone", b: "gone"})
     with pytest.raises(MapError, match=r"^gone$"):
         open_map_set(a).without({a: "gone"})
@@ -200,7 +200,7 @@ def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: st
         ({"places": -1}, "should have"),
         ({"dimensions": 0}, "dimensions"),
         ({"dimensions": 17}, "dimensions"),
-        ({"dimensions": 8}, "not the files of a map"),
+        ({"dimensions": 8}, "not the list of files of a map"),
         ({"segments": [{"start": 0, "end": 5, "view": "rear", "source": ""}]}, "segments"),
         ({"surprise": 1}, "surprise"),
         ({"places": "many"}, "places"),
@@ -249,8 +249,8 @@ def test_positions_between_and_beyond_places(small_map: Path) -> None:
     assert at_rest and ahead and beyond
     assert (ahead.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(3.0, abs=0.01)
     assert (beyond.lat_deg - at_rest.lat_deg) * 110_800 == pytest.approx(6.0, abs=0.01)  # its drive ends at 10 m
-    metres = MapSet.of(open_map(small_map)).east_north_m([(0, 12)])
-    assert np.hypot(*(metres[5] - metres[0])) == pytest.approx(10.0, abs=0.05)
+    meters = MapSet.of(open_map(small_map)).east_north_m([(0, 12)])
+    assert np.hypot(*(meters[5] - meters[0])) == pytest.approx(10.0, abs=0.05)
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Uniqueness with its window in metres, and hold-off."""
+"""Uniqueness with its window in meters, and hold-off."""
 
 from __future__ import annotations
 
@@ -7,38 +7,38 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
-from edge.sequence.acceptance import HoldOff, Neighbourhood, best_match
+from edge.sequence.acceptance import HoldOff, Neighborhood, best_match
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 UNKNOWN = np.full(100, np.nan)
 CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
 
 
-def match(costs: np.ndarray, neighbourhood: Neighbourhood, config: AcceptanceConfig = CONFIG):
+def match(costs: np.ndarray, neighborhood: Neighborhood, config: AcceptanceConfig = CONFIG):
     search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
     search.refill(np.zeros((5, 1, 100), dtype=np.int32))
     lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), 5)  # as the search would give them
-    return best_match(search, lines, neighbourhood, config)
+    return best_match(search, lines, neighborhood, config)
 
 
-def neighbours_by_route(spacing_m: float) -> Neighbourhood:
+def neighbors_by_route(spacing_m: float) -> Neighborhood:
     none = np.full((100, 2), np.nan)
-    return Neighbourhood(none, np.arange(100) * spacing_m, np.zeros(100, dtype=np.int32), CONFIG)
+    return Neighborhood(none, np.arange(100) * spacing_m, np.zeros(100, dtype=np.int32), CONFIG)
 
 
 def test_second_best_is_looked_for_outside_the_window() -> None:
     costs = np.full(100, 1500)
     costs[40], costs[45], costs[80] = 1000, 1010, 1300
-    found = match(costs, neighbours_by_route(2.0))  # 10 m are 5 places
+    found = match(costs, neighbors_by_route(2.0))  # 10 m are 5 places
     assert (found.place, found.uniqueness, found.accepted) == (40, pytest.approx(1.3), True)
-    found = match(costs, neighbours_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
+    found = match(costs, neighbors_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
     assert (found.uniqueness, found.accepted) == (pytest.approx(1.01), False)
 
 
-def test_without_metres_the_window_is_in_places() -> None:
+def test_without_meters_the_window_is_in_places() -> None:
     costs = np.full(100, 1500)
     costs[40], costs[43], costs[44] = 1000, 1001, 1250
-    unknown = Neighbourhood(np.full((100, 2), np.nan), UNKNOWN, np.zeros(100, dtype=np.int32), CONFIG)
+    unknown = Neighborhood(np.full((100, 2), np.nan), UNKNOWN, np.zeros(100, dtype=np.int32), CONFIG)
     assert match(costs, unknown).uniqueness == pytest.approx(1.25)
 
 
@@ -48,15 +48,15 @@ def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
     segment_of = np.repeat(np.arange(2, dtype=np.int32), 50)
     position = np.tile(np.column_stack([np.arange(50) * 2.0, np.zeros(50)]), (2, 1))
     route = np.tile(np.arange(50) * 2.0, 2)
-    known = Neighbourhood(position, route, segment_of, CONFIG)
-    unknown = Neighbourhood(np.full((100, 2), np.nan), route, segment_of, CONFIG)
+    known = Neighborhood(position, route, segment_of, CONFIG)
+    unknown = Neighborhood(np.full((100, 2), np.nan), route, segment_of, CONFIG)
     assert match(costs, known).uniqueness == pytest.approx(1.5)
     assert match(costs, unknown).uniqueness == pytest.approx(1.001)
 
 
 def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     everything_near = msgspec.structs.replace(CONFIG, window_m=1e6)
-    around = Neighbourhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
+    around = Neighborhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
     found = match(np.arange(100)[::-1], around, everything_near)
     assert (found.uniqueness, found.accepted) == (1.0, False)
     assert match(np.full(100, NO_LINE), around) is None

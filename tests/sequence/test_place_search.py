@@ -30,7 +30,7 @@ CONFIG = Config(
 
 @pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])
 def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
-    """12 km of places 2 m apart going north in two segments, each neighbour a little alike."""
+    """12 km of places 2 m apart going north in two segments, each neighbor a little alike."""
     rng = np.random.default_rng(3)
     raw = rng.normal(size=(PLACES + 2, 2, 48))
     raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
@@ -48,7 +48,7 @@ def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="module")
 def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
-    """What a normalised query shows at a place: the place on another day."""
+    """What a normalized query shows at a place: the place on another day."""
     rng = np.random.default_rng(5)
     half_sum, half_difference = long_map.descriptors.astype(np.float32)
     rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
@@ -57,7 +57,7 @@ def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
 
 
 class Drive:
-    """Feeds a search with one place after another, as the recogniser does, and counts what each frame matched."""
+    """Feeds a search with one place after another, as the recognizer does, and counts what each frame matched."""
 
     def __init__(self, reference_map: ReferenceMap, look: Callable[[int], np.ndarray], config: Config = CONFIG) -> None:
         self.search = PlaceSearch(MapSet.of(reference_map), config)

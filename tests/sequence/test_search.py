@@ -73,7 +73,7 @@ def test_running_sums_are_the_direct_sums(
     rows: list[NDArray[np.int32]] = []
     for frame in range(length + frames):
         rows = [*rows, rng.integers(0, 2**15 + 1, (2, ends[-1]), dtype=np.int32)][-length:]
-        if frame == refill_at:  # the whole ring normalised again: every row is new
+        if frame == refill_at:  # the whole ring normalized again: every row is new
             rows = [rng.integers(0, 2**15 + 1, row.shape, dtype=np.int32) for row in rows]
             search.refill(np.stack(rows))
         else:

@@ -92,7 +92,7 @@ def test_global_position_sensor() -> None:
     assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
 
 
-def test_vision_position_is_in_metres_from_the_origin_and_has_no_height_of_its_own() -> None:
+def test_vision_position_is_in_meters_from_the_origin_and_has_no_height_of_its_own() -> None:
     message = carried(encoders.vision_position(FIX, SENDING))
     assert message.get_msgId() == 102
     assert (message.x, message.y, message.z) == pytest.approx((88.62, 29.67, -1.5), abs=0.05)

@@ -290,7 +290,7 @@ def test_a_log_that_cannot_be_paired_is_one_line(
     assert "name its video with --video; videos of the same name beside it: none" in capsys.readouterr().err
     write_video(tmp_path / "flight.avi", 20, 10.0)
     assert main(["replay", str(tmp_path / "flight.avi"), *there, "--video", str(log)]) == 78
-    assert "flight.avi: --video belongs to a log" in capsys.readouterr().err
+    assert "flight.avi: --video is for a log" in capsys.readouterr().err
     assert main(["replay", str(log), *there, "--video-start-s", "nan"]) == 78
     assert "--video-start-s: nan is not a number of seconds" in capsys.readouterr().err
     assert main(["map", "build", str(log), str(log), "-o", "a.map", "--video", "a.avi"]) == 78

@@ -190,7 +190,7 @@ def test_a_torn_picture_is_named_and_may_be_left_out(
 ) -> None:
     torn = traverse_path / f"stereo/left/{START_US + 4 * PICTURE_US}.png"
     torn.write_bytes(torn.read_bytes()[:60])
-    with pytest.raises(FrameError, match=rf"{torn.name}: not a whole"):
+    with pytest.raises(FrameError, match=rf"{torn.name}: not a complete"):
         open_dataset("robotcar", traverse_path, ReadOptions(crop_bottom=0)).pictures.read(4)
     arguments = ("robotcar", traverse_path, "-o", tmp_path / "feed", "--crop-bottom", 4)
     with pytest.raises(FeedError, match=rf"{torn.name}: not a whole .*; --skip-unreadable skips"):

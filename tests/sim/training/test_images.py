@@ -63,5 +63,5 @@ def test_a_picture_that_cannot_be_read_is_named(write_classes: Any) -> None:
     folder = write_classes(3)
     file = folder / "f/field/00000001.png"
     file.write_bytes(file.read_bytes()[:100])
-    with pytest.raises(ConfigError, match=r"f/field/00000001\.png: not a whole JPEG or PNG picture; remove it"):
+    with pytest.raises(ConfigError, match=r"f/field/00000001\.png: not a complete JPEG or PNG image; remove it"):
         read_images(find_classes(folder), 32, iter)

@@ -70,7 +70,7 @@ def test_the_command_writes_a_feed_and_refuses_a_folder_that_has_one(
     assert run(command) == 0
     assert len(read_feed(tmp_path / "feed").rows) == 5
     assert capsys.readouterr().err.endswith("feed: 5 frames over 200 m\n")
-    with pytest.raises(FeedError, match="there is a feed here already"):
+    with pytest.raises(FeedError, match="a feed already exists here"):
         run(command)
     with pytest.raises(ConfigError, match="--spacing-m: 0 is not above 0"):
         run([*command[:-1], "0"])
