@@ -130,7 +130,7 @@ class StateFile:
             self._logged = False
         except OSError as error:
             if not self._logged:
-                log.warning("%s: cannot keep the state: %s", self._path, error.strerror)
+                log.warning("%s: cannot save the state: %s", self._path, error.strerror)
             self._logged = True
 
 
