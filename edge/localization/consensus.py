@@ -5,7 +5,7 @@ chance resemblance does not for long. Every match is moved on by what was driven
 the vehicle then is:
 
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
-    weight = sqrt((uniqueness - 1) * sharpness * row support * share of the line that has frames)
+    weight = sqrt((uniqueness - 1) * sharpness * row support)
     live = sum of agreeing weights * (share of the recent matches that agree)^2
     confidence = (live - others) / (live + others + prior) * (1 - overrun / slack) * min(1, span / (3 * slack))^2
 
@@ -67,7 +67,7 @@ class PlaceVote:
     drive: number of the map's drive. along_m: of the place, along it; start_m, end_m: of the drive. uniqueness: cost
     of the best line elsewhere over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
-    newest frame than the best within an eighth of a window of the place. filled: share of the sequence that has frames.
+    newest frame than the best within an eighth of a window of the place.
     """
 
     drive: int
@@ -78,7 +78,6 @@ class PlaceVote:
     uniqueness: float
     sharpness: float
     row_share: float
-    filled: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ class PlaceConsensus:
     def _weight(self, vote: PlaceVote) -> float:
         self._rows.append(vote.row_share < LIKE_NEWEST)
         support = sum(self._rows) / len(self._rows)
-        evidence = max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * support * vote.filled
+        evidence = max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * support
         return math.sqrt(evidence)
 
     def _believe(self) -> PlaceBelief | None:
