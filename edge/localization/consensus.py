@@ -1,0 +1,201 @@
+"""Whether a place is believed: the matches of the last few sequences vote along the odometer. Pure: no link, no clock.
+
+A vehicle that is where its best match says moves along the map's drive as its odometer does, frame after frame; a
+chance resemblance does not for long. Every match is moved on by what was driven since, and votes for the place where
+the vehicle then is:
+
+    offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
+    weight = sqrt((uniqueness - 1) * sharpness * row support)
+    live = sum of agreeing weights * (share of the recent matches that agree)^2
+    confidence = (live - others) / (live + others + prior) * (1 - overrun / slack) * min(1, span / (3 * slack))^2
+
+Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
+drift of the odometer between them. Overrun is how far the place lies beyond its drive's end, span what was driven
+between the oldest and the newest vote that agree. Uniqueness says how much worse the best line elsewhere is;
+sharpness, how much worse the lines a little before and after are, which a stretch that only resembles this kind of
+road does not show; row support, how often the place was among the most similar ones by the newest frame alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.sequence import Direction
+
+CAPACITY = 256
+"""Votes that are kept at most; 240 m at one place each 2 m are 120."""
+LIKE_NEWEST = 0.02
+"""A place is among the most similar to the newest frame if at most this share of the places is more similar."""
+
+
+@dataclass(frozen=True)
+class ConsensusSettings:
+    """Lengths in the unit of `PlaceVote.along_m`: meters, or places of a map that knows no meters.
+
+    length: frames of a sequence. spacing_m: driven from one frame to the next, used where there is no odometer.
+    reach_lines, recent_lines: how far back votes count, and matches are recent, in lengths of a sequence. slack_m,
+    drift: by how much two agreeing votes may differ, in all and per meter of odometer. blind_drift: the same per meter
+    that was not measured. prior: evidence, in votes of weight 1 per frame of a sequence, that is held against every
+    place. threshold: confidence from which the place is believed.
+    """
+
+    length: int = 40
+    spacing_m: float = 2.0
+    reach_lines: float = 3.0
+    recent_lines: float = 2.0
+    slack_m: float = 20.0
+    drift: float = 0.05
+    blind_drift: float = 0.2
+    prior: float = 0.0175
+    threshold: float = 0.5
+
+    @property
+    def line_m(self) -> float:
+        """Length of a sequence."""
+        return self.length * self.spacing_m
+
+
+@dataclass(frozen=True)
+class PlaceVote:
+    """What the best match of one frame says, in map coordinates.
+
+    drive: number of the map's drive. along_m: of the place, along it; start_m, end_m: of the drive. uniqueness: cost
+    of the best line elsewhere over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
+    before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
+    newest frame than the best within an eighth of a window of the place.
+    """
+
+    drive: int
+    along_m: float
+    start_m: float
+    end_m: float
+    direction: Direction
+    uniqueness: float
+    sharpness: float
+    row_share: float
+
+
+@dataclass(frozen=True)
+class PlaceBelief:
+    """Where the vehicle is by the votes' weighted mean, moved on to the newest frame.
+
+    along_m may lie up to `slack_m` beyond the drive's end. confidence: 0 to 1.
+    """
+
+    drive: int
+    along_m: float
+    direction: Direction
+    confidence: float
+    is_believed: bool
+
+
+class PlaceConsensus:
+    """The votes of the recent matches, and the belief that they add up to."""
+
+    def __init__(self, settings: ConsensusSettings) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again without votes, as after a gap in which nothing is known of the motion."""
+        self._count = 0
+        self._driven_m = self._uncertain_m = 0.0
+        self._odometer_m: float | None = None
+        self._rows: deque[bool] = deque(maxlen=max(1, self._settings.length // 2))
+        self._agree = np.zeros((CAPACITY, CAPACITY), dtype=np.float32)
+        self._weights = np.zeros(CAPACITY, dtype=np.float32)
+        self._at_m = np.full(CAPACITY, -np.inf)  # driven at the vote; an empty slot is out of reach
+        self._uncertain_at_m = np.zeros(CAPACITY)
+        self._offsets_m = np.zeros(CAPACITY)
+        self._signs = np.zeros(CAPACITY)
+        self._drives = np.zeros(CAPACITY, dtype=np.int64)
+        self._bounds_m = np.zeros((2, CAPACITY))
+        self._was_believed = np.zeros(CAPACITY, dtype=bool)
+
+    def update(self, vote: PlaceVote | None, odometer_m: float | None, missed: int = 0) -> PlaceBelief | None:
+        """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
+
+        vote: None if the frame has no match. odometer_m: meters driven at the frame, None where not known. missed:
+        places that were passed since the last frame without one.
+        """
+        self._move(odometer_m, missed)
+        if vote is not None:
+            self._add(vote)
+        return self._believe()
+
+    def _move(self, odometer_m: float | None, missed: int) -> None:
+        """Distance since the last frame; by the spacing where the odometer is not known, or was counted anew."""
+        last_m, self._odometer_m = self._odometer_m, odometer_m
+        if odometer_m is not None and last_m is not None and odometer_m >= last_m:
+            step_m, drift = odometer_m - last_m, self._settings.drift
+        else:
+            step_m, drift = (1 + missed) * self._settings.spacing_m, self._settings.blind_drift
+        self._driven_m += step_m
+        self._uncertain_m += drift * step_m
+
+    def _add(self, vote: PlaceVote) -> None:
+        slot = self._count % CAPACITY
+        self._count += 1
+        sign = 1.0 if vote.direction == "forward" else -1.0
+        self._weights[slot] = self._weight(vote)
+        self._at_m[slot], self._uncertain_at_m[slot] = self._driven_m, self._uncertain_m
+        self._offsets_m[slot] = vote.along_m - sign * self._driven_m
+        self._signs[slot], self._drives[slot] = sign, vote.drive
+        self._bounds_m[:, slot] = vote.start_m, vote.end_m
+        self._was_believed[slot] = False
+        allowed_m = self._settings.slack_m + self._uncertain_m - self._uncertain_at_m
+        agree = (self._drives == vote.drive) & (self._signs == sign)
+        agree &= np.abs(self._offsets_m - self._offsets_m[slot]) <= allowed_m
+        self._agree[slot] = self._agree[:, slot] = agree
+
+    def _weight(self, vote: PlaceVote) -> float:
+        self._rows.append(vote.row_share < LIKE_NEWEST)
+        support = sum(self._rows) / len(self._rows)
+        evidence = max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * support
+        return math.sqrt(evidence)
+
+    def _believe(self) -> PlaceBelief | None:
+        settings = self._settings
+        age_m = self._driven_m - self._at_m
+        in_reach = age_m <= settings.reach_lines * settings.line_m
+        is_recent = (age_m <= settings.recent_lines * settings.line_m).astype(np.float32)
+        weights = self._weights * in_reach
+        live = self._agree @ weights * np.square(self._agree @ is_recent / max(1.0, float(is_recent.sum())))
+        now_m = self._offsets_m + self._signs * self._driven_m
+        overrun_m = self._overrun_m(now_m)
+        leader = int(np.where(in_reach & (overrun_m <= settings.slack_m), live, 0.0).argmax())
+        if not (in_reach[leader] and live[leader] > 0 and overrun_m[leader] <= settings.slack_m):
+            return None
+        group = in_reach & (self._agree[leader] > 0)
+        along_m = float(weights[group] @ now_m[group] / weights[group].sum())
+        # A drive that was believed and has been driven to its end says nothing against the one that follows.
+        against = in_reach & ~group & ~(self._was_believed & (overrun_m > settings.slack_m))
+        confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
+        confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
+        confidence *= self._moved_share(float(np.ptp(self._at_m[group])))
+        is_believed = confidence >= settings.threshold
+        if is_believed:
+            self._was_believed |= group
+        direction: Direction = "forward" if self._signs[leader] > 0 else "reverse"
+        return PlaceBelief(int(self._drives[leader]), along_m, direction, confidence, is_believed)
+
+    def _confidence(self, live: float, others: float) -> float:
+        return max(0.0, (live - others) / (live + others + self._settings.prior * self._settings.length))
+
+    def _moved_share(self, span_m: float) -> float:
+        """How far the place is from one that stays: over twice the slack, even that would agree with itself."""
+        return min(1.0, span_m / (3 * self._settings.slack_m)) ** 2
+
+    def _overrun_m(self, now_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far each vote's place, moved on to now, lies outside its drive."""
+        start_m, end_m = self._bounds_m
+        return np.maximum(0.0, np.maximum(start_m - now_m, now_m - end_m))
+
+    def _overrun_m_at(self, along_m: float, slot: int) -> float:
+        start_m, end_m = self._bounds_m[:, slot]
+        return max(0.0, float(start_m) - along_m, along_m - float(end_m))

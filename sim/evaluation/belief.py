@@ -1,0 +1,264 @@
+"""How far the place belief can be trusted: simulated worlds, front against rear, all of the road mapped or part of it.
+
+    python -m sim.evaluation.belief --seeds 911 923 --cache FOLDER
+
+Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
+and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
+vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig
+from edge.descriptor.network import Network
+from edge.descriptor.normalize import OnlineNormalizer, normalize
+from edge.descriptor.regions import cut_regions
+from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
+from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
+from edge.sequence import ORDERS, VIEWS_OPPOSED, Direction
+from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.world.camera import open_renderer
+from sim.world.recording import times_by_distance
+from sim.world.scenario import LightName, Scenario
+
+LIGHTS: tuple[LightName, ...] = ("night", "dusk", "day", "snow")
+DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
+SPACING_M = 2.0
+TOLERANCE_M = 40.0
+SLOPE_LIMIT_RAD = 0.05  # the spacing is kept by the odometer
+PADDING = 48  # places: as far as a line of 40 frames reaches at that slope
+FIRST_FRAME = 16  # with fewer, deviations are not known
+Cut = Literal["whole", "first half", "second half", "thirds"]
+CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Described:
+    """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,)."""
+
+    raw: NDArray[np.float32]
+    route_m: Floats
+    driven_m: Floats
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone."""
+
+    along_m: Floats
+    confidence: Floats
+    match_m: Floats
+    uniqueness: Floats
+
+
+def described(scenario: Scenario, network: Network, cache: Path) -> Described:
+    """Render a drive at each SPACING_M and describe it, unless `cache` has it."""
+    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}.npz"
+    if not (cache / name).exists():
+        drive = scenario.drive()
+        times_s = times_by_distance(drive, SPACING_M)
+        renderer = open_renderer(scenario, drive)
+        images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
+        raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4)) for image in images])
+        renderer.close()
+        route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
+        np.savez(cache / name, raw=raw, route_m=route_m, distance_m=driven_m)
+    stored = np.load(cache / name)
+    return Described(stored["raw"], stored["route_m"], stored["distance_m"])
+
+
+def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
+    """Which places [start, end) of the map are left."""
+    half, third = places // 2, places // 3
+    return {
+        "whole": [(0, places)],
+        "first half": [(0, half)],
+        "second half": [(half, places)],
+        "thirds": [(0, third), (2 * third, places)],
+    }[cut]
+
+
+class Search:
+    """The sequence search of one map, in which frames and places of which nothing is known cost COST_ONE.
+
+    So lines may begin before their drive does, and before the vehicle's first frame.
+    """
+
+    def __init__(self, road: Described, ranges: list[tuple[int, int]], settings: ConsensusSettings) -> None:
+        rows = np.concatenate([np.arange(*one) for one in ranges])
+        lengths = [end - start for start, end in ranges]
+        self.route_m = road.route_m[rows]
+        self.drive_of = np.repeat(np.arange(len(ranges), dtype=np.int32), lengths)
+        raw = road.raw[rows].astype(np.float32)
+        places = encode(normalize(raw, raw.mean(0, dtype=np.float64), raw.std(0, dtype=np.float64)))
+        self._matcher = CostMatcher(places, squared_norms(places))
+        self._at = np.arange(len(rows)) + PADDING * (2 * self.drive_of + 1)
+        bounds = np.cumsum([0, *(length + 2 * PADDING for length in lengths)]).tolist()
+        self._search = SequenceSearch(
+            list(pairwise(bounds)),
+            VIEWS_OPPOSED,
+            settings.length,
+            slopes_around_diagonal(SLOPE_LIMIT_RAD, 21),
+        )
+        self._blank = np.full((settings.length, len(ORDERS), bounds[-1]), COST_ONE, dtype=np.int32)
+        on_road = np.column_stack([self.route_m, np.zeros(len(rows))])
+        self._near = Neighbourhood(on_road, self.route_m, self.drive_of, AcceptanceConfig())
+        self._normalizer = OnlineNormalizer(settings.length, renormalize_ring=True)
+
+    def vote(self, raw: NDArray[np.float32]) -> PlaceVote | None:
+        """The best match after one more frame."""
+        change = self._normalizer.push(raw)
+        costs = self._matcher.costs(change.rows)
+        rows = self._blank[: len(costs)].copy()
+        rows[..., self._at] = costs
+        if change.replaces_ring:
+            self._search.refill(np.concatenate([self._blank[len(rows) :], rows]))
+        else:
+            self._search.push(rows[-1])
+        lines = self._search.lines()
+        return self._vote(lines, costs[-1]) if lines is not None else None
+
+    def _vote(self, lines: Lines, newest: NDArray[np.int32]) -> PlaceVote:
+        costs = lines.costs[self._at]
+        place = int(costs.argmin())
+        plane = lines.plane(int(self._at[place]))
+        direction, order = VIEWS_OPPOSED[plane]
+        second = int(np.where(self._near.around(place), NO_LINE, costs).min())
+        first, end = np.searchsorted(self.drive_of, [self.drive_of[place], self.drive_of[place] + 1])
+        beside = [lines.by_plane[plane][self._at[at]] for at in (place - 12, place + 12) if first <= at < end]
+        around = newest[ORDERS.index(order), max(first, place - 5) : min(end, place + 6)].min()
+        return PlaceVote(
+            drive=int(self.drive_of[place]),
+            along_m=float(self.route_m[place]),
+            start_m=float(self.route_m[first]),
+            end_m=float(self.route_m[end - 1]),
+            direction=direction,
+            uniqueness=second / int(costs[place]),
+            sharpness=min(beside) / int(costs[place]) - 1,
+            row_share=float((newest.min(axis=0) < around).mean()),
+        )
+
+
+def believe(road: Described, query: Described, cut: Cut, odometer_scale: float = 1.0) -> Beliefs:
+    """What is believed, frame by frame, on a drive over a road of which a part is mapped."""
+    settings = ConsensusSettings(spacing_m=SPACING_M)
+    search, consensus = Search(road, kept(cut, len(road.raw)), settings), PlaceConsensus(settings)
+    found = np.full((len(query.raw), 4), np.nan)
+    found[:, 1] = found[:, 3] = 0.0
+    for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
+        vote = search.vote(raw)
+        vote = vote if frame >= FIRST_FRAME - 1 else None
+        belief = consensus.update(vote, float(driven_m) * odometer_scale)
+        if belief is not None:
+            found[frame, :2] = belief.along_m, belief.confidence
+        if vote is not None and frame >= settings.length - 1:
+            found[frame, 2:] = vote.along_m, vote.uniqueness
+    return Beliefs(*found.T)
+
+
+def offset_m(query: Described, whole: Beliefs) -> float:
+    """Meters of the route by which unique matches lie beyond the vehicle."""
+    unique = whole.uniqueness >= AcceptanceConfig().uniqueness_min
+    return float(np.median((whole.match_m - query.route_m)[unique]))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Answers by belief and by uniqueness alone, and meters driven on the map before the first right belief."""
+
+    belief: Answers
+    uniqueness: Answers
+    first_m: float
+
+
+def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> Judged:
+    """Frames beyond the map's end by less than the tolerance count if they are wrong, and not if they are right."""
+    true_m = query.route_m + ahead_m
+    on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
+    right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
+    believed = np.flatnonzero(right & (beliefs.confidence >= ConsensusSettings().threshold))
+    first_m = query.driven_m[believed[0]] - query.driven_m[on_map.argmax()] if believed.size else np.inf
+    answers = [
+        _answers(confidence, np.abs(place_m - true_m) <= TOLERANCE_M, on_map)
+        for confidence, place_m in (
+            (beliefs.confidence, beliefs.along_m),
+            (beliefs.uniqueness, beliefs.match_m),
+        )
+    ]
+    return Judged(answers[0], answers[1], float(first_m))
+
+
+def _answers(confidence: Floats, right: NDArray[np.bool_], on_map: NDArray[np.bool_]) -> Answers:
+    counts = (on_map | ~right) & (np.arange(len(right)) >= FIRST_FRAME)
+    return Answers(np.where(confidence > 0, confidence, np.nan)[counts], right[counts], on_map[counts])
+
+
+def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, dict[str, Described]]]:
+    """The road of each seed as the rear camera saw it, and the drives on it by "light direction"."""
+    network = Network.load()
+    for seed in seeds:
+        scene = partial(Scenario, seed=seed, length_m=length_m)
+        road = described(scene(view="rear", drive_seed=1), network, cache)
+        drives = product(LIGHTS, DIRECTIONS)
+        yield (
+            road,
+            {
+                f"{light} {way}": described(scene(light=light, direction=way, drive_seed=seed_), network, cache)
+                for seed_, (light, way) in enumerate(drives, start=2)
+            },
+        )
+
+
+def _row(cut: Cut, judged: list[Judged]) -> str:
+    cells = []
+    for kind, threshold in (
+        ("uniqueness", AcceptanceConfig().uniqueness_min),
+        ("belief", ConsensusSettings().threshold),
+    ):
+        answers: list[Answers] = [getattr(one, kind) for one in judged]
+        at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
+        accepted = [one.confidence >= threshold for one in answers]
+        right = sum(int((take & one.correct).sum()) for take, one in zip(accepted, answers, strict=True))
+        total, on_map = sum(int(take.sum()) for take in accepted), sum(int(one.has_truth.sum()) for one in answers)
+        cells.append(f"{at_100:.2f} / {right / max(total, 1):.4f} / {right / on_map:.2f}")
+    return f"| {cut} | {' | '.join(cells)} | {np.median([one.first_m for one in judged]):.0f} m |"
+
+
+def main() -> None:
+    """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
+    parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
+    args = parser.parse_args()
+    judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
+    for road, drives in worlds(args.seeds, args.length, args.cache):
+        whole = {name: believe(road, query, "whole", args.odometer) for name, query in drives.items()}
+        for cut, (name, query) in product(CUTS, drives.items()):
+            light, way = name.split()
+            other = f"{'dusk' if light == 'day' else 'day'} {way}"
+            beliefs = whole[name] if cut == "whole" else believe(road, query, cut, args.odometer)
+            mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
+            judged[cut].append(judge(query, mapped_m, beliefs, offset_m(drives[other], whole[other])))
+    print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief |\n|---|---|---|---|")
+    for cut in CUTS:
+        print(_row(cut, judged[cut]))
+
+
+if __name__ == "__main__":
+    main()

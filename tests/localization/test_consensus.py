@@ -1,0 +1,161 @@
+"""The place belief: what the votes of matches along the odometer add up to."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import pytest
+
+from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
+from edge.sequence import Direction
+
+SETTINGS = ConsensusSettings()
+STRONG = PlaceVote(
+    drive=0,
+    along_m=0.0,
+    start_m=0.0,
+    end_m=1000.0,
+    direction="forward",
+    uniqueness=1.2,
+    sharpness=0.1,
+    row_share=0.0,
+)
+
+
+def _drive(
+    consensus: PlaceConsensus, votes: list[PlaceVote | None], *, from_m: float = 0.0, odometer: bool = True
+) -> list[PlaceBelief | None]:
+    """Beliefs of frames 2 m apart."""
+    return [
+        consensus.update(vote, from_m + 2.0 * frame if odometer else None) for frame, vote in enumerate(votes, start=1)
+    ]
+
+
+def _right(first_m: float, frames: int, vote: PlaceVote = STRONG) -> list[PlaceVote | None]:
+    sign = 1 if vote.direction == "forward" else -1
+    return [replace(vote, along_m=first_m + sign * 2.0 * frame) for frame in range(1, frames + 1)]
+
+
+def _scattered(frames: int, seed: int = 1) -> list[PlaceVote | None]:
+    """Matches as off the map: anywhere, and seldom unique."""
+    rng = random.Random(seed)
+    return [
+        replace(STRONG, along_m=rng.uniform(0, 1000), uniqueness=1.02, sharpness=0.03, row_share=rng.random())
+        for _ in range(frames)
+    ]
+
+
+def _last(beliefs: list[PlaceBelief | None]) -> PlaceBelief:
+    last = beliefs[-1]
+    assert last is not None
+    return last
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_matches_that_move_with_the_odometer_are_believed(direction: Direction) -> None:
+    vote = replace(STRONG, direction=direction)
+    belief = _last(_drive(PlaceConsensus(SETTINGS), _right(500.0, 40, vote)))
+    assert belief.is_believed
+    assert belief.direction == direction
+    assert belief.along_m == pytest.approx(580.0 if direction == "forward" else 420.0)
+
+
+def test_one_match_is_not_believed() -> None:
+    belief = _last(_drive(PlaceConsensus(SETTINGS), _right(500.0, 1)))
+    assert not belief.is_believed
+
+
+def test_matches_off_the_map_are_not_believed() -> None:
+    beliefs = _drive(PlaceConsensus(SETTINGS), _scattered(300))
+    assert not any(belief and belief.is_believed for belief in beliefs)
+
+
+def test_a_place_that_stays_while_the_vehicle_moves_is_not_believed() -> None:
+    """A landmark ahead looks alike from afar, but the matched place does not advance."""
+    beliefs = _drive(PlaceConsensus(SETTINGS), [replace(STRONG, along_m=500.0)] * 100)
+    assert not any(belief and belief.is_believed for belief in beliefs)
+
+
+def test_a_place_that_few_frames_support_is_not_believed() -> None:
+    beliefs = _drive(PlaceConsensus(SETTINGS), _right(100.0, 100, replace(STRONG, row_share=0.3)))
+    assert beliefs[-1] is None
+
+
+def test_belief_ends_when_the_matches_go_elsewhere() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    assert _last(_drive(consensus, _right(100.0, 100))).is_believed
+    belief = _last(_drive(consensus, _scattered(80), from_m=200.0))
+    assert not belief.is_believed
+
+
+def test_belief_ends_with_the_drive() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    assert _last(_drive(consensus, _right(780.0, 100))).is_believed
+    at_end = replace(STRONG, along_m=1000.0)
+    after = _drive(consensus, [at_end] * 30, from_m=200.0)
+    assert not any(belief and belief.is_believed for belief in after[20:])
+
+
+def test_a_believed_drive_does_not_contradict_the_one_that_follows() -> None:
+    def first_belief(settled: bool) -> int:
+        consensus = PlaceConsensus(SETTINGS)
+        before = _right(880.0, 60) if settled else _scattered(60)
+        _drive(consensus, [vote and replace(vote, uniqueness=1.2, sharpness=0.1) for vote in before])
+        next_drive = replace(STRONG, drive=1)
+        beliefs = _drive(consensus, _right(0.0, 120, next_drive), from_m=120.0)
+        return next(k for k, belief in enumerate(beliefs) if belief and belief.is_believed and belief.drive == 1)
+
+    assert first_belief(settled=True) < first_belief(settled=False)
+
+
+def test_without_an_odometer_frames_are_counted_and_missed_ones_too() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    votes = _right(100.0, 60)
+    for vote in votes[::2]:
+        belief = consensus.update(vote, None, missed=1)
+    assert belief is not None
+    assert belief.is_believed
+    assert belief.along_m == pytest.approx(218.0, abs=2.0)
+
+
+def test_an_odometer_that_reads_a_twentieth_too_much_still_agrees_with_itself() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    for frame in range(1, 121):
+        belief = consensus.update(replace(STRONG, along_m=100 + 2.0 * frame), 2.1 * frame)
+    assert belief is not None
+    assert belief.is_believed
+    assert abs(belief.along_m - 340.0) < 10.0
+
+
+def test_an_odometer_that_was_counted_anew_does_not_move_the_votes() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    _drive(consensus, _right(100.0, 60), from_m=5000.0)
+    belief = consensus.update(replace(STRONG, along_m=222.0), 0.0)
+    assert belief is not None
+    assert belief.is_believed
+    assert belief.along_m == pytest.approx(222.0, abs=1.0)
+
+
+def test_frames_without_a_match_move_the_belief_on() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    belief = _last(_drive(consensus, [*_right(100.0, 60), *[None] * 5]))
+    assert belief.is_believed
+    assert belief.along_m == pytest.approx(230.0)
+
+
+def test_reset_forgets_every_vote() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    _drive(consensus, _right(100.0, 60))
+    consensus.reset()
+    assert consensus.update(None, 122.0) is None
+
+
+def test_more_votes_than_are_kept_do_no_harm() -> None:
+    """A vehicle that hardly moves gives many votes within the reach."""
+    consensus = PlaceConsensus(SETTINGS)
+    for frame in range(1, 1001):
+        belief = consensus.update(replace(STRONG, along_m=100 + 0.5 * frame), 0.5 * frame)
+    assert belief is not None
+    assert belief.is_believed
+    assert belief.along_m == pytest.approx(600.0)
