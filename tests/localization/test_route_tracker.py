@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ LAT_DEG, METRE_DEG = -27.0, 1 / 110_773  # of a meridian there
 
 
 @pytest.fixture(scope="module")
-def route(tmp_path_factory: pytest.TempPathFactory) -> Route:
+def map_set(tmp_path_factory: pytest.TempPathFactory) -> MapSet:
     """Two drives of 200 places, the second 1 km further north."""
     path = tmp_path_factory.mktemp("tracking") / "map"
     raw = np.random.default_rng(1).random((200, 2, 8), np.float32)
@@ -37,7 +38,12 @@ def route(tmp_path_factory: pytest.TempPathFactory) -> Route:
                 lat_deg = LAT_DEG + (drive_m + row * SPACING_M) * METRE_DEG
                 b.add(raw[row], Place(row, lat_deg, 153.0, 0.0, 0.0, route_m=row * SPACING_M))
         b.finish(normalize, "test")
-    return Route(MapSet.of(open_map(path)))
+    return MapSet.of(open_map(path))
+
+
+@pytest.fixture(scope="module")
+def route(map_set: MapSet) -> Route:
+    return Route(map_set)
 
 
 @pytest.fixture
@@ -137,6 +143,20 @@ def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_tracker: Ca
     assert (153.0 - tracked.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "left of north is west"
     assert tracked.sigma_across_m == 1.5
     assert 4.0 <= tracked.sigma_along_m < 5.0
+
+
+@pytest.mark.parametrize(("direction", "heading_deg"), [("forward", 0.0), ("reverse", 180.0)])
+def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
+    map_set: MapSet, direction: str, heading_deg: float
+) -> None:
+    places = map_set.places.copy()
+    places["heading_deg"] = np.nan
+    rig = RigConfig(left_forward_m=3.5, left_reverse_m=-3.5)
+    route = Route(replace(map_set, places=places))
+    tracked = warm(RouteTracker(route, TrackingConfig(), rig, LENGTH), 100, direction).tracker.at_exposure()
+    assert tracked is not None
+    assert tracked.heading_deg == pytest.approx(heading_deg, abs=1e-3)
+    assert (153.0 - tracked.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "west, both ways"
 
 
 def test_a_line_too_steep_is_turned_about_its_middle(open_tracker: Callable[..., RouteTracker]) -> None:
