@@ -85,7 +85,7 @@ def _run(args: argparse.Namespace) -> int:
         _print_offsets(offsets, seen)
         lines |= _rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
-        print(f"threshold, from {curve.answers} matches ({curve.stretches} of them share no frame):")
+        print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     else:
         curve = curve_of_map(reference_map, config)
         print(f"threshold, from the map alone: {curve.answers} of its frames, each matched without its surroundings")
