@@ -27,7 +27,7 @@ from edge.descriptor.regions import cut_regions
 from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
 from edge.sequence import ORDERS, VIEWS_OPPOSED, Direction
-from edge.sequence.acceptance import Neighbourhood
+from edge.sequence.acceptance import Neighborhood
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
 from sim.world.camera import open_renderer
@@ -114,23 +114,23 @@ class Search:
             settings.length,
             slopes_around_diagonal(SLOPE_LIMIT_RAD, 21),
         )
-        self._blank = np.full((settings.length, len(ORDERS), bounds[-1]), COST_ONE, dtype=np.int32)
+        self._blank = np.full((1, len(ORDERS), bounds[-1]), COST_ONE, dtype=np.int32)
+        self._search.refill(np.repeat(self._blank, settings.length, axis=0))
         on_road = np.column_stack([self.route_m, np.zeros(len(rows))])
-        self._near = Neighbourhood(on_road, self.route_m, self.drive_of, AcceptanceConfig())
+        self._near = Neighborhood(on_road, self.route_m, self.drive_of, AcceptanceConfig())
         self._normalizer = OnlineNormalizer(settings.length, renormalize_ring=True)
 
     def vote(self, raw: NDArray[np.float32]) -> PlaceVote | None:
         """The best match after one more frame."""
         change = self._normalizer.push(raw)
         costs = self._matcher.costs(change.rows)
-        rows = self._blank[: len(costs)].copy()
+        rows = np.repeat(self._blank, len(costs), axis=0)
         rows[..., self._at] = costs
-        if change.replaces_ring:
-            self._search.refill(np.concatenate([self._blank[len(rows) :], rows]))
-        else:
-            self._search.push(rows[-1])
+        self._search.push(rows[0])
+        for age, row in zip(change.ages[1:], rows[1:], strict=True):
+            self._search.replace(age, row)
         lines = self._search.lines()
-        return self._vote(lines, costs[-1]) if lines is not None else None
+        return self._vote(lines, costs[0]) if lines is not None else None
 
     def _vote(self, lines: Lines, newest: NDArray[np.int32]) -> PlaceVote:
         costs = lines.costs[self._at]
