@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import edge
 from edge.__main__ import main
 
 
@@ -175,7 +176,7 @@ def test_version_and_usage(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     assert ended.value.code == 0
+    assert capsys.readouterr().out == f"lookback {edge.__version__}\n"
     with pytest.raises(SystemExit) as ended:
         main(["replay"])
     assert ended.value.code == 2
-    assert "the following arguments are required" in capsys.readouterr().err

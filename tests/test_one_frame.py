@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 import edge
-from edge.camera import CameraHealth, Frame
+from edge.camera import Frame
 from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig, PageConfig, SamplingConfig, SequenceConfig
 from edge.config import TelemetryConfig as Telemetry
 from edge.daemon import Daemon
@@ -26,6 +26,7 @@ from edge.journal.records import FixSent, FrameUsed, PlaceFix
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.faults.simulated_daemon import ScriptedFrames
 
 EDGE = Path(edge.__file__).parent
 FRAMES, LENGTH = 80, 10
@@ -41,28 +42,12 @@ USED_FRAME_FILES_MOST = 25
 TURN_FILES_MOST = 45
 
 
-class ScriptedFrames:
-    """A camera that gives the frame that the test has put there."""
-
-    def __init__(self) -> None:
-        self.next: Frame | None = None
-        self.health = CameraHealth("running", "", 0)
-        self.ended = False
-
-    def take(self, timeout_s: float) -> Frame | None:
-        frame, self.next = self.next, None
-        return frame
-
-    def close(self) -> None:
-        self.ended = True
-
-
 class Drive:
     """A daemon on a map of 80 places, and its autopilot at the other end of a pty; the test moves all time."""
 
     def __init__(self, street: Path, folder: Path, network: Network, parts: ExitStack) -> None:
         self.now_ns = 10**12
-        self.frames = ScriptedFrames()
+        self.frames = ScriptedFrames(self.clock_ns)
         link = open_pty()
         parts.callback(link.close)
         self.autopilot = SimulatedAutopilot(link, self._pose, self.clock_ns, gps=False)

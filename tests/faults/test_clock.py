@@ -58,7 +58,7 @@ def test_the_wall_clock_is_stepped(
     steps = tmp_path / "step"
     steps.write_text("0")
     process = start(config, environment={"LD_PRELOAD": str(shim), "LOOKBACK_CLOCK_STEP": str(steps)})
-    process.wait_for_word("STATUS=on the map")
+    process.wait_until_on_the_map()
     before = told(tmp_path)
     steps.write_text(str(step_s))
     while told(tmp_path) < before + 5:

@@ -179,7 +179,7 @@ def test_the_loop_stands_still_wherever_it_is(
     """Its thread alone is stopped, in whichever stage; the camera's, the page's and the network's threads go on."""
     rng, calls = random.Random(seed), list[str]()
     process = start(write_config(camera={"device": str(calm_feed)}))
-    process.wait_for_word("STATUS=on the map")
+    process.wait_until_on_the_map()
     for _ in range(times):
         process.wait_for_word("WATCHDOG=1")
         time.sleep(rng.uniform(0.0, 0.1))
@@ -196,7 +196,7 @@ def test_one_place_feeds_the_watchdog() -> None:
     edge = Path(__file__).parents[2] / "edge"
     texts = {file.name: file.read_text(encoding="utf-8") for file in edge.rglob("*.py")}
     assert [name for name, text in texts.items() if re.search(r"notify\(.*WATCHDOG", text)] == ["service.py"]
-    assert [name for name, text in texts.items() if re.search(r"_supervision\.tell\(", text)] == ["daemon.py"]
+    assert [name for name, text in texts.items() if re.search(r"_supervision\.publish\(", text)] == ["daemon.py"]
 
 
 def test_a_process_that_is_stopped(write_config: Callable[..., Path], start: Callable[..., Any]) -> None:

@@ -52,7 +52,7 @@ def test_what_a_run_touches(
     )
     if process.popen.poll() is not None and "ptrace" in process.told():
         pytest.skip("strace is not permitted here")
-    process.wait_for_word("STATUS=on the map")
+    process.wait_until_on_the_map()
     while len(list(records_of(tmp_path / "events.jsonl", PlaceFix))) < 12:
         process.wait_for_word("WATCHDOG=1")  # until there are statistics worth keeping
     (daemon,) = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children").read_text().split()
