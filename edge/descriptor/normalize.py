@@ -23,9 +23,10 @@ DEAD_DEVIATION = 1e-4
 STALE_GROWTH = 0.05
 """A row of the ring is stale when the frames behind the statistics have grown by this share since it was normalized:
 below it the mean moves by under a twentieth of a deviation."""
-RENEWED_PER_FRAME = 4
-"""Stale rows that are normalized again with one frame. Matching five rows takes twice as long as matching one, matching
-a ring of forty at once takes eight times as long."""
+RENEWED_AT_ONCE, RENEWED_EVERY = 8, 4
+"""How many stale rows are normalized again together, and after how many frames at the earliest. Matching nine rows
+takes two and a half times as long as matching one, a ring of forty eight times: so no frame takes much longer than the
+others, and most take no longer at all."""
 
 
 def normalize(
@@ -88,6 +89,7 @@ class OnlineNormalizer:
         self._enabled = enabled
         self._ring: deque[_RingRow] = deque(maxlen=length)
         self._statistics: RunningStatistics | None = None
+        self._frames_since_renewal = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
         """Add one raw descriptor (R, D); the rows of the ring that change with it."""
@@ -105,12 +107,15 @@ class OnlineNormalizer:
         return NormalizedRows(rows, ages)
 
     def _stale_ages(self) -> list[int]:
-        """The ages of the rows that are renewed now: those whose statistics have grown most since."""
-        if not self._renormalize_ring or self._statistics is None:
+        """The ages of the rows that are normalized again now: those whose statistics have grown most since."""
+        self._frames_since_renewal += 1
+        if not self._renormalize_ring or self._statistics is None or self._frames_since_renewal < RENEWED_EVERY:
             return []
         limit = self._statistics.count / (1 + STALE_GROWTH)
         stale = [age for age in range(1, len(self._ring)) if self._ring[-1 - age].count < limit]
-        return sorted(stale, key=lambda age: self._ring[-1 - age].count)[:RENEWED_PER_FRAME]
+        if stale:
+            self._frames_since_renewal = 0
+        return sorted(stale, key=lambda age: self._ring[-1 - age].count)[:RENEWED_AT_ONCE]
 
     def _normalized(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
         assert self._statistics is not None
