@@ -42,8 +42,8 @@ def open_session(model: bytes) -> onnxruntime.InferenceSession:
         # Its int8 kernels saturate at 16 bits: the same picture would give another fc6 than on other processors. The
         # precise ones give the same bytes as VNNI. Weights of 7 bits would need neither, and failed `model verify`.
         options.add_session_config_entry("session.x64quantprecision", "1")
-    options.log_severity_level = 3  # errors; they come as exceptions as well
-    # Falling back to other providers, of which there are none, would print several lines before it fails again.
+    options.log_severity_level = 3  # errors; they are raised as exceptions as well
+    # There are no other providers: a fallback would print several lines and fail again.
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"], enable_fallback=0)
     session._model_bytes = None  # 40 MB, kept for that fallback alone
     return session

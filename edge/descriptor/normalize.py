@@ -1,6 +1,6 @@
 """The normalized set of descriptors (NSD), equation 1: for a whole set, and online for the query.
 
-The map is normalised over its whole set. The query's mean and deviation are updated with every frame (section
+The map is normalized over its whole set. The query's mean and deviation are updated with every frame (section
 III-B). By default the rows of the ring whose statistics have become stale are normalized again, a few with each
 frame: nearly all that the online form loses against the whole set is its first frames, which were normalized with
 hardly any data.
@@ -84,7 +84,7 @@ class OnlineNormalizer:
     """Normalizes the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
 
     def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
-        """`enabled` False hands raw descriptors on as they are (Raw-fc6 of the paper)."""
+        """enabled: if False, raw descriptors are returned unchanged (Raw-fc6 of the paper)."""
         self._renormalize_ring = renormalize_ring and enabled
         self._enabled = enabled
         self._ring: deque[_RingRow] = deque(maxlen=length)

@@ -294,4 +294,4 @@ def test_a_log_that_cannot_be_paired_is_one_line(
     assert main(["replay", str(log), *there, "--video-start-s", "nan"]) == 78
     assert "--video-start-s: nan is not a number of seconds" in capsys.readouterr().err
     assert main(["map", "build", str(log), str(log), "-o", "a.map", "--video", "a.avi"]) == 78
-    assert "--video: of several logs each has its own" in capsys.readouterr().err
+    assert "--video is for one log; with several, name each video like its log" in capsys.readouterr().err
