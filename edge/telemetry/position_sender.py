@@ -249,7 +249,7 @@ class PositionSender:
         self._back_off.failed(now_ns)
         if verdict == "never":
             self._disabled = True
-            log.error("the autopilot answered %s: no more positions until it reboots", result_name(result))
+            log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
             self._send_text(f"Lookback: positions {result_name(result)}, off")
 
     def follow_up(self, now_ns: int) -> list[Message]:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import SequenceConfig
+from edge.descriptor.normalize import RENEWED_EVERY
 from edge.errors import ConfigError
 from edge.sequence.search import slopes_around_diagonal
 from sim.evaluation.matching import FloatMatcher, int8_matcher, match, open_matcher
@@ -45,9 +46,8 @@ def slow_reference(method: Method, raw: Array) -> list[Array]:
 def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
     """The whole ring as it stands after each frame."""
     past = earlier if method.warm else raw[:0]
-    renormalized_at = 0
-    for count in range(1, len(past) + 1):  # the earlier drive was driven in the same way
-        renormalized_at = count if count > renormalized_at * 1.05 else renormalized_at
+    if method.query == "ring":
+        return renewed_rings(raw, past, method.deviation)
     rings: list[list[Array]] = []
     for frame, one in enumerate(raw):
         before = rings[-1][1 - LENGTH :] if rings else []
@@ -57,13 +57,25 @@ def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
         elif method.query in ("set", "segments"):
             runs = SEGMENTS_QUERY if method.query == "segments" else [(0, len(raw))]
             rings.append([*before, normalized(one, raw[run_with(frame, runs)], method.deviation)])
-        elif method.query == "ring" and len(known) > renormalized_at * 1.05:
-            renormalized_at = len(known)
-            newest = raw[max(0, frame + 1 - LENGTH) : frame + 1]
-            rings.append([normalized(row, known, method.deviation) for row in newest])
         else:
             rings.append([*before, normalized(one, known, method.deviation)])
     return rings
+
+
+def renewed_rings(raw: Array, past: Array, deviation: bool) -> list[list[Array]]:
+    """Each fourth frame at most, the rows whose statistics have grown by 5 % since are normalized again."""
+    everything, ring, rings, since = np.concatenate([past, raw]), [], [], 0
+    for count in range(1, len(everything) + 1):
+        known = everything[:count]
+        if count == len(past) + 1:
+            ring = []
+        ring = [*ring, (known[-1], normalized(known[-1], known, deviation), count)][-LENGTH:]
+        since += 1
+        if since >= RENEWED_EVERY and any(row[2] < count / 1.05 for row in ring):
+            since = 0
+            ring = [(r, normalized(r, known, deviation), count) if c < count / 1.05 else (r, n, c) for r, n, c in ring]
+        rings.append([row for _, row, _ in ring])
+    return rings[len(past) :]
 
 
 def slow_int8(value: Array) -> Array:
