@@ -77,7 +77,7 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
             whole,
             "its network",
             whole.median_ms / alone.median_ms,
-            f"95 % of frames within {slowest:.1f} ms; the slow ones match the whole ring again",
+            f"95 % of frames within {slowest:.1f} ms; the slow ones match rows of the ring that are normalized again",
         )
     )
     over = whole.median_ms / alone.median_ms

@@ -30,7 +30,7 @@ def test_a_shrunk_map_is_built_measured_and_used(
     assert all(abs(line["place"] - line["frame"]) <= 1 for line in lines[8:])
     assert main(["map", "extend", map_path, str(evening)]) == 0
     assert main(["map", "info", map_path]) == 0
-    assert "shrunk    to 48 of 4096" in capsys.readouterr().out
+    assert "reduced   to 48 of 4096" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("dimensions", ["0", "4097"])
