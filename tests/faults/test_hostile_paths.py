@@ -65,7 +65,7 @@ def test_a_maps_files_are_plain_files_of_its_folder(
         (path / name).symlink_to(tmp_path / "elsewhere")
     else:
         os.mkfifo(path / name)
-    with pytest.raises(MapError, match=f"{path / name}: not a plain file"):
+    with pytest.raises(MapError, match=f"{path / name}: not a regular file"):
         open_map(path, every_file=True)
 
 
@@ -106,7 +106,7 @@ def test_a_signature_is_a_small_plain_file(
     elif how == "pipe":
         os.mkfifo(signature)
     line = refused(write_config(map={"path": str(path), "require_signature_by": str(public)}), capsys)
-    assert ("signature is not that of" if how == "large" else "not a plain file") in line
+    assert ("signature is not that of" if how == "large" else "not a regular file") in line
 
 
 def test_another_model_is_refused_by_its_checksum(

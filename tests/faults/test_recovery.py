@@ -208,7 +208,7 @@ class HandedCamera:
         (
             another_size,
             "blind, camera: nothing but bad frames for 2 s "
-            "(a picture of 80 x 60 pixels, and the first was of 160 x 120 pixels); opened again",
+            "(an image of 80 x 60 pixels, but the first was of 160 x 120 pixels); opened again",
             FAULT_FROM + 10,
             FAULT_TO - 1,
         ),

@@ -193,7 +193,7 @@ def test_a_torn_picture_is_named_and_may_be_left_out(
     with pytest.raises(FrameError, match=rf"{torn.name}: not a complete"):
         open_dataset("robotcar", traverse_path, ReadOptions(crop_bottom=0)).pictures.read(4)
     arguments = ("robotcar", traverse_path, "-o", tmp_path / "feed", "--crop-bottom", 4)
-    with pytest.raises(FeedError, match=rf"{torn.name}: not a whole .*; --skip-unreadable skips"):
+    with pytest.raises(FeedError, match=rf"{torn.name}: not a complete .*; --skip-unreadable skips"):
         sim_import(*arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == [traverse_path.name]
     sim_import(*arguments, "--skip-unreadable")

@@ -45,25 +45,44 @@ def slow_reference(method: Method, raw: Array) -> list[Array]:
 def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
     """The whole ring as it stands after each frame."""
     past = earlier if method.warm else raw[:0]
-    renormalized_at = 0
-    for count in range(1, len(past) + 1):  # the earlier drive was driven in the same way
-        renormalized_at = count if count > renormalized_at * 1.05 else renormalized_at
+    if method.query == "ring":
+        return slow_renewed_rings(method, raw, past)
     rings: list[list[Array]] = []
     for frame, one in enumerate(raw):
         before = rings[-1][1 - LENGTH :] if rings else []
-        known = np.concatenate([past, raw[: frame + 1]])
         if method.query == "none":
             rings.append([*before, one])
         elif method.query in ("set", "segments"):
             runs = SEGMENTS_QUERY if method.query == "segments" else [(0, len(raw))]
             rings.append([*before, normalized(one, raw[run_with(frame, runs)], method.deviation)])
-        elif method.query == "ring" and len(known) > renormalized_at * 1.05:
-            renormalized_at = len(known)
-            newest = raw[max(0, frame + 1 - LENGTH) : frame + 1]
-            rings.append([normalized(row, known, method.deviation) for row in newest])
         else:
-            rings.append([*before, normalized(one, known, method.deviation)])
+            rings.append([*before, normalized(one, np.concatenate([past, raw[: frame + 1]]), method.deviation)])
     return rings
+
+
+def slow_renewed_rings(method: Method, raw: Array, past: Array) -> list[list[Array]]:
+    """Rows whose statistics have grown by more than 5 % are normalized again, the oldest statistics first.
+
+    That happens with every fourth frame at most, and to eight rows at most: more than the ring has here. The earlier
+    drive was driven in the same way, and its frames are not in the ring.
+    """
+    drive = np.concatenate([past, raw])
+    rings: list[list[Array]] = []
+    counts: list[int] = []
+    since = 0
+    for frame, one in enumerate(drive):
+        known, since = drive[: frame + 1], since + 1
+        before = rings[-1] if rings and frame != len(past) else []
+        ring = [*before, normalized(one, known, method.deviation)][-LENGTH:]
+        counts = [*counts[len(counts) - len(before) :], len(known)][-LENGTH:]
+        stale = [row for row, count in enumerate(counts) if count * 1.05 < len(known)]
+        if since >= 4 and stale:
+            since = 0
+            for row in stale:
+                ring[row] = normalized(drive[frame + 1 - len(ring) + row], known, method.deviation)
+                counts[row] = len(known)
+        rings.append(ring)
+    return rings[len(past) :]
 
 
 def slow_int8(value: Array) -> Array:

@@ -23,14 +23,14 @@ def test_a_shrunk_map_is_built_measured_and_used(
     assert "shrunk to 48 of 4096 dimensions a region" in printed
     assert "sequences of 5 places" in printed and "right within one place    100.00%" in printed
     assert main(["map", "info", map_path]) == 0
-    assert "shrunk    to 48 of 4096 dimensions a region" in capsys.readouterr().out
+    assert "reduced   to 48 of 4096 dimensions per region" in capsys.readouterr().out
     options = ["--map", map_path, "--sequence-length", "8", "--all"]
     assert main(["replay", str(evening), *options]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert all(abs(line["place"] - line["frame"]) <= 1 for line in lines[8:])
     assert main(["map", "extend", map_path, str(evening)]) == 0
     assert main(["map", "info", map_path]) == 0
-    assert "shrunk    to 48 of 4096" in capsys.readouterr().out
+    assert "reduced   to 48 of 4096" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("dimensions", ["0", "4097"])
