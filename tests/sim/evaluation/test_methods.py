@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import SequenceConfig
-from edge.descriptor.normalize import RENEWED_EVERY
 from edge.errors import ConfigError
 from edge.sequence.search import slopes_around_diagonal
 from sim.evaluation.matching import FloatMatcher, int8_matcher, match, open_matcher
@@ -47,34 +46,42 @@ def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
     """The whole ring as it stands after each frame."""
     past = earlier if method.warm else raw[:0]
     if method.query == "ring":
-        return renewed_rings(raw, past, method.deviation)
+        return slow_renewed_rings(method, raw, past)
     rings: list[list[Array]] = []
     for frame, one in enumerate(raw):
         before = rings[-1][1 - LENGTH :] if rings else []
-        known = np.concatenate([past, raw[: frame + 1]])
         if method.query == "none":
             rings.append([*before, one])
         elif method.query in ("set", "segments"):
             runs = SEGMENTS_QUERY if method.query == "segments" else [(0, len(raw))]
             rings.append([*before, normalized(one, raw[run_with(frame, runs)], method.deviation)])
         else:
-            rings.append([*before, normalized(one, known, method.deviation)])
+            rings.append([*before, normalized(one, np.concatenate([past, raw[: frame + 1]]), method.deviation)])
     return rings
 
 
-def renewed_rings(raw: Array, past: Array, deviation: bool) -> list[list[Array]]:
-    """Each fourth frame at most, the rows whose statistics have grown by 5 % since are normalized again."""
-    everything, ring, rings, since = np.concatenate([past, raw]), [], [], 0
-    for count in range(1, len(everything) + 1):
-        known = everything[:count]
-        if count == len(past) + 1:
-            ring = []
-        ring = [*ring, (known[-1], normalized(known[-1], known, deviation), count)][-LENGTH:]
-        since += 1
-        if since >= RENEWED_EVERY and any(row[2] < count / 1.05 for row in ring):
+def slow_renewed_rings(method: Method, raw: Array, past: Array) -> list[list[Array]]:
+    """Rows whose statistics have grown by more than 5 % are normalized again, the oldest statistics first.
+
+    That happens with every fourth frame at most, and to eight rows at most: more than the ring has here. The earlier
+    drive was driven in the same way, and its frames are not in the ring.
+    """
+    drive = np.concatenate([past, raw])
+    rings: list[list[Array]] = []
+    counts: list[int] = []
+    since = 0
+    for frame, one in enumerate(drive):
+        known, since = drive[: frame + 1], since + 1
+        before = rings[-1] if rings and frame != len(past) else []
+        ring = [*before, normalized(one, known, method.deviation)][-LENGTH:]
+        counts = [*counts[len(counts) - len(before) :], len(known)][-LENGTH:]
+        stale = [row for row, count in enumerate(counts) if count * 1.05 < len(known)]
+        if since >= 4 and stale:
             since = 0
-            ring = [(r, normalized(r, known, deviation), count) if c < count / 1.05 else (r, n, c) for r, n, c in ring]
-        rings.append([row for _, row, _ in ring])
+            for row in stale:
+                ring[row] = normalized(drive[frame + 1 - len(ring) + row], known, method.deviation)
+                counts[row] = len(known)
+        rings.append(ring)
     return rings[len(past) :]
 
 

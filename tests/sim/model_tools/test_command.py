@@ -106,7 +106,7 @@ def test_verify_against_a_feed_that_cannot_be_compared(weights: Path, feed: Path
 
 def test_import_with_an_unreadable_picture(weights: Path, feed: Path, tmp_path: Path) -> None:
     (feed / "frames" / "000003.jpg").write_bytes(b"cut short")
-    with pytest.raises(FeedError, match=r"000003\.jpg: not a whole JPEG or PNG picture; remove that row"):
+    with pytest.raises(FeedError, match=r"000003\.jpg: not a complete JPEG or PNG image; remove that row"):
         lookback_model("import", weights, "-o", tmp_path / "model", "--calibrate", feed)
 
 
