@@ -6,9 +6,11 @@ camera that was unplugged must come back without a restart.
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
@@ -30,6 +32,9 @@ CLOSING_S = 10.0
 GRACE_S = 1.0
 FUTURE_NS = 100_000_000
 """Tolerance: cameras estimate the offset of their clocks to ours."""
+AGREEING = 5
+"""So many timestamps in a row that are equally far in the future mean that the camera's clock is ahead of ours."""
+log = logging.getLogger(__name__)
 
 
 class NewestFrame:
@@ -63,6 +68,8 @@ class NewestFrame:
         self._newest: Frame | None = None
         self._health = CameraHealth("lost", "opening", clock_ns())
         self._last_stamp_ns = -1
+        self._ahead_ns = 0  # of the camera's clock, as far as it is known
+        self._early_ns: deque[int] = deque(maxlen=AGREEING)  # how far the last timestamps were in the future
         self._shape: tuple[int, ...] | None = None  # of the first image: a map fits one shape
         self._good_ns = 0
         self._bad_why = ""
@@ -193,6 +200,7 @@ class NewestFrame:
     def _read_until_lost(self, camera: Camera) -> bool:
         first_index = self._next_index
         self._good_ns = self._clock_ns()
+        self._ahead_ns = 0
         while not self._stop.is_set():
             self._expect("reading", camera.read_timeout_s)
             try:
@@ -217,15 +225,33 @@ class NewestFrame:
     def _take_in(self, frame: Frame) -> None:
         """Check a frame and keep it as the newest; FrameError if it is invalid."""
         now_ns = self._clock_ns()
+        frame = replace(frame, stamp_ns=self._on_our_clock(frame.stamp_ns, now_ns))
         if frame.stamp_ns <= self._last_stamp_ns:
             raise FrameError("timestamp not after the last frame's")
-        if frame.stamp_ns > now_ns + FUTURE_NS:
-            raise FrameError(f"timestamp {(frame.stamp_ns - now_ns) / 1e9:.1f} s in the future")
         shape, self._shape = frame.image.shape, self._shape or frame.image.shape
         if shape != self._shape:
             raise FrameError(f"an image {_size(shape)}, but the first was {_size(self._shape)}")
         self._last_stamp_ns, self._good_ns = frame.stamp_ns, now_ns
         self._put(frame)
+
+    def _on_our_clock(self, stamp_ns: int, now_ns: int) -> int:
+        """The timestamp, corrected by how far the camera's clock is known to be ahead; FrameError if it is not known.
+
+        No image is exposed after it was read. One timestamp in the future is damage; several that agree are a clock.
+        """
+        if stamp_ns - self._ahead_ns <= now_ns + FUTURE_NS:
+            self._early_ns.clear()
+            return stamp_ns - self._ahead_ns
+        self._early_ns.append(stamp_ns - now_ns)
+        early_ns = self._early_ns
+        if len(early_ns) < AGREEING or max(early_ns) - min(early_ns) > FUTURE_NS:
+            raise FrameError(f"timestamp {(stamp_ns - now_ns) / 1e9:.1f} s in the future")
+        self._ahead_ns = max(early_ns)
+        words = f"timestamps: {self._ahead_ns / 1e6:.0f} ms ahead of this computer's clock, corrected"
+        log.warning("camera: %s", words)
+        with self._changed:
+            self._health = replace(self._health, differences=(*self._health.differences, words))
+        return stamp_ns - self._ahead_ns
 
     def _nothing_good(self) -> str:
         """Why the camera must be opened again: only bad frames for too long; "" otherwise."""

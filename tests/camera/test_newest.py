@@ -315,3 +315,39 @@ def test_a_lost_camera_that_is_tried_again_does_not_hang() -> None:
         pass
     assert newest.hang(60_000_000_000) == ""
     newest.close()
+
+
+def test_a_clock_that_is_ahead_is_found_out_and_corrected(caplog: pytest.LogCaptureFixture) -> None:
+    """Some drivers stamp the end of the next exposure: at 5 frames per second 200 ms ahead, and never otherwise."""
+    now = count(10**9, 200_000_000)
+    ahead_ns = [312_000_000 + jitter for jitter in (0, 9_000_000, 4_000_000, 0, 1_000_000, 2_000_000, 8_000_000)]
+    times_ns = [next(now) for _ in ahead_ns]
+    camera = ScriptedCamera(*range(7), stamps_ns=tuple(map(sum, zip(times_ns, ahead_ns, strict=True))))
+    clock = {"read": -1}
+
+    class Reading:
+        differences, read_timeout_s = camera.differences, camera.read_timeout_s
+
+        def read(self) -> Frame | None:
+            clock["read"] += 1
+            return camera.read()
+
+        def close(self) -> None:
+            camera.close()
+
+    newest = NewestFrame(opener(Reading()), clock_ns=lambda: times_ns[max(0, min(clock["read"], 6))])
+    assert camera.closed.wait(PATIENCE_S)
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    assert frame.index == 6
+    assert frame.stamp_ns == times_ns[6] + ahead_ns[6] - max(ahead_ns[:5])
+    assert (newest.health.delivered, newest.health.bad) == (3, 4)
+    assert "timestamps: 321 ms ahead of this computer's clock, corrected" in newest.health.differences
+    assert "321 ms ahead" in caplog.text
+
+
+def test_timestamps_in_the_future_that_do_not_agree_are_no_clock() -> None:
+    camera = ScriptedCamera(*range(8), stamps_ns=tuple(10**9 * (index + 1) for index in range(8)))
+    newest = NewestFrame(opener(camera), clock_ns=lambda: 100)
+    assert camera.closed.wait(PATIENCE_S)
+    assert (newest.health.delivered, newest.health.bad) == (0, 8)
