@@ -31,10 +31,9 @@ from edge.journal.journal import Journal
 from edge.journal.records import FrameUsed, MapExcluded, Record, Stopped
 from edge.localization.place_fix import frame_used, untracked_fix
 from edge.localization.route_tracker import RouteTracker
-from edge.page import LiveStatus, MapView, Sources, open_page
+from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import open_recognizer
 from edge.reference_map import ExcludedMap, MapSet, Route
-from edge.reference_map.outline import outline
 from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
 from edge.telemetry.autopilot import AutopilotConnection
@@ -299,12 +298,6 @@ class Daemon:
         self._record(stopped)
         self._warm_start.keep(self.monitor.health.state, self._newest)
         return stopped
-
-
-def map_view(maps: MapSet) -> MapView:
-    """What the live page shows of the maps."""
-    starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
-    return MapView(maps.index.places, starts, outline(maps), maps.thumbnail)
 
 
 def run(config: Config, stop: threading.Event, opened: Callable[[], object] = lambda: None) -> Stopped:

@@ -7,16 +7,17 @@ import os
 from typing import TYPE_CHECKING
 
 from edge.config import PageConfig
-from edge.page.snapshot import LiveStatus, MapView, Snapshot, Sources
+from edge.page.map_view import MapView, map_view
+from edge.page.snapshot import LiveStatus, Snapshot, Sources
 
 if TYPE_CHECKING:
     from edge.page.server import StatusPage
 
-__all__ = ["LiveStatus", "MapView", "Snapshot", "Sources", "open_page"]
+__all__ = ["LiveStatus", "MapView", "Snapshot", "Sources", "map_view", "open_page"]
 log = logging.getLogger(__name__)
 
 
-def open_page(config: PageConfig, map_view: MapView) -> StatusPage | None:
+def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:
     """The live page, or None and a line in the log: without it places are recognized just as well."""
     if config.port == 0:
         return None
@@ -24,7 +25,7 @@ def open_page(config: PageConfig, map_view: MapView) -> StatusPage | None:
         # Imported here: a vehicle without the page never loads a web server.
         from edge.page.server import StatusPage
 
-        page = StatusPage(config, map_view)
+        page = StatusPage(config, maps)
     except ModuleNotFoundError as error:
         log.info("no live page: the package %s is missing: pip install 'lookback[page]'", error.name)
         return None

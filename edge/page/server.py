@@ -38,8 +38,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from edge.config import PageConfig
+from edge.page.map_view import MapView
 from edge.page.metrics import as_metrics
-from edge.page.snapshot import MapView, Snapshot
+from edge.page.snapshot import Snapshot
 
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2

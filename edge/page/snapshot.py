@@ -83,25 +83,6 @@ class Snapshot:
 
 
 @dataclass(frozen=True)
-class MapView:
-    """What the page shows of the map.
-
-    places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
-    drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none.
-    """
-
-    places: int
-    starts: dict[str, int]
-    drives: tuple[tuple[tuple[float, float], ...], ...]
-    thumbnail: Callable[[int], bytes]
-
-    def as_json(self) -> bytes:
-        """All but the thumbnails."""
-        return msgspec.json.encode({"places": self.places, "starts": self.starts, "drives": self.drives})
-
-
-@dataclass(frozen=True)
 class Sources:
     """Where a snapshot gets the rest of what it shows; they are asked only when somebody looks.
 

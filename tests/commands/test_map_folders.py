@@ -18,11 +18,11 @@ from edge.__main__ import main
 from edge.commands.doctor import examine
 from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig
-from edge.daemon import map_view
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.journal.journal import records_of
 from edge.journal.records import MapExcluded, PlaceFix
+from edge.page import map_view
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import open_map_set
 from edge.reference_map.signature import SIGNATURE
