@@ -283,8 +283,12 @@ def test_who_trickles_bytes_is_cut_off_as_well(page: StatusPage) -> None:
 
 
 def test_many_idle_connections_keep_nobody_out_for_long(page: StatusPage, loop: Loop) -> None:
-    idle = [raw(page, b"GET /") for _ in range(CONNECTIONS + 8)]
-    assert get(page, "/")[0] == 503
+    idle: list[socket.socket] = []
+    answers: list[int] = []
+    while 503 not in answers and len(answers) < 10:  # a busy machine may cut the first off before it accepts the last
+        idle += [raw(page, b"GET /") for _ in range(CONNECTIONS + 8)]
+        answers.append(get(page, "/")[0])
+    assert answers[-1] == 503
     for connection in idle:
         wait_for_end(connection)
         connection.close()
