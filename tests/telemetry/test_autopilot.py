@@ -141,7 +141,7 @@ def test_a_denied_position_is_the_last_until_the_autopilot_reboots(rig: Rig, cap
     rig.run(1.0)
     assert not rig.connection.send_position(rig.fix())
     assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [
-        "the autopilot answered DENIED: no more positions until it reboots"
+        "the autopilot answered DENIED: positions are off until it reboots"
     ]
     rig.autopilot.reboot()
     rig.run(7.0)
