@@ -161,6 +161,11 @@ class MapSet:
         pieces = [self.places[start:end] for start, end in ranges]
         return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
+    def release(self, ranges: Ranges) -> None:
+        """Give back the memory of the maps that some places lie in, since they will not be searched for a while."""
+        for index in self.index.maps_of(ranges):
+            self.maps[index].release()
+
     def thumbnail(self, place_index: int) -> bytes:
         """The place's small JPEG, for people; b"" where there is none. Read from the disk; any thread may ask."""
         index = self.index.map_of(place_index)

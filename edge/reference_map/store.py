@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import mmap
 import stat
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,6 +150,12 @@ class ReferenceMap:
         with (self.path / THUMBNAILS).open("rb") as file:
             file.seek(int(record["thumbnail_at"]))
             return file.read(int(record["thumbnail_bytes"]))
+
+    def release(self) -> None:
+        """Give back the memory that the descriptors' file takes in this process; what is read again comes anew."""
+        pages: mmap.mmap | None = getattr(self.descriptors, "_mmap", None)
+        if pages is not None:
+            pages.madvise(mmap.MADV_DONTNEED)
 
     def raw(self) -> NDArray[np.float16]:
         """Raw descriptors (N, R, D) float16, memory-mapped, for normalizing again."""

@@ -45,6 +45,7 @@ class GlobalSearch:
         ranges = self._map_set.index.widened([(self._next, end)], self._config.sequence.length)
         slice_of_maps = Submap(ranges, self._map_set, self._config, frame)
         match = slice_of_maps.refill(self._map_set.costs(ring, ranges))
+        self._map_set.release(ranges)  # or a pass would map every descriptor there is
         self._found += [match] if match else []
         self._next = end
         if end < self._map_set.index.places:

@@ -26,6 +26,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
 from edge.reference_map.tiles import split_map
 from edge.sequence import PlaceMatch
+from edge.sequence.global_search import GlobalSearch
 from edge.sequence.place_search import Near, PlaceSearch
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
@@ -264,6 +265,29 @@ def test_very_many_maps_raise_the_limit_of_open_files_or_say_that_it_is_too_low(
     assert info.returncode == 78
     assert "200 maps need 456 open files, and this process may have 300" in info.stderr
     assert len(info.stderr.splitlines()) == 1
+
+
+def resident_bytes(folder: Path) -> int:
+    """Of the descriptors below a folder, as mapped into this process."""
+    lines = iter(Path("/proc/self/smaps").read_text(encoding="utf-8").splitlines())
+    found = 0
+    for line in lines:
+        if line.endswith(DESCRIPTORS) and str(folder) in line:
+            found += next(int(one.split()[1]) * 1024 for one in lines if one.startswith("Rss:"))
+    return found
+
+
+def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look: Look) -> None:
+    maps = open_map_set(city / "tiles")
+    ring = np.stack([look(place) for place in range(LENGTH)])
+    maps.costs(ring, [(0, PLACES_OF_ALL)])
+    everything = resident_bytes(city / "tiles")
+    assert everything > 10 * 300 * 2 * 48
+    scan = GlobalSearch(maps, CONFIG)
+    for frame in range(PLACES_OF_ALL):
+        if scan.step(ring, frame) is not None:
+            break
+    assert resident_bytes(city / "tiles") < everything / 10
 
 
 def test_nothing_left_to_use_is_an_error(city: Path, tmp_path: Path) -> None:
