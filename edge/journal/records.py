@@ -56,7 +56,7 @@ class JournalResumed(_Tagged, frozen=True, tag="journal"):
 
 
 class StateChanged(_Tagged, frozen=True, tag="state"):
-    """The daemon's state, or the reason for it, changed; docs/states.md lists the states."""
+    """The daemon's state, or the reason for it, changed; docs/vehicle.md lists the states."""
 
     state: Annotated[str, unit("", "starting, warming up, on the map, off the map, degraded or failed")]
     why: Annotated[str, unit("", 'the reason, "" where there is nothing to say')] = ""
