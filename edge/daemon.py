@@ -157,13 +157,12 @@ class Daemon:
             distance_m = self._autopilot.distance_m(frame.stamp_ns)
             if self._sampler.is_place(frame.stamp_ns, distance_m):
                 self._process_frame(frame, distance_m)
-        else:
+        elif not self._checksums.is_done:
             self._check_maps(self._recognizer.matcher.search.folders_in_use)
         if self._update_health():
             self._reset()
         self._publish_position()
         self._update_page()
-        self._warm_start.keep_if_due(self._clock_ns(), self.monitor.health.state, self._newest)
         self._feed_watchdog()
         return not self._camera.ended
 
@@ -195,7 +194,10 @@ class Daemon:
                 self._publish_place(match, frame.stamp_ns)
         self._times.lap("telemetry")
         self._frames_used += 1
-        self._frame_s = (self._clock_ns() - began_ns) / 1e9
+        now_ns = self._clock_ns()
+        self._frame_s = (now_ns - began_ns) / 1e9
+        # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
+        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._newest)
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""

@@ -96,6 +96,7 @@ class Files:
 
     def __init__(self) -> None:
         self.turn: Counter[str] = Counter()
+        self.idle_turn: Counter[str] = Counter()  # of the next turn, without a frame
         self.used_frame: Counter[str] = Counter()
         self._carriers = {function.__code__ for function in FRAME_FUNCTIONS}
         self._on_path = self._in_telemetry = 0
@@ -137,6 +138,7 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
             before = drive.journaled()
             files = profiled(drive.daemon.turn)
             if drive.journaled() - before >= Counter((FrameUsed, PlaceFix, FixSent)):
+                files.idle_turn = profiled(drive.daemon.turn).turn
                 return files
             drive.wait()
     pytest.fail("no turn used a frame, reported its place and sent a position")
@@ -157,3 +159,10 @@ def test_a_whole_turn_visits_few_files(visited: Files) -> None:
     print(report("a turn of the daemon's loop with a used frame", visited.turn))
     assert set(visited.used_frame) < set(visited.turn)
     assert len(visited.turn) <= TURN_FILES_MOST
+
+
+def test_a_turn_without_a_frame_keeps_nothing_for_the_next_run(visited: Files) -> None:
+    """Statistics that are written anew while the vehicle is parked would look as fresh as the file."""
+    assert "warm_start.py" in visited.used_frame
+    assert "daemon.py" in visited.idle_turn
+    assert "warm_start.py" not in visited.idle_turn

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 from types import TracebackType
 
+from edge.atomic_file import flush_to_disk
 from edge.errors import MapError
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
@@ -37,12 +38,12 @@ class AtomicFolder:
     def put_in_place(self) -> None:
         """Sync everything in it and rename it, or swap it with what is there. MapError where that cannot be."""
         for path in (*self.path.rglob("*"), self.path):
-            _sync(path)
+            flush_to_disk(path)
         if self._place.exists():
             _exchange(self.path, self._place)
         else:
             self.path.rename(self._place)
-        _sync(self._place.parent)
+        flush_to_disk(self._place.parent)
 
     def __enter__(self) -> AtomicFolder:
         return self
@@ -71,15 +72,6 @@ def _clear_leftovers(place: Path) -> None:
             lock = _locked(folder)
             shutil.rmtree(folder, ignore_errors=True)
             os.close(lock)
-
-
-def _sync(path: Path) -> None:
-    """Flush a file or a folder to the disk, so that the rename cannot overtake what it names."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _exchange(new: Path, old: Path) -> None:

@@ -96,6 +96,11 @@ class ChecksumSchedule:
         self._left = {path: Checksums(path, files, names) for path, (files, names) in maps.items()}
         self._damaged: set[Path] = set()
 
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing is left to check."""
+        return not self._left
+
     def is_verified(self, maps: Collection[Path]) -> bool:
         """Whether every checksum of these maps holds."""
         return not any(path in self._left or path in self._damaged for path in maps)
