@@ -97,7 +97,7 @@ class Daemon:
             self._open_recognizer(network)
             self._open_camera(parts, frames)
             self._open_page(parts)
-        self._frames_used = self._events = 0
+        self._frames_used = self._events = self._distance_gaps = 0
         self._frame_s = 0.0  # what the last one took
         self._supervision = Supervision()
 
@@ -144,7 +144,7 @@ class Daemon:
             journal_lost=lambda: self._journal.lost if self._journal else 0,
             clock_ns=self._clock_ns,
         )
-        self._live_status = LiveStatus(self._recognizer.model_name, config.acceptance.uniqueness_min, sources)
+        self._live_status = LiveStatus(self._recognizer.model_name, config.acceptance.confidence_min, sources)
         self._page = open_page(config.page, map_view(maps))
         if self._page is not None:
             parts.enter_context(closing(self._page))
@@ -179,7 +179,10 @@ class Daemon:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
         began_ns, missed = self._clock_ns(), self._sampler.missed
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed)
+        if self._distance_gaps != self._autopilot.distance_gaps:
+            self._distance_gaps = self._autopilot.distance_gaps
+            self._recognizer.restart_odometer()
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
         if match is not None and match.accepted and not self._is_verified(match):
             match = None
         self._tracker.update(match, frame.stamp_ns, distance_m, missed)

@@ -1,6 +1,6 @@
 """The place recognizer: one frame in, one answer out. No camera, no link, no file, no clock.
 
-image -> regions -> fc6 -> SequenceMatcher: online NSD -> cost row -> lines through the last L rows -> uniqueness
+image -> regions -> fc6 -> SequenceMatcher: online NSD -> cost row -> lines through the last L rows -> place belief
 
     recognizer = open_recognizer(load_config(path))
     match = recognizer.observe(image, stamp_ns)
@@ -13,8 +13,9 @@ The same `SequenceMatcher` works on descriptors that were made before, without a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -25,11 +26,15 @@ from edge.config import Config
 from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
+from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus
+from edge.localization.drives import Drives
 from edge.reference_map import MapSet, ModelKey, open_map_set
 from edge.sequence import CostView, PlaceMatch
 from edge.sequence.acceptance import HoldOff
 from edge.sequence.place_search import Near, PlaceSearch
 
+MAP_COUNTS_AS = 20
+"""Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
 MOST_MISSED = 0.5
 """Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
 
@@ -41,8 +46,23 @@ def no_stopwatch(stage: str) -> None:
     """Measure nothing."""
 
 
+@dataclass(frozen=True)
+class _UsedFrame:
+    """A raw descriptor (R, D), its exposure, and the odometer then, None where it was not known."""
+
+    raw: NDArray[np.float32]
+    stamp_ns: int
+    distance_m: float | None
+
+    def driven_since_m(self, before: _UsedFrame) -> float:
+        """Meters driven since another frame, NaN where that is not known."""
+        if self.distance_m is None or before.distance_m is None:
+            return math.nan
+        return self.distance_m - before.distance_m
+
+
 class SequenceMatcher:
-    """Raw descriptors in, matches out: online normalization, costs, sequence search, and acceptance."""
+    """Raw descriptors in, matches out: online normalization, costs, sequence search, and the place belief."""
 
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
         """`stopwatch(stage)` is called after each stage of a frame."""
@@ -53,31 +73,68 @@ class SequenceMatcher:
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
+        self._normalizer.begin_with(_statistics_of(map_set))
         self.use_maps(map_set)
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on, beginning a new sequence; the normalization's statistics stay."""
+        config = self._config
+        self.best: PlaceMatch | None = None
+        """The best line after the newest frame, wherever the place is believed to be (eq. 3, the paper's answer)."""
         self.map_set = map_set
-        self.search = PlaceSearch(map_set, self._config, self._stopwatch)
+        self.search = PlaceSearch(map_set, config, self._stopwatch)
+        self._drives = Drives(map_set, config.sampling.spacing_m)
+        spacing_m = self._drives.spacing_m
+        self._slack_m = config.sequence.length * spacing_m / 4
+        self._consensus = PlaceConsensus(
+            ConsensusSettings(
+                config.sequence.length, spacing_m, slack_m=self._slack_m, threshold=config.acceptance.confidence_min
+            ),
+            self._drives.positions_m,
+        )
         self._normalizer.clear_ring()
 
-    def push(self, raw: NDArray[np.float32], near: Near | None = None, missed: int = 0) -> PlaceMatch | None:
+    def push(
+        self,
+        raw: NDArray[np.float32],
+        near: Near | None = None,
+        missed: int = 0,
+        distance_m: float | None = None,
+    ) -> PlaceMatch | None:
         """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
 
         near: where the vehicle may be, which only maps too large to be searched whole make use of. missed: places that
-        were passed since the last frame without one.
+        were passed since the last frame without one. distance_m: the odometer, None where it is not known.
         """
         self._skip(missed)
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
-        match = self.search.push(change, self._normalizer.rows, near)
+        odometer_m = distance_m if self._drives.is_metric else None
+        match = self.best = self.search.push(change, self._normalizer.rows, near, is_measured=odometer_m is not None)
         self._stopwatch("search")
-        return match
+        belief = self._consensus.update(self._drives.vote(match) if match else None, odometer_m, missed)
+        believed = self._believed(match, belief)
+        self.search.follow(believed.place_index if believed and believed.accepted else None)
+        self._stopwatch("belief")
+        return believed
+
+    def _believed(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
+        """The best line that ends at the place that the recent matches agree on; the match itself if there is none."""
+        if match is None or belief is None:
+            return match
+        first, end = self._drives.places_within(belief, self._slack_m)
+        if not (first <= match.place_index < end and match.direction == belief.direction):
+            found = self.search.best_between(first, end, belief.direction)
+            if found is None:
+                return match
+            match = found
+        return replace(match, confidence=belief.confidence, accepted=belief.is_believed)
 
     def reset(self) -> None:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
         self._normalizer.clear_ring()
         self.search.clear()
+        self._consensus.reset()
 
     @property
     def is_scanning(self) -> bool:
@@ -116,8 +173,8 @@ class PlaceRecognizer:
         self._stopwatch = stopwatch
         self.matcher = SequenceMatcher(map_set, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
-        self._last_raw: NDArray[np.float32] | None = None
-        self._last_ns: int | None = None
+        self._last: _UsedFrame | None = None
+        self._unmoved = 0  # frames since then that showed no other place
         self.state: State = "warming up"
 
     @property
@@ -126,23 +183,30 @@ class PlaceRecognizer:
         return self.matcher.map_set
 
     def observe(
-        self, image: NDArray[np.uint8], stamp_ns: int, near: Near | None = None, missed: int = 0
+        self,
+        image: NDArray[np.uint8],
+        stamp_ns: int,
+        near: Near | None = None,
+        missed: int = 0,
+        distance_m: float | None = None,
     ) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
-        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed:
-        see `SequenceMatcher.push`.
+        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed,
+        distance_m: see `SequenceMatcher.push`.
         """
         descriptor = self.config.descriptor
         regions = cut_regions(image, descriptor.regions, descriptor.region_width)
         self._stopwatch("regions")
         raw = self._network.describe(regions)
         self._stopwatch("network")
-        if self._stands_still(raw):
+        frame = _UsedFrame(raw, stamp_ns, distance_m)
+        if self._stands_still(frame):
             self.state = "standing"
             return None
-        self._reset_after_gap(stamp_ns)
-        match = self.matcher.push(raw, near, missed)
+        self._reset_after_gap(frame)
+        missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
+        match = self.matcher.push(raw, near, missed, distance_m)
         if match is None:
             self.state = "searching" if self.matcher.is_scanning else "warming up"
             return None
@@ -168,24 +232,45 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._last_raw = self._last_ns = None
+        self._last, self._unmoved = None, 0
         self.state = "warming up"
 
-    def _stands_still(self, raw: NDArray[np.float32]) -> bool:
-        """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""
-        last = self._last_raw
-        if last is not None:
-            cosine = np.vdot(raw, last) / max(float(np.linalg.norm(raw) * np.linalg.norm(last)), 1e-12)
-            if 1.0 - cosine <= self.config.descriptor.standing_change:
-                return True
-        self._last_raw = raw
-        return False
+    def restart_odometer(self) -> None:
+        """The distance driven before cannot be compared with what follows."""
+        if self._last is not None:
+            self._last = replace(self._last, distance_m=None)
 
-    def _reset_after_gap(self, stamp_ns: int) -> None:
-        """A line needs frames that follow each other: start a new one after a gap, or when time went back."""
-        if self._last_ns is not None and not 0 <= stamp_ns - self._last_ns <= self.config.sequence.max_gap_s * 1e9:
+    def _stands_still(self, frame: _UsedFrame) -> bool:
+        """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""
+        last = self._last
+        if last is None or frame.driven_since_m(last) >= self.config.sampling.spacing_m / 2:
+            return False
+        cosine = np.vdot(frame.raw, last.raw) / max(float(np.linalg.norm(frame.raw) * np.linalg.norm(last.raw)), 1e-12)
+        if 1.0 - cosine > self.config.descriptor.standing_change:
+            return False
+        # A feed whose every frame is a place has passed one, even if it looks like the last.
+        self._unmoved += self.config.sampling.by == "frames"
+        return True
+
+    def _reset_after_gap(self, frame: _UsedFrame) -> None:
+        """A line needs frames that follow each other: start a new one after a gap, or when time went back.
+
+        Not where the odometer says that hardly anything was passed meanwhile: the vehicle stood.
+        """
+        if self._last is None or 0 <= frame.stamp_ns - self._last.stamp_ns <= self.config.sequence.max_gap_s * 1e9:
+            return
+        stood_m = MOST_MISSED * self.config.sequence.length * self.config.sampling.spacing_m
+        if not (frame.stamp_ns > self._last.stamp_ns and 0 <= frame.driven_since_m(self._last) <= stood_m):
             self.matcher.reset()
-        self._last_ns = stamp_ns
+
+
+def _statistics_of(map_set: MapSet) -> RunningStatistics:
+    """What the query's statistics begin with: those of the map, with the weight of some frames.
+
+    A mean over the first frames alone would remove most of what they show, since they show the same stretch of road.
+    """
+    mean, deviation = map_set.statistics()
+    return RunningStatistics.of_another_run(map_set.index.places, mean, deviation, at_most=MAP_COUNTS_AS)
 
 
 def open_recognizer(

@@ -146,7 +146,7 @@ COUNTS_AS_MOST = 300
 On the recorded laps, the first 60 frames after a restart agreed with a run without a restart in 0.22 to 0.89 of cases
 without such statistics, in 0.84 to 0.98 with 100, and in 0.94 to 0.96 with 300.
 """
-FEWEST = 20
+FEWEST = 40  # of which the map's own statistics count as 20
 
 
 class WarmStart:

@@ -103,16 +103,62 @@ def test_beyond_the_end_of_the_map_nothing_is_believed(
     assert not any(match.accepted for match in matches[60 + LENGTH :] if match)
 
 
-def test_standing_still_changes_nothing(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+def halt(recognizer: PlaceRecognizer, picture: np.ndarray, count: int) -> None:
+    """Frames of a standing vehicle, each with its own noise."""
     rng = np.random.default_rng(0)
-    moving, halting = recognizer_of(network, street_map), recognizer_of(network, street_map)
+    for _ in range(count):
+        noisy = (picture + rng.normal(0, 1, picture.shape)).clip(0, 255).astype(np.uint8)
+        assert recognizer.observe(noisy, 20 * FRAME_NS) is None
+        assert recognizer.state == "standing"
+
+
+def test_standing_still_changes_nothing(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+    config = msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="time"))
+    moving, halting = recognizer_of(network, street_map, config), recognizer_of(network, street_map, config)
     expected = drive(moving, frames[:30])
     drive(halting, frames[:20])
-    for _ in range(30):
-        noisy = (frames[19] + rng.normal(0, 1, frames[19].shape)).clip(0, 255).astype(np.uint8)
-        assert halting.observe(noisy, 20 * FRAME_NS) is None
-        assert halting.state == "standing"
+    halt(halting, frames[19], 30)
     assert drive(halting, frames[20:30], 21 * FRAME_NS)[-1] == expected[-1]
+
+
+def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_without_a_frame(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    recognizer, expected = recognizer_of(network, street_map), recognizer_of(network, street_map)
+    for one in (recognizer, expected):
+        drive(one, frames[:20])
+    halt(recognizer, frames[19], 3)
+    found = recognizer.observe(frames[23], 23 * FRAME_NS)
+    assert found == expected.observe(frames[23], 23 * FRAME_NS, missed=3)
+
+
+def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    recognizer = recognizer_of(network, street_map)
+    for index in range(20):
+        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+    recognizer.observe(frames[19], 20 * FRAME_NS, distance_m=38.1)
+    assert recognizer.state == "standing"
+    recognizer.observe(frames[19], 21 * FRAME_NS, distance_m=40.0)
+    assert recognizer.state != "standing"
+
+
+@pytest.mark.parametrize(("moved_m", "is_kept"), [(2.0, True), (60.0, False), (None, False), (-20.0, False)])
+def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was_passed(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], moved_m: float | None, is_kept: bool
+) -> None:
+    recognizer = recognizer_of(network, street_map)
+    for index in range(20):
+        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+    after_m = None if moved_m is None else 38.0 + moved_m
+    found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, distance_m=after_m)
+    assert (found is not None) == is_kept
+    again = recognizer_of(network, street_map)
+    for index in range(20):
+        again.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+    again.restart_odometer()
+    assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, distance_m=40.0) is None
 
 
 def test_places_passed_unseen_leave_room_in_the_line(

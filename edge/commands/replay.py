@@ -40,7 +40,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
-    parser.add_argument("--uniqueness-min", type=float, metavar="U", help="minimum uniqueness of an accepted match")
+    parser.add_argument("--confidence-min", type=float, metavar="C", help="minimum confidence of a believed place")
     parser.add_argument("--all", action="store_true", help="write a line for every used frame, not only for events")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write to this file (default: standard output)"
@@ -57,7 +57,9 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
         pass
     route = Route(recognizer.map_set)
     for item in traverse(feed, sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
+        match = recognizer.observe(
+            item.frame.image, item.frame.stamp_ns, missed=item.missed, distance_m=item.distance_m
+        )
         if match is not None and match.accepted:
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence.length)
             if _exclude_damaged(recognizer, checksums, behind):
@@ -84,7 +86,7 @@ def as_line(used: FrameUsed) -> str:
     return msgspec.json.encode(fields).decode() + "\n"
 
 
-def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min: float | None = None) -> Config:
+def config_for_map(header: MapHeader, length: int | None = None, confidence_min: float | None = None) -> Config:
     """The default settings with regions, normalization and sampling as the map has them."""
     regions = header.regions
     config = Config(
@@ -95,16 +97,16 @@ def config_for_map(header: MapHeader, length: int | None = None, uniqueness_min:
         ),
         sampling=header.sampling,
     )
-    return with_options(config, length, uniqueness_min)
+    return with_options(config, length, confidence_min)
 
 
-def with_options(config: Config, length: int | None, uniqueness_min: float | None) -> Config:
+def with_options(config: Config, length: int | None, confidence_min: float | None) -> Config:
     """The config with the command's options in place of its own keys. ConfigError names a bad option."""
     sequence, acceptance = config.sequence, config.acceptance
     if length is not None:
         sequence = checked_option(sequence, "--sequence-length", length=length)
-    if uniqueness_min is not None:
-        acceptance = checked_option(acceptance, "--uniqueness-min", uniqueness_min=uniqueness_min)
+    if confidence_min is not None:
+        acceptance = checked_option(acceptance, "--confidence-min", confidence_min=confidence_min)
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
@@ -112,9 +114,9 @@ def _run(args: argparse.Namespace) -> int:
     feed = read_feed(args.feed, feed_options(args))
     maps = open_map_set(args.map)
     if args.config:
-        config = with_options(load_config(args.config), args.sequence_length, args.uniqueness_min)
+        config = with_options(load_config(args.config), args.sequence_length, args.confidence_min)
     else:
-        config = config_for_map(maps.headers[0], args.sequence_length, args.uniqueness_min)
+        config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_min)
     sampling = sampling_from(args, config.sampling)
     # The feed knows where its camera looked.
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))

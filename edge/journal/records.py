@@ -85,7 +85,7 @@ class FrameUsed(_Tagged, frozen=True, tag="frame"):
 
     frame: Annotated[int, unit("", "index of the frame in its camera, or its row in the feed")]
     stamp_ns: Annotated[int, unit("ns", "exposure time")]
-    accepted: Annotated[bool, unit("", "whether the match is believed; false is the answer off the map")] = False
+    accepted: Annotated[bool, unit("", "whether the place is believed; false is the answer off the map")] = False
     emitted: Annotated[bool, unit("", "whether it was published as an event: accepted, and not held off")] = False
     missed: Annotated[
         int | UnsetType, unit("places", "passed without a frame before this one; only where there were any")
@@ -94,8 +94,9 @@ class FrameUsed(_Tagged, frozen=True, tag="frame"):
     place: Annotated[int | None, unit("row", "row of the matched place in its map")] = None
     map_row: Annotated[int | None, unit("row", "row of that place in the feed that the map was built from")] = None
     uniqueness: Annotated[
-        float | None, unit("", "lowest cost away from the place over the lowest cost; 1 is ambiguous")
+        float | None, unit("", "lowest cost away from the place over its own; 1 is ambiguous, less is worse than there")
     ] = None
+    confidence: Annotated[float | None, unit("", "how far the recent frames agree on this place, 0 to 1")] = None
     distance: Annotated[float | None, unit("", "mean cosine distance along the matched line")] = None
     direction: Direction | None = None
     order: Order | None = None

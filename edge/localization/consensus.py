@@ -6,20 +6,22 @@ the vehicle then is:
 
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
     weight = sqrt((uniqueness - 1) * sharpness * row support)
-    live = sum of agreeing weights * (share of the recent matches that agree)^2
+    live = sum of agreeing weights * (share of the recent weights that agree)^2
     confidence = (live - others) / (live + others + prior) * (1 - overrun / slack) * min(1, span / (3 * slack))^2
 
 Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
-drift of the odometer between them. Overrun is how far the place lies beyond its drive's end, span what was driven
-between the oldest and the newest vote that agree. Uniqueness says how much worse the best line elsewhere is;
-sharpness, how much worse the lines a little before and after are, which a stretch that only resembles this kind of
-road does not show; row support, how often the place was among the most similar ones by the newest frame alone.
+drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
+how far the place lies beyond its drive's end, span what was driven between the oldest and the newest vote that agree.
+Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
+are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
+most similar ones by the newest frame alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +33,10 @@ CAPACITY = 256
 """Votes that are kept at most; 240 m at one place each 2 m are 120."""
 LIKE_NEWEST = 0.02
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
+
+
+PositionsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
+"""Meters east and north (n, 2) of points along some drives: their numbers (n,), and along_m (n,); NaN where unknown."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +57,8 @@ class ConsensusSettings:
     slack_m: float = 20.0
     drift: float = 0.05
     blind_drift: float = 0.2
-    prior: float = 0.0175
-    threshold: float = 0.5
+    prior: float = 0.04
+    threshold: float = 0.6
 
     @property
     def line_m(self) -> float:
@@ -97,8 +103,10 @@ class PlaceBelief:
 class PlaceConsensus:
     """The votes of the recent matches, and the belief that they add up to."""
 
-    def __init__(self, settings: ConsensusSettings) -> None:
+    def __init__(self, settings: ConsensusSettings, positions_of: PositionsOf | None = None) -> None:
+        """positions_of: where the drives lie, without which votes in two drives never agree."""
         self._settings = settings
+        self._positions_of = positions_of
         self.reset()
 
     def reset(self) -> None:
@@ -151,7 +159,25 @@ class PlaceConsensus:
         allowed_m = self._settings.slack_m + self._uncertain_m - self._uncertain_at_m
         agree = (self._drives == vote.drive) & (self._signs == sign)
         agree &= np.abs(self._offsets_m - self._offsets_m[slot]) <= allowed_m
-        self._agree[slot] = self._agree[:, slot] = agree
+        self._agree[slot] = self._agree[:, slot] = agree | self._on_one_spot(slot, allowed_m)
+
+    def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which votes in other drives put the vehicle within `allowed_m` of where the newest one does."""
+        near = np.zeros(CAPACITY, dtype=bool)
+        now_m = self._now_m()
+        others = (self._drives != self._drives[slot]) & self._in_reach() & (self._overrun_m(now_m) == 0)
+        if self._positions_of is not None and others.any():
+            at = np.append(np.flatnonzero(others), slot)
+            spots_m = self._positions_of(self._drives[at], now_m[at])
+            near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= allowed_m[at[:-1]]
+        return near
+
+    def _now_m(self) -> NDArray[np.float64]:
+        """Where each vote puts the vehicle now, along its drive."""
+        return self._offsets_m + self._signs * self._driven_m
+
+    def _in_reach(self) -> NDArray[np.bool_]:
+        return self._driven_m - self._at_m <= self._settings.reach_lines * self._settings.line_m
 
     def _weight(self, vote: PlaceVote) -> float:
         self._rows.append(vote.row_share < LIKE_NEWEST)
@@ -161,18 +187,18 @@ class PlaceConsensus:
 
     def _believe(self) -> PlaceBelief | None:
         settings = self._settings
-        age_m = self._driven_m - self._at_m
-        in_reach = age_m <= settings.reach_lines * settings.line_m
-        is_recent = (age_m <= settings.recent_lines * settings.line_m).astype(np.float32)
+        in_reach = self._in_reach()
         weights = self._weights * in_reach
-        live = self._agree @ weights * np.square(self._agree @ is_recent / max(1.0, float(is_recent.sum())))
-        now_m = self._offsets_m + self._signs * self._driven_m
+        recent = self._weights * (self._driven_m - self._at_m <= settings.recent_lines * settings.line_m)
+        live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
+        now_m = self._now_m()
         overrun_m = self._overrun_m(now_m)
         leader = int(np.where(in_reach & (overrun_m <= settings.slack_m), live, 0.0).argmax())
         if not (in_reach[leader] and live[leader] > 0 and overrun_m[leader] <= settings.slack_m):
             return None
         group = in_reach & (self._agree[leader] > 0)
-        along_m = float(weights[group] @ now_m[group] / weights[group].sum())
+        same = group & (self._drives == self._drives[leader]) & (self._signs == self._signs[leader])
+        along_m = float(weights[same] @ now_m[same] / weights[same].sum())
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
         against = in_reach & ~group & ~(self._was_believed & (overrun_m > settings.slack_m))
         confidence = self._confidence(float(live[leader]), float(weights[against].sum()))

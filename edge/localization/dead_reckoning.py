@@ -87,6 +87,8 @@ class DeadReckoning:
         self._distance = _Integral(SPEED_VALID_NS)
         self._displacement = _Integral(LONGEST_GAP_NS)
         self._legs = 0
+        self.gaps = 0
+        """How often speeds came so late that the distance driven meanwhile is not known."""
         self._speed_mps = 0.0
         self._source = 0
         self._answered = (0, 0.0)
@@ -103,6 +105,7 @@ class DeadReckoning:
             gap_ns = stamp_ns - last_ns
             if gap_ns <= 0 or (source > self._source and gap_ns < SPEED_VALID_NS):
                 return
+            self.gaps += gap_ns > LONGEST_GAP_NS
         self._distance.add(stamp_ns, speed_mps if speed_mps >= STANDING_MPS else 0.0)
         self._speed_mps, self._source = speed_mps, source
 

@@ -42,6 +42,7 @@ def frame_used(
         frame=frame,
         stamp_ns=stamp_ns,
         accepted=match.accepted,
+        confidence=round(match.confidence, 4),
         emitted=match.event,
         missed=missed or UNSET,
         map=UNSET if match.map is None else match.map,

@@ -49,10 +49,11 @@ class _OneStatus(Collector):
         for state in dict.fromkeys((*STATES, status.state)):
             states.add_metric([state], float(state == status.state))
         yield states
-        yield _gauge("uniqueness_min", "Uniqueness from which on a match is believed", {}, status.uniqueness_min)
+        yield _gauge("confidence_min", "Confidence from which on a place is believed", {}, status.confidence_min)
         newest = status.newest
         if newest is not None and newest.place is not None:
             yield _gauge("uniqueness", "Uniqueness of the newest match", {}, newest.uniqueness or 0.0)
+            yield _gauge("confidence", "Confidence of the newest match", {}, newest.confidence or 0.0)
             of_map = {"map": newest.map} if newest.map else {}
             yield _gauge("place", "Map row of the newest match", of_map, newest.place)
         stages = GaugeMetricFamily("lookback_stage_seconds", "Median time of a stage of a frame", labels=["stage"])

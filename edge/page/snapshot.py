@@ -55,7 +55,7 @@ class Status(msgspec.Struct, frozen=True):
     events: int
     fps: float
     category: str
-    uniqueness_min: float
+    confidence_min: float
     stages_ms: dict[str, float]
     journal_lost: int
     camera: CameraHealth
@@ -105,12 +105,12 @@ class LiveStatus:
     def __init__(
         self,
         model: str,
-        uniqueness_min: float,
+        confidence_min: float,
         sources: Sources,
         unix_time_s: Callable[[], float] = time.time,
     ) -> None:
-        """model: its name, for people. uniqueness_min: from which on a match is accepted."""
-        self._model, self._uniqueness_min = model, uniqueness_min
+        """model: its name, for people. confidence_min: from which on a place is believed."""
+        self._model, self._confidence_min = model, confidence_min
         self._sources = sources
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
@@ -149,7 +149,7 @@ class LiveStatus:
             events=self._events,
             fps=self._fps(now_ns),
             category=self._category,
-            uniqueness_min=self._uniqueness_min,
+            confidence_min=self._confidence_min,
             stages_ms=sources.stages_ms(),
             journal_lost=sources.journal_lost(),
             camera=sources.camera(),

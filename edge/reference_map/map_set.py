@@ -37,6 +37,7 @@ from edge.reference_map.store import (
     read_thumbnail,
 )
 
+SAMPLED_MAPS = 16
 OTHER_FILES = 256
 """Files that the rest of the program may open besides one of each map."""
 log = logging.getLogger(__name__)
@@ -165,6 +166,16 @@ class MapSet:
         """Give back the memory of the maps that some places lie in, since they will not be searched for a while."""
         for index in self.index.maps_of(ranges):
             self.maps[index].release()
+
+    def statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and standard deviation (R, D) of the raw descriptors, of a few maps where there are many.
+
+        Alike for all regions, since the left of the query may be the map's right. MapError if they cannot be read.
+        """
+        some = self.maps[:: -(-len(self.maps) // SAMPLED_MAPS)]
+        each = np.mean([one.statistics() for one in some], axis=0)
+        each[:] = each.mean(axis=1, keepdims=True)
+        return each[0], each[1]
 
     def thumbnail(self, place_index: int) -> bytes:
         """The place's small JPEG, for people; b"" where there is none. Read from the disk; any thread may ask."""

@@ -49,6 +49,11 @@ class PlaceIndex:
         """The places [start, end) of a segment."""
         return self._segments[number], self._segments[number + 1]
 
+    @property
+    def segments(self) -> list[tuple[int, int]]:
+        """The places [start, end) of each segment, in order."""
+        return list(pairwise(self._segments))
+
     def view(self, segment: int) -> str:
         """Where the camera looked that drove a segment."""
         return self._views[segment]

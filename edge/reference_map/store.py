@@ -157,6 +157,15 @@ class ReferenceMap:
         if pages is not None:
             pages.madvise(mmap.MADV_DONTNEED)
 
+    def statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and standard deviation (R, D) of all raw descriptors. MapError if the file cannot be read."""
+        shape = (2, self.header.regions.count, self.header.model.dimensions)
+        try:
+            mean, deviation = np.fromfile(self.path / STATISTICS, dtype="<f8").reshape(shape)
+        except (OSError, ValueError) as error:
+            raise MapError(f"{self.path / STATISTICS}: cannot read it: {error}") from None
+        return mean, deviation
+
     def raw(self) -> NDArray[np.float16]:
         """Raw descriptors (N, R, D) float16, memory-mapped, for normalizing again."""
         header = self.header

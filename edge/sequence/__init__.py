@@ -1,6 +1,6 @@
-"""From cost rows to a match: lines through the last L rows (eq. 2 and 3), and whether the best one is believed.
+"""From cost rows to a match: the best line through the last L rows (eq. 2 and 3), and what speaks for it.
 
-costs (orders, N) --search--> best line that ends at each place --acceptance--> PlaceMatch
+costs (orders, N) --search--> best line that ends at each place --evidence--> PlaceMatch
 """
 
 from __future__ import annotations
@@ -28,15 +28,18 @@ VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "sam
 
 @dataclass(frozen=True)
 class PlaceMatch:
-    """The best line through the last frames: which place of the map the newest frame shows, believed or not.
+    """A line through the last frames: which place of the map the newest frame shows, believed or not.
 
-    place_index: of the place where the line ends (I_min of eq. 3), counted through all maps that are open.
+    place_index: of the place where the line ends, counted through all maps that are open.
     map, place: name of the map that it lies in, None where there is only one, and its row there.
     direction: "forward" if places were passed in the map's order, "reverse" if backwards.
     order: "swapped" if the query's left region matched the map's right.
     slope: places passed per frame, without sign. distance: mean cosine distance along the line.
-    uniqueness: lowest cost outside the window around the place over the lowest cost; 1 is ambiguous.
-    accepted: whether the place is believed; False means off the map, or one of several that look alike.
+    uniqueness: lowest cost outside the window around the place over this cost; below 1, another place fits better.
+    sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
+    less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
+    confidence: 0 to 1, how far the recent frames agree on this place. accepted: whether that is enough to believe it;
+    False means off the map, or one of several that look alike.
     offset_places: how far the line ends beyond the place in the map's order, between places.
     half_width_places: half the number of places around it that are nearly as good.
     event: accepted, and not held off. category: what kind of place the frame shows, of events only.
@@ -49,7 +52,10 @@ class PlaceMatch:
     slope: float
     distance: float
     uniqueness: float
-    accepted: bool
+    sharpness: float = 0.0
+    row_share: float = 1.0
+    confidence: float = 0.0
+    accepted: bool = False
     offset_places: float = 0.0
     half_width_places: float = 0.5
     map: str | None = None

@@ -1,6 +1,6 @@
-"""Whether the best line is believed: trajectory uniqueness (section IV-B) with its window in meters, and hold-off.
+"""What speaks for a line: trajectory uniqueness (section IV-B) with its window in meters, sharpness, and its own end.
 
-The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What tells is how
+The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What matters is how
 much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a place are as good as the place itself.
 """
 
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.reference_map import COST_ONE
-from edge.sequence import PlaceMatch
+from edge.sequence import ORDERS, Direction, PlaceMatch
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
+
+BESIDE = 0.3
+"""Share of a window between a place and the two beside it that its line is held against."""
 
 
 class Neighborhood:
@@ -55,32 +58,80 @@ class Neighborhood:
 
 
 def best_match(
-    search: SequenceSearch, lines: Lines, neighborhood: Neighborhood, config: AcceptanceConfig
+    search: SequenceSearch, lines: Lines, newest: NDArray[np.int32], neighborhood: Neighborhood
 ) -> PlaceMatch | None:
-    """Equation 3 and the uniqueness test; None where no whole line ends anywhere (a map shorter than a sequence)."""
+    """Equation 3; None where no whole line ends anywhere (a map shorter than a sequence).
+
+    newest: costs (orders, N) of the newest frame.
+    """
     place = int(lines.costs.argmin())
-    best = int(lines.costs[place])
-    if best == NO_LINE:
+    if lines.costs[place] == NO_LINE:
         return None
+    return match_at(place, lines.plane(place), search, lines, newest, neighborhood)
+
+
+def best_match_within(
+    places: slice,
+    direction: Direction,
+    search: SequenceSearch,
+    lines: Lines,
+    newest: NDArray[np.int32],
+    neighborhood: Neighborhood,
+) -> PlaceMatch | None:
+    """The best line in one direction that ends at some places; None where there is no whole one."""
+    planes = [number for number, plane in enumerate(search.planes) if plane[0] == direction]
+    costs = np.stack([lines.by_plane[plane][places] for plane in planes])
+    number, at = np.unravel_index(int(costs.argmin()), costs.shape)
+    if costs[number, at] == NO_LINE:
+        return None
+    return match_at(places.start + int(at), planes[number], search, lines, newest, neighborhood)
+
+
+def match_at(
+    place: int,
+    plane: int,
+    search: SequenceSearch,
+    lines: Lines,
+    newest: NDArray[np.int32],
+    neighborhood: Neighborhood,
+) -> PlaceMatch:
+    """The line of one plane that ends at a place, and what speaks for it."""
+    cost = int(lines.by_plane[plane][place])
     second = int(np.where(neighborhood.around(place), NO_LINE, lines.costs).min())
-    # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
-    uniqueness = second / max(best, 1) if second != NO_LINE else 1.0
-    plane = lines.plane(place)
     direction, order = search.planes[plane]
     segment = neighborhood.segment(place)
-    along, at = lines.costs[segment], place - segment.start
+    along, at = lines.by_plane[plane][segment], place - segment.start
+    of_order = newest[ORDERS.index(order)] if len(newest) > 1 else newest[0]
     return PlaceMatch(
         place_index=place,
         place=place,
         direction=direction,
         order=order,
         slope=search.slope(plane, place),
-        distance=best / lines.length / COST_ONE,
-        uniqueness=uniqueness,
-        accepted=uniqueness >= config.uniqueness_min,
+        distance=cost / lines.length / COST_ONE,
+        # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
+        uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
+        sharpness=sharpness(along, at, lines.length),
+        row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, lines.length)).mean()),
         offset_places=end_between_places(along, at),
-        half_width_places=places_nearly_as_good(along, at, min(second, 2 * best)),
+        half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
     )
+
+
+def sharpness(costs: NDArray[np.int32], place: int, length: int) -> float:
+    """Cost of the cheaper line that ends 0.3 windows away over that of `place`, less 1; 0 where there is none.
+
+    costs: (n,) line costs of one segment. A stretch that only resembles this kind of road is not sharp.
+    """
+    step = max(1, round(BESIDE * length))
+    beside = [int(costs[at]) for at in (place - step, place + step) if 0 <= at < len(costs) and costs[at] != NO_LINE]
+    return min(beside) / max(int(costs[place]), 1) - 1 if beside else 0.0
+
+
+def lowest_around(row: NDArray[np.int32], place: int, length: int) -> int:
+    """The lowest cost of a row (n,) of one segment within an eighth of a window of a place."""
+    reach = max(1, length // 8)
+    return int(row[max(0, place - reach) : place + reach + 1].min())
 
 
 class HoldOff:

@@ -63,4 +63,4 @@ class GlobalSearch:
         overlap = 2 * self._config.sequence.length
         others = [match.distance for match in self._found if abs(match.place_index - best.place_index) > overlap]
         uniqueness = min([best.uniqueness, *(other / max(best.distance, 1 / COST_ONE) for other in others)])
-        return replace(best, uniqueness=uniqueness, accepted=uniqueness >= self._config.acceptance.uniqueness_min)
+        return replace(best, uniqueness=uniqueness)

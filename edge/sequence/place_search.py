@@ -2,7 +2,7 @@
 
 whole: maps of up to `places_per_frame` places together are searched whole with every frame. around: of larger ones,
 only the part around the autopilot's position is searched, or around the place that was recognized last. scanning:
-where there is neither, one slice is searched with each frame (`global_search`). Where nothing was accepted for a while
+where there is neither, one slice is searched with each frame (`global_search`). Where nothing was believed for a while
 around a position, the maps are scanned besides. No frame costs more than its share.
 """
 
@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.geodesy import apart_m
 from edge.reference_map import COST_ONE, MapSet, Ranges
-from edge.sequence import CostView, PlaceMatch
+from edge.sequence import CostView, Direction, PlaceMatch
 from edge.sequence.global_search import GlobalSearch
 from edge.sequence.submap import Submap
 
@@ -29,6 +30,11 @@ SLACK_M = 250.0
 
 WINDOW_PLACES = 60
 """Places on either side of the match that people are shown of the cost matrix."""
+
+MEASURED_SLOPE_RAD = 0.05
+"""Limit of the slopes where the distance between places is measured: an odometer is wrong by a tenth at most."""
+MEASURED_SLOPES = 11
+"""Slopes up to that limit; over 40 frames they are one place apart."""
 
 Mode = Literal["whole", "around", "scanning"]
 Ring = Callable[[], NDArray[np.float32]]
@@ -50,7 +56,7 @@ class Near:
 
 
 class PlaceSearch:
-    """Cost rows, sequence search and acceptance, over as many places as a frame may cost."""
+    """Cost rows and sequence search, over as many places as a frame may cost."""
 
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Callable[[str], None] = lambda stage: None) -> None:
         """`stopwatch("matching")` is called when the costs of a frame are computed, and its search begins."""
@@ -65,7 +71,8 @@ class PlaceSearch:
         self._reach: Near | None = None  # of the part, if it lies around a position
         self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part was matched with no row of the ring yet
-        self._unbelieved = 0  # frames since a match was accepted
+        self._unbelieved = 0  # frames since a place was believed
+        self._measured_frames = config.sequence.length  # in a row of which the distance driven is known
         self._search(self._everything(), None)
         orders = map_set.headers[0].regions.count
         self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
@@ -95,26 +102,37 @@ class PlaceSearch:
         if self.part is not None and not self._is_fresh:
             self.part.skip()
 
-    def push(self, change: NormalizedRows, ring: Ring, near: Near | None) -> PlaceMatch | None:
-        """The best match now; None while there are too few rows, or the maps are still being scanned."""
+    def push(
+        self, change: NormalizedRows, ring: Ring, near: Near | None, *, is_measured: bool = False
+    ) -> PlaceMatch | None:
+        """The best match now; None while there are too few rows, or the maps are still being scanned.
+
+        is_measured: whether the places are apart by a distance that was measured, so that lines are hardly inclined.
+        """
+        self._measure(is_measured)
+        self._is_position_known = near is not None
         if not self._is_whole and near is not None:
             self._look_around(near)
         self._frame += 1
         match = self._advance(change, ring)
-        if self._is_whole:
-            return match
-        if match is not None and match.accepted:
-            self._unbelieved = 0
-            if near is None:
-                self._follow(match.place_index)
-            return match
-        self._unbelieved += 1
-        if self.part is None or self._is_doubtful:
+        if not self._is_whole and (self.part is None or self._is_doubtful):
             found = self._scan.step(ring(), self._frame)
-            if found is not None and found.accepted:
+            if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found
         return match
+
+    def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
+        """The best line that ends at places [first, end) of one drive; None where none of them is searched."""
+        return self.part.best_between(first, end, direction) if self.part is not None else None
+
+    def follow(self, place_index: int | None) -> None:
+        """Search around the place that is believed, None if there is none, from the next frame on."""
+        if self._is_whole:
+            return
+        self._unbelieved = 0 if place_index is not None else self._unbelieved + 1
+        if place_index is not None and not self._is_position_known:
+            self._follow(place_index)
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in."""
@@ -131,7 +149,7 @@ class PlaceSearch:
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether nothing was accepted for so long that other places must be searched."""
+        """Whether nothing was believed for so long that other places must be searched."""
         return self._unbelieved > 2 * self._config.sequence.length
 
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
@@ -198,5 +216,23 @@ class PlaceSearch:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
         count = sum(end - start for start, end in ranges)
         is_some = 0 < count <= self._most
-        self.part = Submap(ranges, self._map_set, self._config, self._frame) if is_some else None
+        self.part = self._submap(ranges) if is_some else None
         self._reach, self._is_fresh = reach, True
+
+    def _submap(self, ranges: Ranges) -> Submap:
+        sequence = self._config.sequence
+        if self._is_measured:
+            limit_rad = min(sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
+            sequence = replace(sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES)
+        return Submap(ranges, self._map_set, replace(self._config, sequence=sequence), self._frame)
+
+    @property
+    def _is_measured(self) -> bool:
+        return self._measured_frames >= self._config.sequence.length
+
+    def _measure(self, is_measured: bool) -> None:
+        """Search other slopes where distance is known now, and was not within the sequence; or the reverse."""
+        was_measured = self._is_measured
+        self._measured_frames = self._measured_frames + 1 if is_measured else 0
+        if self.part is not None and self._is_measured != was_measured:
+            self.part, self._is_fresh = self._submap(self.part.ranges), True

@@ -6,9 +6,11 @@ frames but two, and with d = r(T) - r(T-1), D = r(T) - r(T-L):
 
     S(T, i) = S(T-1, i - d) + cost(T, i) - cost(T-L, i - D)
 
-Costs are integers, so the running sums equal the direct ones to the bit for ever. Places before the first count as
-cost 0 in the sums; lines that would need them, or would cross from one map segment into the next, are left out in the
-end. The way back along the map is the same search in mirrored rows.
+Costs are integers, so the running sums equal the direct ones to the bit for ever. The way back along the map is the
+same search in mirrored rows. Places before the first count as cost 0 in the sums; lines that would need them, or would
+cross from one map segment into the next, are excluded in the end. That is the paper's search. With `open_ends` lines
+may also begin before their segment does and before the first frame: each place and frame of which nothing is known
+costs COST_ONE, as a place with nothing in common would.
 """
 
 from __future__ import annotations
@@ -21,10 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.reference_map import COST_ONE
 from edge.sequence import ORDERS, Alignment, Direction
 
 NO_LINE = np.iinfo(np.int32).max
 """Cost of a place at which no whole line ends."""
+FIRST_FRAMES = 16
+"""Frames before the first answer with open ends: the deviations of the normalization are not known with fewer."""
 
 
 def slopes_around_diagonal(limit_rad: float, count: int) -> tuple[float, ...]:
@@ -98,6 +103,8 @@ class SequenceSearch:
         slopes: Sequence[float],
         possible: NDArray[np.bool_] | None = None,
         frame: int = 0,
+        *,
+        open_ends: bool = False,
     ) -> None:
         """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
 
@@ -107,23 +114,36 @@ class SequenceSearch:
         self.length = length
         self.planes = tuple(planes)
         self._slopes = tuple(slopes)
-        self._places = segments[-1][1]
-        self._room = np.stack([_room(segments)[direction] for direction, _ in self.planes])
+        self._impossible = None if possible is None or possible.all() else ~possible
+        reach = math.ceil(max(self._slopes) * length) + 1
+        self._margin = reach if open_ends else 0
+        self._first_rows = min(length, FIRST_FRAMES) if open_ends else length
+        self._at = np.arange(segments[-1][1])
+        for number, (start, end) in enumerate(segments):
+            self._at[start:end] += self._margin * (2 * number + 1)
+        bounds = [
+            (start + self._margin * 2 * number, end + self._margin * (2 * number + 2))
+            for number, (start, end) in enumerate(segments)
+        ]
+        self._places = bounds[-1][1]
+        self._room = np.stack([_room(bounds)[direction] for direction, _ in self.planes])
         # Only at these, (planes, near) each, do some slopes have a whole line and others not.
-        self._near_start = np.nonzero(self._room < math.ceil(max(self._slopes) * length) + 1)
-        self._impossible: NDArray[np.bool_] | None = None
-        if possible is not None and not possible.all():
-            self._impossible = ~np.stack([self._mirror(*of) for of in zip(self.planes, possible, strict=True)])
+        self._near_start = np.nonzero((self._room < reach) & (not open_ends))
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
         self._sums = _Sums(len(self._slopes), len(self.planes), self._places)
         self._frame = frame
-        self._rows = 0
+        self.clear()
 
     def clear(self) -> None:
-        """Forget all rows: the next line begins with the next row."""
+        """Discard all rows: the next line begins with the next row."""
         self._rows = 0
-        self._ring[:] = 0
         self._sums.clear()
+        self._ring[:] = COST_ONE if self._margin else 0
+        if self._margin:
+            for k, slope in enumerate(self._slopes):
+                # The sum of as many rows of COST_ONE as reach back no further than to the first place.
+                offsets = [self._offset(slope, age) for age in range(self.length)]
+                self._sums.of(k)[:] = COST_ONE * np.searchsorted(offsets, np.arange(self._places), side="right")
 
     def push(self, costs: NDArray[np.int32]) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame."""
@@ -146,37 +166,33 @@ class SequenceSearch:
         self.clear()
         self._rows = len(rows)
         for age, costs in enumerate(rows[::-1]):
-            frame = self._frame - age
-            row = self._ring[frame % self.length]
-            row[:] = self._by_plane(costs)
-            for k, slope in enumerate(self._slopes):
-                offset = _rounded(slope, self._frame) - _rounded(slope, frame)
-                if offset < self._places:
-                    self._sums.of(k)[:, offset:] += row[:, : self._places - offset]
+            self.replace(age, costs)
 
     def replace(self, age: int, costs: NDArray[np.int32]) -> None:
         """Replace the cost row (orders, N) that was pushed `age` rows ago, and correct every running sum by it."""
-        frame = self._frame - age
-        row = self._ring[frame % self.length]
+        row = self._ring[(self._frame - age) % self.length]
         entering = self._by_plane(costs)
         change = entering - row
         row[:] = entering
         for k, slope in enumerate(self._slopes):
-            offset = _rounded(slope, self._frame) - _rounded(slope, frame)
+            offset = self._offset(slope, age)
             if offset < self._places:
                 self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
 
     def lines(self) -> Lines | None:
-        """The best line that ends at each place (eq. 2); None until the ring is full."""
-        if self._rows < self.length:
+        """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends."""
+        if self._rows < self._first_rows:
             return None
         best = self._sums.of(0).copy()
         for k in range(1, len(self._slopes)):
             np.minimum(best, self._sums.of(k), out=best)
-        best[self._near_start] = self._whole_near_start()
+        if self._near_start[0].size:
+            best[self._near_start] = self._whole_near_start()
+        in_order = (self._mirror(*of) for of in zip(self.planes, best, strict=True))
+        by_plane = tuple(row[self._at] if self._margin else row for row in in_order)
         if self._impossible is not None:
-            best[self._impossible] = NO_LINE
-        by_plane = tuple(self._mirror(*of) for of in zip(self.planes, best, strict=True))
+            for row, impossible in zip(by_plane, self._impossible, strict=True):
+                row[impossible] = NO_LINE
         costs = by_plane[0] if len(by_plane) == 1 else np.minimum(*by_plane[:2])
         for other in by_plane[2:]:
             np.minimum(costs, other, out=costs)
@@ -190,24 +206,31 @@ class SequenceSearch:
 
     def _reaches(self) -> NDArray[np.int32]:
         """How many places the line of each slope has passed within the ring."""
-        first = self._frame - self.length + 1
-        reaches = [_rounded(slope, self._frame) - _rounded(slope, first) for slope in self._slopes]
-        return np.array(reaches, dtype=np.int32)
+        return np.array([self._offset(slope, self.length - 1) for slope in self._slopes], dtype=np.int32)
+
+    def _offset(self, slope: float, age: int) -> int:
+        """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
+        return _rounded(slope, self._frame) - _rounded(slope, self._frame - age)
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
         slots = [frame % self.length for frame in range(self._frame - self._rows + 1, self._frame + 1)]
-        return np.ascontiguousarray(self._mirror(plane, self._ring[slots, self.planes.index(plane)]))
+        rows = self._mirror(plane, self._ring[slots, self.planes.index(plane)])
+        return np.ascontiguousarray(rows[:, self._at])
 
     def slope(self, plane: int, place: int) -> float:
         """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
-        at = place if self.planes[plane][0] == "forward" else self._places - 1 - place
+        at = int(self._at[place])
+        at = at if self.planes[plane][0] == "forward" else self._places - 1 - at
         sums = self._sums.at(np.array([plane]), np.array([at]))[:, 0]
         whole = np.where(self._room[plane, at] >= self._reaches(), sums, NO_LINE)
         return self._slopes[int(whole.argmin())]
 
     def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
-        """One cost row (orders, N) as each plane needs it: (planes, N), mirrored for the way back."""
+        """One cost row (orders, N) as each plane needs it: (planes, padded N), mirrored for the way back."""
+        if self._margin:
+            known, costs = costs, np.full((len(costs), self._places), COST_ONE, dtype=np.int32)
+            costs[:, self._at] = known
         return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])
 
     @staticmethod

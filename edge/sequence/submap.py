@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.acceptance import Neighborhood, best_match
+from edge.sequence.acceptance import Neighborhood, best_match, best_match_within
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
 
@@ -32,18 +32,23 @@ class RowMatcher:
         neighborhood: Neighborhood,
         config: Config,
         frame: int = 0,
+        *,
+        open_ends: bool = False,
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
-        config: [sequence], [acceptance], and the view of [camera]. frame: how many frames came before the first row.
+        config: [sequence], and the view of [camera]. frame: how many frames came before the first row. open_ends:
+        whether lines may begin before their drive does, see `SequenceSearch`.
         """
         self.neighborhood = neighborhood
         self._count = segments[-1][1]
         self._per_frame_order = config.sequence.region_order == "frame"
-        self._acceptance = config.acceptance
         planes, possible = _planes(segments, views, regions, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
-        self._search = SequenceSearch(segments, planes, config.sequence.length, slopes, possible, frame)
+        self._search = SequenceSearch(
+            segments, planes, config.sequence.length, slopes, possible, frame, open_ends=open_ends
+        )
+        self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
 
     def push(self, costs: NDArray[np.int32], ages: Sequence[int] = (0,)) -> PlaceMatch | None:
         """Add cost rows (n, orders, N), the new one first, and replace older ones; the best match.
@@ -52,24 +57,39 @@ class RowMatcher:
         """
         searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
         self._search.push(searched[0])
+        self._newest = costs[0]
         for age, row in zip(ages[1:], searched[1:], strict=True):
             self._search.replace(age, row)
-        return self._match(costs[0])
+        return self._best()
 
     def refill(self, costs: NDArray[np.int32]) -> PlaceMatch | None:
         """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match."""
         self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
-        return self._match(costs[-1])
+        self._newest = costs[-1]
+        return self._best()
 
-    def _match(self, newest: NDArray[np.int32]) -> PlaceMatch | None:
+    def _best(self) -> PlaceMatch | None:
         self.lines = self._search.lines()
         if self.lines is None:
             return None
-        match = best_match(self._search, self.lines, self.neighborhood, self._acceptance)
+        return self._named(best_match(self._search, self.lines, self._newest_searched, self.neighborhood))
+
+    def best_within(self, places: slice, direction: Direction) -> PlaceMatch | None:
+        """The best line after the newest row that ends at some places, in one direction; None where there is none."""
+        if self.lines is None or places.start >= places.stop:
+            return None
+        found = best_match_within(places, direction, self._search, self.lines, self._newest_searched, self.neighborhood)
+        return self._named(found)
+
+    @property
+    def _newest_searched(self) -> NDArray[np.int32]:
+        return self._newest.min(axis=0, keepdims=True) if self._per_frame_order else self._newest
+
+    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
         if match is None or not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
-        return replace(match, order=ORDERS[int(newest[:, match.place].argmin())])
+        return replace(match, order=ORDERS[int(self._newest[:, match.place].argmin())])
 
     def skip(self) -> None:
         """Add a row of which nothing is known: every place is as far as one with nothing in common."""
@@ -103,10 +123,16 @@ class Submap(RowMatcher):
         )
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         views = [map_set.index.view(number) for number, _, _ in pieces]
-        super().__init__(segments, views, map_set.headers[0].regions.count, neighborhood, config, frame)
+        regions = map_set.headers[0].regions.count
+        super().__init__(segments, views, regions, neighborhood, config, frame, open_ends=True)
 
-    def _match(self, newest: NDArray[np.int32]) -> PlaceMatch | None:
-        match = super()._match(newest)
+    def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
+        """The best line that ends at places [first, end) of one drive; None where none of them is in this part."""
+        start, stop = np.searchsorted(self.places, [first, end])
+        return self.best_within(slice(int(start), int(stop)), direction)
+
+    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
+        match = super()._named(match)
         if match is None:
             return None
         place_index = int(self.places[match.place])

@@ -82,6 +82,11 @@ class AutopilotConnection:
         """Meters driven up to a moment, None where there is no odometer."""
         return self.vehicle.distance_m(stamp_ns)
 
+    @property
+    def distance_gaps(self) -> int:
+        """How often the distance driven was unknown for a while; what lies before cannot be compared."""
+        return self.vehicle.distance_gaps
+
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
         now_ns = self._clock_ns()

@@ -114,6 +114,11 @@ class Vehicle:
         """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._motion.distance_m(stamp_ns)
 
+    @property
+    def distance_gaps(self) -> int:
+        """How often the reports of speed paused for so long that the distance driven meanwhile is not known."""
+        return self._motion.gaps
+
     def driven_m(self, now_ns: int) -> float | None:
         """Meters driven up to the newest report; None when no speed has come for a second."""
         return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m

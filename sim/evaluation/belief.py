@@ -10,25 +10,26 @@ vehicle by the rig's offset, which is measured on another drive of the same dire
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig
+from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import OnlineNormalizer, normalize
+from edge.descriptor.normalize import normalize
 from edge.descriptor.regions import cut_regions
-from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
-from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence import ORDERS, VIEWS_OPPOSED, Direction
-from edge.sequence.acceptance import Neighborhood
-from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from edge.recognizer import SequenceMatcher
+from edge.reference_map import MapSet, ModelKey, open_map_set
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from edge.sequence import Direction
 from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
@@ -38,9 +39,7 @@ LIGHTS: tuple[LightName, ...] = ("night", "dusk", "day", "snow")
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 SPACING_M = 2.0
 TOLERANCE_M = 40.0
-SLOPE_LIMIT_RAD = 0.05  # the spacing is kept by the odometer
-PADDING = 48  # places: as far as a line of 40 frames reaches at that slope
-FIRST_FRAME = 16  # with fewer, deviations are not known
+FIRST_FRAME = 16  # the first that can have an answer
 Cut = Literal["whole", "first half", "second half", "thirds"]
 CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
 Floats = NDArray[np.float64]
@@ -92,81 +91,35 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
     }[cut]
 
 
-class Search:
-    """The sequence search of one map, in which frames and places of which nothing is known cost COST_ONE.
-
-    So lines may begin before their drive does, and before the vehicle's first frame.
-    """
-
-    def __init__(self, road: Described, ranges: list[tuple[int, int]], settings: ConsensusSettings) -> None:
-        rows = np.concatenate([np.arange(*one) for one in ranges])
-        lengths = [end - start for start, end in ranges]
-        self.route_m = road.route_m[rows]
-        self.drive_of = np.repeat(np.arange(len(ranges), dtype=np.int32), lengths)
-        raw = road.raw[rows].astype(np.float32)
-        places = encode(normalize(raw, raw.mean(0, dtype=np.float64), raw.std(0, dtype=np.float64)))
-        self._matcher = CostMatcher(places, squared_norms(places))
-        self._at = np.arange(len(rows)) + PADDING * (2 * self.drive_of + 1)
-        bounds = np.cumsum([0, *(length + 2 * PADDING for length in lengths)]).tolist()
-        self._search = SequenceSearch(
-            list(pairwise(bounds)),
-            VIEWS_OPPOSED,
-            settings.length,
-            slopes_around_diagonal(SLOPE_LIMIT_RAD, 21),
-        )
-        self._blank = np.full((1, len(ORDERS), bounds[-1]), COST_ONE, dtype=np.int32)
-        self._search.refill(np.repeat(self._blank, settings.length, axis=0))
-        on_road = np.column_stack([self.route_m, np.zeros(len(rows))])
-        self._near = Neighborhood(on_road, self.route_m, self.drive_of, AcceptanceConfig())
-        self._normalizer = OnlineNormalizer(settings.length, renormalize_ring=True)
-
-    def vote(self, raw: NDArray[np.float32]) -> PlaceVote | None:
-        """The best match after one more frame."""
-        change = self._normalizer.push(raw)
-        costs = self._matcher.costs(change.rows)
-        rows = np.repeat(self._blank, len(costs), axis=0)
-        rows[..., self._at] = costs
-        self._search.push(rows[0])
-        for age, row in zip(change.ages[1:], rows[1:], strict=True):
-            self._search.replace(age, row)
-        lines = self._search.lines()
-        return self._vote(lines, costs[0]) if lines is not None else None
-
-    def _vote(self, lines: Lines, newest: NDArray[np.int32]) -> PlaceVote:
-        costs = lines.costs[self._at]
-        place = int(costs.argmin())
-        plane = lines.plane(int(self._at[place]))
-        direction, order = VIEWS_OPPOSED[plane]
-        second = int(np.where(self._near.around(place), NO_LINE, costs).min())
-        first, end = np.searchsorted(self.drive_of, [self.drive_of[place], self.drive_of[place] + 1])
-        beside = [lines.by_plane[plane][self._at[at]] for at in (place - 12, place + 12) if first <= at < end]
-        around = newest[ORDERS.index(order), max(first, place - 5) : min(end, place + 6)].min()
-        return PlaceVote(
-            drive=int(self.drive_of[place]),
-            along_m=float(self.route_m[place]),
-            start_m=float(self.route_m[first]),
-            end_m=float(self.route_m[end - 1]),
-            direction=direction,
-            uniqueness=second / int(costs[place]),
-            sharpness=min(beside) / int(costs[place]) - 1,
-            row_share=float((newest.min(axis=0) < around).mean()),
-        )
+def open_part(road: Described, cut: Cut, folder: Path) -> MapSet:
+    """A map of the parts of a road that are left, each a drive of its own."""
+    model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
+    with MapBuilder(folder / cut, model, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+        for start, end in kept(cut, len(road.raw)):
+            builder.begin_segment(cut, "rear")
+            for row in range(start, end):
+                builder.add(road.raw[row].astype(np.float32), Place(row=row, route_m=float(road.route_m[row])))
+        builder.finish(normalize, "belief")
+    return open_map_set(folder / cut)
 
 
 def believe(road: Described, query: Described, cut: Cut, odometer_scale: float = 1.0) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped."""
-    settings = ConsensusSettings(spacing_m=SPACING_M)
-    search, consensus = Search(road, kept(cut, len(road.raw)), settings), PlaceConsensus(settings)
-    found = np.full((len(query.raw), 4), np.nan)
-    found[:, 1] = found[:, 3] = 0.0
-    for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
-        vote = search.vote(raw)
-        vote = vote if frame >= FIRST_FRAME - 1 else None
-        belief = consensus.update(vote, float(driven_m) * odometer_scale)
-        if belief is not None:
-            found[frame, :2] = belief.along_m, belief.confidence
-        if vote is not None and frame >= settings.length - 1:
-            found[frame, 2:] = vote.along_m, vote.uniqueness
+    with tempfile.TemporaryDirectory() as folder:
+        map_set = open_part(road, cut, Path(folder))
+        config = Config()
+        matcher = SequenceMatcher(map_set, config)
+        found = np.full((len(query.raw), 4), np.nan)
+        found[:, 1] = found[:, 3] = 0.0
+        for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
+            match = matcher.push(raw, distance_m=float(driven_m) * odometer_scale)
+            if match is not None:
+                along_m = float(map_set.places["route_m"][match.place_index])
+                if match.confidence > 0:
+                    found[frame, :2] = along_m, match.confidence
+                if matcher.best is not None and frame >= config.sequence.length - 1:
+                    best_m = float(map_set.places["route_m"][matcher.best.place_index])
+                    found[frame, 2:] = best_m, matcher.best.uniqueness
     return Beliefs(*found.T)
 
 
@@ -190,7 +143,7 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
     true_m = query.route_m + ahead_m
     on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
     right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
-    believed = np.flatnonzero(right & (beliefs.confidence >= ConsensusSettings().threshold))
+    believed = np.flatnonzero(right & (beliefs.confidence >= AcceptanceConfig().confidence_min))
     first_m = query.driven_m[believed[0]] - query.driven_m[on_map.argmax()] if believed.size else np.inf
     answers = [
         _answers(confidence, np.abs(place_m - true_m) <= TOLERANCE_M, on_map)
@@ -227,7 +180,7 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
     cells = []
     for kind, threshold in (
         ("uniqueness", AcceptanceConfig().uniqueness_min),
-        ("belief", ConsensusSettings().threshold),
+        ("belief", AcceptanceConfig().confidence_min),
     ):
         answers: list[Answers] = [getattr(one, kind) for one in judged]
         at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])

@@ -19,7 +19,7 @@ from edge.config import AcceptanceConfig, Config, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.pca import principal_directions, project
-from edge.reference_map.store import STATISTICS, ReferenceMap, open_map
+from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence.acceptance import Neighborhood
 from edge.sequence.submap import RowMatcher
 from sim.evaluation.matching import int8_matcher
@@ -107,8 +107,7 @@ def _normalized(reference_map: ReferenceMap) -> NDArray[np.float32]:
     raw = reference_map.raw()[:MOST_PLACES].astype(np.float32)
     if reference_map.header.regions.normalization == "none":
         return raw
-    mean, deviation = np.fromfile(reference_map.path / STATISTICS, dtype="<f8").reshape(2, *raw.shape[1:])
-    return normalize(raw, mean, deviation)
+    return normalize(raw, *reference_map.statistics())
 
 
 def _search(

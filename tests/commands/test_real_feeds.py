@@ -30,11 +30,12 @@ def test_corridor(shared: Path, corridor_map: Path, capsys: pytest.CaptureFixtur
     query = str(shared / "feeds/corridor_query")
     lines = replayed(capsys, query, "--map", str(corridor_map), "--sequence-length", "20", "--all")
     assert [line["frame"] for line in lines] == list(range(111))
-    assert all(line["place"] is None for line in lines[:19])
-    right = [abs(line["place"] - line["frame"]) <= 3 for line in lines[19:]]
+    assert all(line["place"] is None for line in lines[:15])
+    right = [abs(line["place"] - line["frame"]) <= 3 for line in lines[15:]]
     assert sum(right) / len(right) >= 0.98
-    assert all(right[row] for row, line in enumerate(lines[19:]) if line["accepted"])
-    assert {(line["direction"], line["order"]) for line in lines[19:]} == {("forward", "same")}
+    assert all(right[row] for row, line in enumerate(lines[15:]) if line["accepted"])
+    assert sum(line["accepted"] for line in lines) >= 0.7 * len(right)
+    assert {(line["direction"], line["order"]) for line in lines[15:]} == {("forward", "same")}
     events = replayed(capsys, query, "--map", str(corridor_map), "--sequence-length", "20")
     assert events == [line for line in lines if line["emitted"]]
     assert len(events) >= 10
@@ -63,7 +64,8 @@ def test_track(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
         capsys, str(shared / "feeds/track_laps_a_again"), "--map", str(path), "--sequence-length", "20", "--all"
     )
     known = [line for line in again if line["accepted"]]
-    assert len(known) >= 0.8 * sum(line["place"] is not None for line in again)
+    # Each lap is 63 frames, and its end is the map's: the belief begins again there.
+    assert len(known) >= 0.4 * sum(line["place"] is not None for line in again)
     assert {(line["direction"], line["order"]) for line in known} == {("forward", "same")}
     # The other way round: few matches are believed, and those go against the map as the car does.
     back = replayed(capsys, str(shared / "feeds/track_laps_b"), "--map", str(path), "--sequence-length", "20", "--all")

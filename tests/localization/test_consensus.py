@@ -5,7 +5,9 @@ from __future__ import annotations
 import random
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence import Direction
@@ -159,3 +161,20 @@ def test_more_votes_than_are_kept_do_no_harm() -> None:
     assert belief is not None
     assert belief.is_believed
     assert belief.along_m == pytest.approx(600.0)
+
+
+def test_two_drives_over_one_road_speak_for_one_place() -> None:
+    """The best match changes between the two from frame to frame; both put the vehicle on the same spot."""
+
+    def positions_m(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The second drive began 100 m before the first.
+        return np.column_stack([along_m - 100.0 * drives, np.zeros(len(drives))])
+
+    first, second = _right(300.0, 60), _right(400.0, 60, replace(STRONG, drive=1))
+    votes = [pair[number % 2] for number, pair in enumerate(zip(first, second, strict=True))]
+    belief = _last(_drive(PlaceConsensus(SETTINGS, positions_m), votes))
+    assert belief.is_believed
+    assert belief.along_m == pytest.approx(420.0 + 100.0 * belief.drive)
+    assert not _last(_drive(PlaceConsensus(SETTINGS), votes)).is_believed
+    elsewhere = [vote and replace(vote, along_m=vote.along_m + 200.0 * vote.drive) for vote in votes]
+    assert not _last(_drive(PlaceConsensus(SETTINGS, positions_m), elsewhere)).is_believed

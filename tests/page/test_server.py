@@ -40,7 +40,9 @@ MAP = MapView(
 
 def snapshot(number: int) -> Snapshot:
     history = tuple(
-        HistoryFrame(FrameUsed(k, 1000 * k, True, k == 2, place=k, uniqueness=1.1 + k / 100), (1.0, 2.0))
+        HistoryFrame(
+            FrameUsed(k, 1000 * k, True, k == 2, place=k, uniqueness=1.1 + k / 100, confidence=k / 10), (1.0, 2.0)
+        )
         for k in range(1, 4)
     )
     status = Status(
@@ -51,13 +53,13 @@ def snapshot(number: int) -> Snapshot:
         model="a model",
         state="on the map",
         why="",
-        newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2),
+        newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2, confidence=0.9),
         slope=1.0,
         frames_used=number,
         events=1,
         fps=4.0,
         category="street",
-        uniqueness_min=1.08,
+        confidence_min=0.6,
         stages_ms={"network": 9.5},
         journal_lost=0,
         camera=CameraHealth("running", "", 0, delivered=10, overwritten=2, bad=1),

@@ -94,6 +94,11 @@ def look_at(path: Path) -> Look:
     return lambda place: rows[place] + noise[place]
 
 
+def is_unique(match: PlaceMatch) -> bool:
+    """Stands for the place belief, which needs more frames than these drives have."""
+    return match.uniqueness >= CONFIG.acceptance.uniqueness_min
+
+
 class Drive:
     """Feeds a search with one place after another, as the recognizer does."""
 
@@ -105,7 +110,9 @@ class Drive:
     def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        return self.search.push(change, lambda: np.stack(self._ring), near)
+        match = self.search.push(change, lambda: np.stack(self._ring), near)
+        self.search.follow(match.place_index if match and is_unique(match) else None)
+        return match
 
     def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
         return [self.see(place, near(place)) for place in places]
@@ -190,11 +197,11 @@ def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look)
     drive = Drive(open_map_set(city / "tiles"), look)
     passed = range(200, 2300)
     matches = drive.go(passed, close_to if known else lambda place: None)
-    first = next(at for at, match in enumerate(matches) if match and match.accepted)
+    first = next(at for at, match in enumerate(matches) if match and is_unique(match))
     assert first < (2 * LENGTH if known else LENGTH + PLACES_OF_ALL // (LIMIT // 8))
     for place, match in zip(passed[first:], matches[first:], strict=True):
         assert match is not None, place
-        assert match.accepted, place
+        assert is_unique(match), place
         assert abs(match.place_index - place) <= 1 or place - passed[0] < 2 * first
 
 
@@ -216,14 +223,14 @@ def test_a_damaged_tile_is_excluded(city: Path, known: bool, look: Look, tmp_pat
     believed: dict[int, int] = {}
     for place in range(700, 1700):
         match = drive.see(place, close_to(place))
-        behind = maps.folders_behind(match.place_index, LENGTH) if match and match.accepted else []
+        behind = maps.folders_behind(match.place_index, LENGTH) if match and is_unique(match) else []
         while not checksums.is_verified([*drive.search.folders_in_use, *behind]):
             damage = checksums.step(1 << 20, [*drive.search.folders_in_use, *behind])
             if damage is not None:
                 maps, match = maps.without({damage.path: damage.why}), None
                 drive = Drive(maps, look)
                 break
-        if match and match.accepted:
+        if match and is_unique(match):
             believed[place] = match.place_index
     (excluded,) = maps.excluded
     assert excluded.name == damaged.name
@@ -320,7 +327,9 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
 
     matches = drive.go(range(1600, 1700), near)
     assert drive.search.folders_in_use == [tmp_path / "maps" / "there"]
-    assert [match.place_index for match in matches if match and match.accepted] == list(range(1600 + LENGTH - 1, 1700))
+    assert [match.place_index for match in matches if match and is_unique(match)] == list(
+        range(1600 + LENGTH - 1, 1700)
+    )
     assert drive.search.part is not None
     meters = maps.east_north_m(drive.search.part.ranges)
     steps_m = np.hypot(*np.diff(meters, axis=0).T)
@@ -332,7 +341,7 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     believed = [
         (match.place_index, place)
         for match, place in zip(answers, range(3200, 3400), strict=True)
-        if match and match.accepted
+        if match and is_unique(match)
     ]
     assert len(believed) > 60
     assert all(abs(match - place) <= 1 for match, place in believed[-50:])

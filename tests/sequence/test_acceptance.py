@@ -11,14 +11,15 @@ from edge.sequence.acceptance import HoldOff, Neighborhood, best_match
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 UNKNOWN = np.full(100, np.nan)
-CONFIG = AcceptanceConfig(uniqueness_min=1.2, window_m=10.0, window_places=3)
+CONFIG = AcceptanceConfig(window_m=10.0, window_places=3)
 
 
-def match(costs: np.ndarray, neighborhood: Neighborhood, config: AcceptanceConfig = CONFIG):
+def match(costs: np.ndarray, neighborhood: Neighborhood):
     search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
+    newest = np.zeros((1, 100), dtype=np.int32)
     search.refill(np.zeros((5, 1, 100), dtype=np.int32))
     lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), 5)  # as the search would give them
-    return best_match(search, lines, neighborhood, config)
+    return best_match(search, lines, newest, neighborhood)
 
 
 def neighbors_by_route(spacing_m: float) -> Neighborhood:
@@ -30,9 +31,9 @@ def test_second_best_is_looked_for_outside_the_window() -> None:
     costs = np.full(100, 1500)
     costs[40], costs[45], costs[80] = 1000, 1010, 1300
     found = match(costs, neighbors_by_route(2.0))  # 10 m are 5 places
-    assert (found.place, found.uniqueness, found.accepted) == (40, pytest.approx(1.3), True)
+    assert (found.place, found.uniqueness) == (40, pytest.approx(1.3))
     found = match(costs, neighbors_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
-    assert (found.uniqueness, found.accepted) == (pytest.approx(1.01), False)
+    assert found.uniqueness == pytest.approx(1.01)
 
 
 def test_without_meters_the_window_is_in_places() -> None:
@@ -57,8 +58,8 @@ def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
 def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     everything_near = msgspec.structs.replace(CONFIG, window_m=1e6)
     around = Neighborhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
-    found = match(np.arange(100)[::-1], around, everything_near)
-    assert (found.uniqueness, found.accepted) == (1.0, False)
+    found = match(np.arange(100)[::-1], around)
+    assert found.uniqueness == 1.0
     assert match(np.full(100, NO_LINE), around) is None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.localization.consensus import ConsensusSettings
+from edge.config import AcceptanceConfig
 from sim.evaluation.belief import Cut, Described, believe, judge, kept
 
 PLACES, SPACING_M = 220, 2.0
@@ -32,18 +32,18 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut) 
     mapped, query = road(1), way_home(road(1))
     beliefs = believe(mapped, query, cut)
     mapped_m = np.concatenate([mapped.route_m[start:end] for start, end in kept(cut, PLACES)])
-    believed = beliefs.confidence >= ConsensusSettings().threshold
+    believed = beliefs.confidence >= AcceptanceConfig().confidence_min
     assert np.abs(beliefs.along_m - query.route_m)[believed].max() <= 40.0
     on_map = np.isin(query.route_m, mapped_m)
     assert believed[on_map].mean() > 0.3
     judged = judge(query, mapped_m, beliefs, ahead_m=0.0)
     assert 0 < judged.first_m < 200
-    assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= 0.5].all()
+    assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_min].all()
 
 
 def test_another_road_is_not_believed() -> None:
     beliefs = believe(road(1), way_home(road(2)), "whole")
-    assert beliefs.confidence.max() < ConsensusSettings().threshold
+    assert beliefs.confidence.max() < AcceptanceConfig().confidence_min
 
 
 def test_a_cut_map_keeps_what_its_name_says() -> None:
