@@ -12,6 +12,7 @@ from edge.config import Config, MapConfig
 from edge.descriptor.network import Network
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import open_map_set
+from edge.sequence.place_search import MEASURED_SLOPES
 from sim.bench.machine import Machine
 from sim.bench.network_rows import FC6_BYTES, MACS, smooth_picture
 from sim.bench.rows import Row, Section, Target
@@ -53,7 +54,7 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
     for frame in range(LENGTH + frames):
         picture = smooth_picture(rng, SIZE_PX)
         laps.begin()
-        recognizer.observe(picture, frame * 200_000_000)
+        recognizer.observe(picture, frame * 200_000_000, distance_m=frame * config.sampling.spacing_m)
         laps.lap("answer")
     measured = laps.frames[LENGTH:]
     whole = Times(tuple(sum(frame.values()) for frame in measured))
@@ -62,7 +63,7 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
         "network": machine.floor_ms(FC6_BYTES, 2 * MACS),
         "matching": machine.floor_ms(places * 2 * network.info.dimensions),
         # Every running sum read and written once: 2 planes, int32.
-        "search": machine.floor_ms(2 * config.sequence.slopes * 2 * places * 4),
+        "search": machine.floor_ms(2 * MEASURED_SLOPES * 2 * places * 4),
     }
     rows = []
     for stage in measured[-1]:
