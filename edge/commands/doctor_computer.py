@@ -99,7 +99,7 @@ def check_page(config: Config) -> Iterator[Diagnostic]:
 
 def check_camera(config: CameraConfig) -> Iterator[Diagnostic]:
     """The configured camera, opened and read once."""
-    where = f"[camera] {config.kind} {config.device}"
+    where = f"[camera] {config.source}"
     try:
         camera = open_camera(config)
     except LookbackError as error:
