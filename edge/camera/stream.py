@@ -10,7 +10,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
@@ -39,11 +39,11 @@ WITHOUT_CLOCK = (*FOUND_BY_NEXT, "mpjpeg", "yuv4mpegpipe")
 OPTIONS = {
     "protocol_whitelist": PROTOCOLS,
     "format_whitelist": ",".join((*WITH_CLOCK, "matroska,webm", "mov,mp4,m4a,3gp,3g2,mj2", *WITHOUT_CLOCK)),
-    "fflags": "nobuffer",
     # Microseconds, and bytes: by default FFmpeg reads up to 5 s and 5 MB before the first image.
     "analyzeduration": "1000000",
     "probesize": "500000",
     "formatprobesize": "65536",
+    "fpsprobesize": "0",  # nor the 20 images from which it finds out how many come in a second
     "rtsp_flags": "prefer_tcp",
     "allowed_media_types": "video",
 }
@@ -52,7 +52,7 @@ OPEN_S = 8.0
 FIRST_FRAME_S = 10.0
 """An encoder may send a key frame only every few seconds."""
 SETTLE_S = 0.5
-"""What was buffered while the stream was opened is old and comes at once: not used."""
+"""What was buffered while the stream was opened is old, and comes without waiting: not used."""
 WAITED_NS = 1_000_000
 BEHIND_NS = 2_000_000_000
 REASONS = {
@@ -68,7 +68,6 @@ REASONS = {
     "ArgumentError": "this is no video format that is accepted here; see docs/cameras.md",
     "TimeoutError": "no answer; is the camera on, and the network up?",
     "ExitError": "no answer; is the camera on, and the network up?",
-    "EOFError": "the stream ended",
 }
 
 
@@ -78,8 +77,8 @@ class StreamCamera:
     def __init__(self, config: CameraConfig, open_timeout_s: float = OPEN_S) -> None:
         """Connect, or start the command, and wait for the first image that is not old.
 
-        open_timeout_s: FFmpeg takes it twice at most, to connect and to find out what is in the stream. Raises ConfigError
-        for an address or a program that cannot be right, and CameraLost for all that may pass.
+        open_timeout_s: FFmpeg takes it twice at most, to connect and to find out what is in the stream.
+        Raises ConfigError for an address or a program that cannot be right, and CameraLost for all that may pass.
         """
         self._av = import_av()
         self._config, self._name = config, config.source.removeprefix("stream ").removeprefix("exec:")
@@ -115,7 +114,7 @@ class StreamCamera:
             raise CameraLost(f"{self._name}: its codec is unknown; use H.264, H.265 or MJPEG")
         # A JPEG that is cut short would otherwise be gray from there on. H.264 repairs itself, and says so.
         codec.options = {**CODEC_OPTIONS, **({"err_detect": "explode"} if codec.name == "mjpeg" else {})}
-        self._packets: Packets = self._container.demux()  # type: ignore[assignment]
+        self._packets = cast("Packets", self._container.demux())
 
     def _read_first(self) -> Frame:
         self._waited_ns = time.monotonic_ns()
@@ -126,7 +125,7 @@ class StreamCamera:
                 frame = self._next(deadline_ns)
             except FrameError:
                 continue
-            if time.monotonic_ns() >= settled_ns:
+            if self._waited_ns >= settled_ns:
                 return frame
 
     def read(self) -> Frame | None:
@@ -194,8 +193,13 @@ class StreamCamera:
         """What is wrong, in one line without the address's password."""
         if isinstance(self._source, CommandOutput) and self._source.ended:
             return CameraLost(self._source.why_ended())
-        kind = "TimeoutError" if timed_out else type(error).__name__
-        return CameraLost(f"{self._name}: {REASONS.get(kind) or (error.strerror if error else 'the stream ended')}")
+        if timed_out:
+            why = REASONS["TimeoutError"]
+        elif error is None or (type(error).__name__ == "OSError" and self._container is not None):
+            why = "the stream ended"
+        else:
+            why = REASONS.get(type(error).__name__, error.strerror)
+        return CameraLost(f"{self._name}: {why}")
 
     def close(self) -> None:
         """Disconnect, or end the command; more than once is harmless."""
