@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import selectors
 import signal
 import subprocess
@@ -86,6 +87,7 @@ class CommandOutput:
     def _in_its_words(self) -> str:
         text = self._last_line.decode(errors="replace")
         words = "".join(letter if letter.isprintable() else " " for letter in text).strip()
+        words = re.sub(r"//\S*@", "//", words)  # an address with its password
         return f": {words}" if words else ""
 
     def close(self) -> None:

@@ -48,7 +48,7 @@ OPTIONS = {
     "allowed_media_types": "video",
 }
 CODEC_OPTIONS = {"threads": "1", "flags": "low_delay"}  # more threads would each delay by an image
-OPEN_S = 8.0
+OPEN_S = 6.0
 FIRST_FRAME_S = 10.0
 """An encoder may send a key frame only every few seconds."""
 SETTLE_S = 0.5
@@ -198,7 +198,7 @@ class StreamCamera:
         elif error is None or (type(error).__name__ == "OSError" and self._container is not None):
             why = "the stream ended"
         else:
-            why = REASONS.get(type(error).__name__, error.strerror)
+            why = REASONS.get(type(error).__name__) or error.strerror or type(error).__name__
         return CameraLost(f"{self._name}: {why}")
 
     def close(self) -> None:

@@ -290,6 +290,7 @@ def test_images_that_come_faster_than_they_are_decoded_are_not_used_late(serve: 
             "sh: exited with status 3: no cameras available",
         ),
         ("true", "true: exited with status 0"),
+        ("sh -c 'echo rtsp://user:secret@cam/: refused >&2; exit 1'", "sh: exited with status 1: rtsp://cam/: refused"),
         ("sh -c 'kill -9 $$'", "sh: was ended by SIGKILL"),
         ("yes", "yes: this is no video that can be decoded here"),
         ("sh -c 'echo waiting for the sensor >&2; exec sleep 60'", "sh: gave no image in time: waiting for the sensor"),
