@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import shlex
 import time
@@ -55,20 +56,23 @@ SETTLE_S = 0.5
 """What was buffered while the stream was opened is old, and comes without waiting: not used."""
 WAITED_NS = 1_000_000
 BEHIND_NS = 2_000_000_000
-REASONS = {
-    "ConnectionRefusedError": "connection refused; is the camera's server running?",
+LEAST_WAITING = 0.1
+"""Share of the time in which a camera that is not too fast is waited for."""
+REASONS: dict[str | int | None, str] = {
     "HTTPUnauthorizedError": "wrong user name or password (401); write rtsp://USER:PASSWORD@HOST/PATH",
     "HTTPForbiddenError": "access denied (403)",
     "HTTPNotFoundError": "there is no such stream (404); is the path right?",
     "HTTPServerError": "the server reports an error (5xx)",
-    "OSError": "it cannot be reached, or sends nothing; is the name of the host right?",
-    "FileNotFoundError": "there is no such socket; is the service that makes it running?",
-    "PermissionError": "no permission",
     "InvalidDataError": "this is no video that can be decoded here",
-    "ArgumentError": "this is no video format that is accepted here; see docs/cameras.md",
-    "TimeoutError": "no answer; is the camera on, and the network up?",
     "ExitError": "no answer; is the camera on, and the network up?",
+    errno.ETIMEDOUT: "no answer; is the camera on, and the network up?",
+    errno.ECONNREFUSED: "connection refused; is the camera's server running?",
+    errno.EIO: "it cannot be reached, or sends nothing; is the name of the host right?",
+    errno.ENOENT: "there is no such socket; is the service that makes it running?",
+    errno.EACCES: "no permission",
+    errno.EINVAL: "this is no video format that is accepted here; see docs/cameras.md",
 }
+"""By the name of PyAV's class for FFmpeg's own errors, or by the system's number."""
 
 
 class StreamCamera:
@@ -117,15 +121,15 @@ class StreamCamera:
         self._packets = cast("Packets", self._container.demux())
 
     def _read_first(self) -> Frame:
-        self._waited_ns = time.monotonic_ns()
-        settled_ns = self._waited_ns + round(SETTLE_S * 1e9)
+        self._waited_ns, self._counted_since_ns = 0, time.monotonic_ns()
+        settled_ns = self._counted_since_ns + round(SETTLE_S * 1e9)
         deadline_ns = settled_ns + round(FIRST_FRAME_S * 1e9)
         while True:
             try:
                 frame = self._next(deadline_ns)
             except FrameError:
                 continue
-            if self._waited_ns >= settled_ns:
+            if self._last_wait_ns >= WAITED_NS and time.monotonic_ns() >= settled_ns:
                 return frame
 
     def read(self) -> Frame | None:
@@ -161,13 +165,20 @@ class StreamCamera:
         # At the end, PyAV flushes the decoder; after an interruption, FFmpeg hands over what it has of a packet.
         if packet is None or packet.size == 0 or now_ns >= expires_ns:
             raise self._lost(None, now_ns >= expires_ns)
-        if now_ns - asked_ns >= WAITED_NS:
-            self._waited_ns = now_ns
-        elif now_ns - self._waited_ns > BEHIND_NS:
-            raise CameraLost(f"{self._name}: images come faster than they are decoded here; lower their size or rate")
+        self._count_wait(asked_ns, now_ns)
         if self._has_clock and packet.pts is not None and packet.time_base is not None:
             self._clock.arrived(round(packet.pts * packet.time_base * 1_000_000_000), now_ns)
         return packet, before_ns or now_ns
+
+    def _count_wait(self, asked_ns: int, now_ns: int) -> None:
+        """CameraLost if packets hardly had to be waited for: older ones then lie in buffers, and more each second."""
+        self._last_wait_ns = now_ns - asked_ns
+        self._waited_ns += self._last_wait_ns
+        if now_ns - self._counted_since_ns < BEHIND_NS:
+            return
+        if self._waited_ns < LEAST_WAITING * (now_ns - self._counted_since_ns):
+            raise CameraLost(f"{self._name}: images come faster than they are decoded here; lower their size or rate")
+        self._waited_ns, self._counted_since_ns = 0, now_ns
 
     def _as_frame(self, picture: av.VideoFrame, arrived_ns: int) -> Frame:
         size = picture.width, picture.height
@@ -194,11 +205,12 @@ class StreamCamera:
         if isinstance(self._source, CommandOutput) and self._source.ended:
             return CameraLost(self._source.why_ended())
         if timed_out:
-            why = REASONS["TimeoutError"]
-        elif error is None or (type(error).__name__ == "OSError" and self._container is not None):
+            why = REASONS[errno.ETIMEDOUT]
+        elif error is None or (error.errno == errno.EIO and self._container is not None):
             why = "the stream ended"
         else:
-            why = REASONS.get(type(error).__name__) or error.strerror or type(error).__name__
+            name = type(error).__name__
+            why = REASONS.get(name) or REASONS.get(error.errno) or error.strerror or name
         return CameraLost(f"{self._name}: {why}")
 
     def close(self) -> None:
