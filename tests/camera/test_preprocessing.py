@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge import open_map
+from edge.__main__ import main
 from edge.camera import open_camera
 from edge.camera.preprocessing import FILL, Preprocessor, preprocessed_feed
 from edge.config import CameraConfig, parse_config
@@ -158,3 +160,12 @@ def test_a_password_is_in_no_words_for_people() -> None:
     }.items():
         assert CameraConfig(kind="stream", device=device).source == source
     assert CameraConfig(device="/dev/video0").source == "v4l2 /dev/video0"
+
+
+def test_a_map_is_built_from_processed_images(feed_path: Path, tmp_path: Path) -> None:
+    (tmp_path / HERE).write_text("[camera]\ncrop = [0, 0, 0, 0.5]\n[sampling]\nby = 'frames'\n")
+    output = tmp_path / "half.map"
+    assert main(["map", "build", str(feed_path), "-o", str(output), "--config", str(tmp_path / HERE)]) == 0
+    thumbnail = cv2.imdecode(np.frombuffer(open_map(output).thumbnail(0), np.uint8), cv2.IMREAD_COLOR)
+    assert thumbnail is not None
+    assert thumbnail.shape == (45, 120, 3)
