@@ -1,4 +1,4 @@
-"""Real cameras: `pytest -m hardware tests/hardware`, with the devices in LOOKBACK_V4L2, LOOKBACK_OAK, LOOKBACK_STREAM."""
+"""Real cameras: `pytest -m hardware tests/hardware`; LOOKBACK_V4L2, LOOKBACK_OAK and LOOKBACK_STREAM name devices."""
 
 from __future__ import annotations
 
