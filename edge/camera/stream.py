@@ -1,4 +1,4 @@
-"""A video stream: RTSP, HTTP, a socket, or the standard output of a command, through PyAV (`lookback[stream]`).
+"""A video stream: RTSP, HTTP, a socket, or the standard output of a command, through PyAV (extra `stream`).
 
 [camera] device is the stream's address, or `exec:` and a command. Images are scaled to the configured size.
 """
@@ -226,7 +226,7 @@ def import_av() -> ModuleType:
     try:
         return importlib.import_module("av")
     except ImportError:
-        raise ConfigError("[camera] kind: stream needs PyAV: pip install 'lookback[stream]'") from None
+        raise ConfigError("[camera] kind: stream needs PyAV, the extra `stream`; see docs/cameras.md") from None
 
 
 def open_source(device: str) -> str | CommandOutput:
