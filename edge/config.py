@@ -7,6 +7,7 @@ structs. Paths are relative to the folder of the config file that names them.
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -17,6 +18,7 @@ from msgspec import Meta, Struct
 from edge.errors import ConfigError
 from edge.toml_file import parse_toml, read_toml
 
+MOST_CROPPED = 0.9
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 
 ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
@@ -24,6 +26,7 @@ Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
 Left = Annotated[float, Meta(ge=-50, le=50)]
+Share = Annotated[float, Meta(ge=0, le=0.9)]
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -37,6 +40,32 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     fps: Annotated[float, Meta(gt=0, le=240)] = 15.0
     fourcc: Annotated[str, Meta(pattern="^.{4}$")] = "MJPG"
     stall_timeout_s: Annotated[float, Meta(ge=0.1, le=60)] = 2.0
+    latency_s: Annotated[float, Meta(ge=0, le=5)] = 0.0
+    flip: Literal["none", "horizontal", "vertical", "both"] = "none"
+    crop: tuple[Share, Share, Share, Share] = (0.0, 0.0, 0.0, 0.0)
+    mask: str = ""
+
+    def __post_init__(self) -> None:
+        left, top, right, bottom = self.crop
+        if max(left + right, top + bottom) > MOST_CROPPED:
+            raise ValueError(f"crop: left and right together, and top and bottom, can be {MOST_CROPPED} at most")
+
+    @property
+    def preprocessing(self) -> str:
+        """What is done to each image, in words; "" for nothing."""
+        words = [f"flip {self.flip}"] if self.flip != "none" else []
+        if any(self.crop):
+            words.append("crop " + " ".join(f"{share:g}" for share in self.crop))
+        return "; ".join([*words, f"mask {Path(self.mask).name}"] if self.mask else words)
+
+    @property
+    def source(self) -> str:
+        """Kind and device for people: without the password of an address, or the arguments of a command."""
+        device = self.device
+        if self.kind == "stream":
+            device = re.sub(r"//.*@", "//", device).partition("?")[0]
+            device = device.partition(" ")[0] if device.startswith("exec:") else device
+        return f"{self.kind} {device}"
 
 
 class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -237,8 +266,8 @@ def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
             # As JSON, which also covers values that are tables or lists.
             if "\\u0000" in msgspec.json.encode(value).decode().replace("\\\\", ""):
                 yield f"[{section}] {key}", "has a null character in it"
-    if not config.camera.device and config.camera.kind in ("v4l2", "feed", "sim"):
-        yield "[camera] device", "is empty; name the device, or the folder of the feed"
+    if not config.camera.device and config.camera.kind in ("v4l2", "stream", "feed", "sim"):
+        yield "[camera] device", "is empty; name the device, the stream, or the folder of the feed"
     if not config.map.path:
         yield "[map] path", "is empty; name the map's folder"
 
@@ -261,6 +290,7 @@ def _resolve_paths(config: Config, folder: Path) -> Config:
     camera = config.camera
     if camera.kind in ("feed", "sim"):
         camera = msgspec.structs.replace(camera, device=resolve(camera.device))
+    camera = msgspec.structs.replace(camera, mask=resolve(camera.mask))
     return msgspec.structs.replace(
         config,
         camera=camera,

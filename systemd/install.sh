@@ -24,7 +24,7 @@ An existing config is kept. A failed update leaves the old version in place.
 
   --wheel FILE      install this wheel (default: the checkout that contains this script)
   --pypi VERSION    install this version from PyPI
-  --extras NAMES    install these extras of the package, for example oak
+  --extras NAMES    install these extras of the package, for example oak,stream
   --python PYTHON   the Python to use (default /usr/bin/python3)
   --root DIR        install below DIR and change nothing else: for packages and tests
   --uninstall       remove it; the config, maps and journal stay
@@ -122,6 +122,8 @@ swap_venv() {
 
 put_files() {
     put lookback.service /etc/systemd/system/lookback.service
+    put lookback-camera.socket /etc/systemd/system/lookback-camera.socket
+    put lookback-camera@.service /etc/systemd/system/lookback-camera@.service
     put lookback.sysusers /etc/sysusers.d/lookback.conf
     put lookback.tmpfiles /etc/tmpfiles.d/lookback.conf
     put 70-lookback.rules /etc/udev/rules.d/70-lookback.rules
@@ -169,9 +171,10 @@ TEXT
 
 uninstall_all() {
     if [ -e "$root/etc/systemd/system/lookback.service" ]; then
-        live_systemctl disable --now --quiet lookback.service
+        live_systemctl disable --now --quiet lookback.service lookback-camera.socket
     fi
-    rm -f "$root/etc/systemd/system/lookback.service" "$root/etc/sysusers.d/lookback.conf" \
+    rm -f "$root/etc/systemd/system/lookback.service" "$root/etc/systemd/system/lookback-camera.socket" \
+        "$root/etc/systemd/system/lookback-camera@.service" "$root/etc/sysusers.d/lookback.conf" \
         "$root/etc/tmpfiles.d/lookback.conf" "$root/etc/udev/rules.d/70-lookback.rules" \
         "$root/etc/systemd/system/lookback.service.d/backoff.conf"
     rmdir "$root/etc/systemd/system/lookback.service.d" 2>/dev/null || true # kept if the admin has drop-ins in it

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from edge.camera.preprocessing import preprocessed_feed
 from edge.config import CameraConfig
 from edge.feed import Feed, FeedImages, Frame, read_feed
 
@@ -19,8 +20,6 @@ DECODE_S = 2.0  # an image from a slow disk
 
 class RecordedCamera:
     """Plays the rows of a feed in order; an unreadable image raises FrameError, and the next read continues."""
-
-    differences: tuple[str, ...] = ()  # nothing is requested of a recording
 
     def __init__(
         self,
@@ -36,6 +35,7 @@ class RecordedCamera:
         real_time: each frame comes when it is due, with that time of `clock_ns` as its timestamp; the first is due at
         `begins_ns`, or else at the first read(). A frame that is read late comes at once, with its due time.
         """
+        self.differences: tuple[str, ...] = ()
         self._feed = feed
         self._images: FeedImages | None = FeedImages(feed)
         self._real_time = real_time
@@ -59,9 +59,14 @@ class RecordedCamera:
     ) -> RecordedCamera:
         """Play the feed or video `config.device` at its own pace; size and rate are the recording's, not the config's.
 
-        Raises FeedError.
+        Raises FeedError, and ConfigError for a mask that does not fit.
         """
-        return cls(read_feed(Path(config.device)), real_time=True, clock_ns=clock_ns, sleep=sleep)
+        feed = preprocessed_feed(read_feed(Path(config.device)), config)
+        camera = cls(feed, real_time=True, clock_ns=clock_ns, sleep=sleep)
+        recorded, asked = feed.header.preprocessing, config.preprocessing
+        if asked not in ("", recorded):
+            camera.differences = (f"asked for {asked}; the feed was recorded with {recorded}, and stays as it is",)
+        return camera
 
     def read(self) -> Frame | None:
         """The next row's frame, None after the last; FrameError names the image, and the next call continues.

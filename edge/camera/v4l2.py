@@ -5,15 +5,18 @@ Name the device by its stable path (`ls /dev/v4l/by-id`): /dev/video numbers cha
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
+import itertools
 import math
 import os
+import re
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeAlias
 
 import cv2
 import numpy as np
@@ -28,6 +31,15 @@ from edge.feed import Frame
 _CAPABILITY: Final = struct.Struct("16s32s32sIII12x")
 _VIDIOC_QUERYCAP: Final = 2 << 30 | _CAPABILITY.size << 16 | ord("V") << 8
 _CAN_CAPTURE: Final = 0x1 | 0x1000  # V4L2_CAP_VIDEO_CAPTURE, single or multi-planar
+# struct v4l2_fmtdesc is index, type, flags, description[32], pixelformat, mbus_code, reserved[3].
+_FORMAT: Final = struct.Struct("III32s4s16x")
+_VIDIOC_ENUM_FMT: Final = 3 << 30 | _FORMAT.size << 16 | ord("V") << 8 | 2
+_CAPTURE_TYPES: Final = 1, 9  # V4L2_BUF_TYPE_VIDEO_CAPTURE, and the multi-planar one
+_LISTS_ALL_FORMATS: Final = ("rp1-cfe",)
+"""CSI receivers (Raspberry Pi 5) that list every format, whatever the sensor gives."""
+_BAYER: Final = re.compile(r"BA81|BYR2|GBRG|GRBG|RGGB|(BG|GB|GR|BA|BD|RG)1[0246]|[pab][BGgR][ACE][8ACE]")
+
+Ioctl: TypeAlias = Callable[[int, int, bytes], bytes]
 
 _OLDEST_BUFFER_NS: Final = 10 * 1_000_000_000  # a larger difference means another clock
 
@@ -99,16 +111,40 @@ def check_is_camera(device: str) -> None:
         raise open_error(device, error) from None
     try:
         answer = fcntl.ioctl(descriptor, _VIDIOC_QUERYCAP, bytes(_CAPABILITY.size))
+        formats = capture_formats(descriptor)
     except OSError as error:
         if error.errno in {errno.ENODEV, errno.EIO}:
             raise CameraLost(f"{device}: the camera does not answer: {error.strerror}") from None
         raise ConfigError(f"[camera] device: {device} is not a V4L2 camera; see `ls /dev/v4l/by-id`") from None
     finally:
         os.close(descriptor)
-    _, card, _, _, _, device_caps = _CAPABILITY.unpack(answer)
+    driver, card, _, _, _, device_caps = _CAPABILITY.unpack(answer)
+    if gives_raw_data(driver.rstrip(b"\0").decode(errors="replace"), formats):
+        raise ConfigError(
+            f'[camera] device: {device} gives the raw data of a CSI sensor, not images; use kind = "stream" and'
+            ' device = "exec:rpicam-vid ..." (Raspberry Pi) or "exec:gst-launch-1.0 -q nvarguscamerasrc ..."'
+            " (Jetson), see docs/cameras.md"
+        )
     if not device_caps & _CAN_CAPTURE:
         name = card.rstrip(b"\0").decode(errors="replace")
         raise ConfigError(f"[camera] device: {device} ({name}) gives no images; use the camera's other node")
+
+
+def capture_formats(descriptor: int, ioctl: Ioctl = fcntl.ioctl) -> tuple[str, ...]:
+    """The pixel formats that a node can give, as four characters each."""
+    formats: list[str] = []
+    for kind in _CAPTURE_TYPES:
+        # It ends with an error behind the last one.
+        with contextlib.suppress(OSError):
+            for index in itertools.count():
+                answer = ioctl(descriptor, _VIDIOC_ENUM_FMT, _FORMAT.pack(index, kind, 0, b"", b""))
+                formats.append(_FORMAT.unpack(answer)[4].decode("latin-1"))
+    return tuple(formats)
+
+
+def gives_raw_data(driver: str, formats: Sequence[str]) -> bool:
+    """Whether a node gives what an image sensor sends: one color for each pixel, dark and without white balance."""
+    return driver in _LISTS_ALL_FORMATS or (bool(formats) and all(map(_BAYER.fullmatch, formats)))
 
 
 def open_error(device: str, error: OSError) -> ConfigError | CameraLost:

@@ -99,11 +99,13 @@ def check_page(config: Config) -> Iterator[Diagnostic]:
 
 def check_camera(config: CameraConfig) -> Iterator[Diagnostic]:
     """The configured camera, opened and read once."""
-    where = f"[camera] {config.kind} {config.device}"
+    where = f"[camera] {config.source}"
     try:
         camera = open_camera(config)
     except LookbackError as error:
         remedy = "name a device that is listed above, if there is one; stop any other program that uses it"
+        if config.kind == "stream":
+            remedy = "see docs/cameras.md for devices that are streams; a command must also work in a terminal"
         yield bad("camera", str(error), remedy)
         return
     try:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import edge
+from edge.camera.preprocessing import preprocessed_feed
 from edge.commands import map_files, map_sign
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
@@ -35,7 +36,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
     build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
     build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
-    build.add_argument("--config", type=Path, help="read [descriptor] and [sampling] from this file")
+    build.add_argument(
+        "--config",
+        type=Path,
+        help="read [descriptor] and [sampling] from this file, and flip, crop and mask of [camera]",
+    )
     build.add_argument(
         "--regions", choices=("left-right", "whole"), help="image regions to describe (default left-right)"
     )
@@ -187,7 +192,7 @@ def _build(args: argparse.Namespace) -> int:
         raise ConfigError(
             "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
-    feeds = [read_feed(path, feed_options(args)) for path in args.feeds]
+    feeds = [preprocessed_feed(read_feed(path, feed_options(args)), config.camera) for path in args.feeds]
     if sampling.by == "distance" and args.spacing_m is None:
         for feed in feeds:
             if driven_m(feed) is None:

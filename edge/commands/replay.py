@@ -10,6 +10,7 @@ from typing import TextIO
 
 import msgspec
 
+from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
@@ -117,6 +118,7 @@ def _run(args: argparse.Namespace) -> int:
         config = with_options(load_config(args.config), args.sequence_length, args.confidence_min)
     else:
         config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_min)
+    feed = preprocessed_feed(feed, config.camera)
     sampling = sampling_from(args, config.sampling)
     # The feed knows where its camera looked.
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))

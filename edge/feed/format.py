@@ -19,7 +19,10 @@ Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 
 
 class FeedHeader(msgspec.Struct, frozen=True):
-    """`feed.toml`; keys that are not listed here are ignored."""
+    """`feed.toml`; keys that are not listed here are ignored.
+
+    preprocessing: the flip, crop and mask that the images were recorded with; "" for images as the camera gave them.
+    """
 
     name: str
     view: View
@@ -28,6 +31,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     source: str = ""
     notes: str = ""
     video: str = ""
+    preprocessing: str = ""
 
 
 def read_header(file: Path) -> FeedHeader:

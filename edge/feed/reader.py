@@ -1,10 +1,10 @@
 """The feed: a recorded traverse that every tool reads and writes.
 
-A folder with `feed.toml` (name, view, width, height, source, notes), `frames.csv` (a row a frame, at least `file`
-and `stamp_ns`) and the pictures: files under `frames/`, or one video whose name `feed.toml` gives as `video`
-(rows are then its frames in order). Where they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg,
-speed_mps, distance_m`; further columns are kept as text. A bare video file is read as a feed as well: its rows are its
-frames, with stamps from its frame rate and nothing else known.
+A folder with `feed.toml` (`FeedHeader`), `frames.csv` (a row a frame, at least `file` and `stamp_ns`) and the pictures:
+files under `frames/`, or one video whose name `feed.toml` gives as `video` (rows are then its frames in order). Where
+they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m`; further columns are kept
+as text. A bare video file is read as a feed as well: its rows are its frames, with stamps from its frame rate and
+nothing else known.
 
 Recordings of other kinds are read by plug-ins: an entry point `lookback.feeds`, named by the file's suffix, is a
 function of the path and a `FeedOptions` that returns a `Feed` with a `pictures` of its own.

@@ -128,8 +128,16 @@ class Recorder:
         """Make the feed's folder; only now is the size known that the camera really gives."""
         self._path = self._feed()
         height, width = frame.image.shape[:2]
-        source = f"{self._camera.kind} {self._camera.device}"
-        header = FeedHeader(self._path.name, self._camera.view, width, height, source, self._notes())
+        camera = self._camera
+        header = FeedHeader(
+            self._path.name,
+            camera.view,
+            width,
+            height,
+            camera.source,
+            self._notes(),
+            preprocessing=camera.preprocessing,
+        )
         self._writer = FeedWriter(self._path, header)
         log.info("recording: %s", self._path)
         return self._writer

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
 import time
 from pathlib import Path
 
@@ -9,7 +10,15 @@ import cv2
 import pytest
 
 from edge.camera import open_camera
-from edge.camera.v4l2 import V4l2Camera, apply_settings, monotonic_stamp_ns, open_error, settings_differences
+from edge.camera.v4l2 import (
+    V4l2Camera,
+    apply_settings,
+    capture_formats,
+    gives_raw_data,
+    monotonic_stamp_ns,
+    open_error,
+    settings_differences,
+)
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
 
@@ -84,3 +93,31 @@ def test_a_node_that_udev_has_not_handed_over_yet_is_tried_again(tmp_path: Path)
     of_root = node.stat().st_gid == 0
     assert isinstance(open_error(str(node), refused), CameraLost if of_root else ConfigError)
     assert isinstance(open_error(str(tmp_path / "gone"), refused), ConfigError)
+
+
+@pytest.mark.parametrize(
+    ("driver", "formats", "raw"),
+    [
+        ("unicam", ("pBAA", "BG10"), True),  # Raspberry Pi 4, IMX219
+        ("unicam", ("UYVY", "YUYV"), False),  # the same receiver behind an HDMI adapter
+        ("rp1-cfe", ("YUYV", "RGB3", "pRAA"), True),
+        ("tegra-video", ("RG10",), True),
+        ("uvcvideo", ("MJPG", "YUYV"), False),
+        ("uvcvideo", (), False),
+    ],
+)
+def test_the_raw_data_of_a_csi_sensor_is_no_image(driver: str, formats: tuple[str, ...], raw: bool) -> None:
+    assert gives_raw_data(driver, formats) is raw
+
+
+def test_formats_are_listed_as_the_kernel_gives_them() -> None:
+    listed = {1: [b"RG10", b"BA81"], 9: []}
+
+    def ioctl(descriptor: int, request: int, data: bytes) -> bytes:
+        assert (descriptor, request) == (3, 0xC0405602)  # VIDIOC_ENUM_FMT of <linux/videodev2.h>
+        index, kind = struct.unpack_from("II", data)
+        if index >= len(listed[kind]):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return struct.pack("III32s4sI12x", index, kind, 0, b"10-bit Bayer", listed[kind][index], 0)
+
+    assert capture_formats(3, ioctl) == ("RG10", "BA81")

@@ -1,4 +1,4 @@
-"""Real cameras: `pytest -m hardware tests/hardware`. LOOKBACK_V4L2=/dev/v4l/by-id/... and LOOKBACK_OAK=ID name them."""
+"""Real cameras: `pytest -m hardware tests/hardware`; LOOKBACK_V4L2, LOOKBACK_OAK and LOOKBACK_STREAM name devices."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edge.config import CameraConfig
 pytestmark = pytest.mark.hardware
 
 
-@pytest.fixture(params=["v4l2", "oak"])
+@pytest.fixture(params=["v4l2", "oak", "stream"])
 def camera(request: pytest.FixtureRequest) -> Iterator[Camera]:
     variable = f"LOOKBACK_{request.param.upper()}"
     if variable not in os.environ:

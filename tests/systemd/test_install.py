@@ -84,6 +84,8 @@ def test_puts_every_file_in_its_place(root: Path, checkout: Path) -> None:
     assert {
         str(CONFIG),
         str(UNIT),
+        "etc/systemd/system/lookback-camera.socket",
+        "etc/systemd/system/lookback-camera@.service",
         "etc/sysusers.d/lookback.conf",
         "etc/tmpfiles.d/lookback.conf",
         "etc/udev/rules.d/70-lookback.rules",

@@ -15,6 +15,8 @@ from edge.errors import EXIT_SETUP
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNIT = SYSTEMD / "lookback.service"
+CAMERA_UNIT = SYSTEMD / "lookback-camera@.service"
+CAMERA_SOCKET = SYSTEMD / "lookback-camera.socket"
 EXPOSURE_MAX = 2.0
 
 
@@ -65,6 +67,32 @@ def test_exposure(analyze: str) -> None:
     print(f"exposure {match[1]}")
     assert float(match[1]) <= EXPOSURE_MAX
     assert result.returncode == 0
+
+
+def test_the_cameras_units_are_valid(analyze: str, tmp_path: Path) -> None:
+    text = CAMERA_UNIT.read_text()
+    assert text.count("/usr/bin/rpicam-vid") == 1
+    (tmp_path / CAMERA_UNIT.name).write_text(text.replace("/usr/bin/rpicam-vid", sys.executable))
+    shutil.copy(CAMERA_SOCKET, tmp_path)
+    for name in (CAMERA_SOCKET.name, CAMERA_UNIT.name):
+        result = verify(analyze, tmp_path / name)
+        assert (result.returncode, result.stdout, result.stderr) == (0, "", ""), name
+
+
+def test_the_cameras_unit_opens_what_the_service_does_not_and_no_more(analyze: str) -> None:
+    devices = set(unit_values("DeviceAllow", CAMERA_UNIT)) - {"rw"}
+    assert devices == {"char-video4linux", "char-media", "char-dma_heap"}
+    assert not {"char-media", "char-dma_heap"} & set(unit_values("DeviceAllow"))
+    command = [analyze, "security", "--offline=true", "--no-pager", str(CAMERA_UNIT)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    match = re.search(r"Overall exposure level for lookback-camera@\w*\.service: ([\d.]+)", result.stdout)
+    assert match is not None, result.stderr
+    assert float(match[1]) <= EXPOSURE_MAX
+
+
+def test_only_the_service_may_connect_to_the_camera() -> None:
+    assert unit_values("SocketGroup", CAMERA_SOCKET) == unit_values("Group")
+    assert unit_values("SocketMode", CAMERA_SOCKET) == ["0660"]
 
 
 def test_drivers_are_loaded_before_their_devices_are_allowed() -> None:
