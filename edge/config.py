@@ -115,7 +115,7 @@ class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     uniqueness_min: of a place that a scan found, from which it is searched around.
     """
 
-    confidence_min: Annotated[float, Meta(gt=0, le=1)] = 0.6
+    confidence_min: Annotated[float, Meta(gt=0, le=1)] = 0.5
     uniqueness_min: Annotated[float, Meta(ge=1)] = 1.08
     window_m: Positive = 80.0
     window_places: Annotated[int, Meta(ge=1)] = 10

@@ -7,11 +7,14 @@ the vehicle then is:
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
     weight = sqrt((uniqueness - 1) * sharpness * row support)
     live = sum of agreeing weights * (share of the recent weights that agree)^2
-    confidence = (live - others) / (live + others + prior) * (1 - overrun / slack) * min(1, span / (3 * slack))^2
+    confidence = (live - others) / (live + others + prior)
+                 * (1 - overrun / slack) * min(1, span / (3 * slack))^2 * min(1, support / 0.5)
 
 Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
 drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
-how far the place lies beyond its drive's end, span what was driven between the oldest and the newest vote that agree.
+how far the place lies beyond its drive's end, span what was driven between the oldest and the newest vote that agree,
+support the share of the newest frames (half a sequence) whose match is at the place: a vehicle that turned off the
+mapped road must not be believed on it for as long as the old votes count.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -31,6 +34,8 @@ from edge.sequence import Direction
 
 CAPACITY = 256
 """Votes that are kept at most; 240 m at one place each 2 m are 120."""
+FULL_SUPPORT = 0.5
+"""Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
 LIKE_NEWEST = 0.02
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
 
@@ -58,7 +63,7 @@ class ConsensusSettings:
     drift: float = 0.05
     blind_drift: float = 0.2
     prior: float = 0.04
-    threshold: float = 0.6
+    threshold: float = 0.5
 
     @property
     def line_m(self) -> float:
@@ -204,6 +209,7 @@ class PlaceConsensus:
         confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
         confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
         confidence *= self._moved_share(float(np.ptp(self._at_m[group])))
+        confidence *= min(1.0, self._support(leader, along_m) / FULL_SUPPORT)
         is_believed = confidence >= settings.threshold
         if is_believed:
             self._was_believed |= group
@@ -212,6 +218,15 @@ class PlaceConsensus:
 
     def _confidence(self, live: float, others: float) -> float:
         return max(0.0, (live - others) / (live + others + self._settings.prior * self._settings.length))
+
+    def _support(self, leader: int, along_m: float) -> float:
+        """Share of the newest votes, of half a sequence, that put the vehicle where the leader's group does."""
+        newest = np.arange(self._count - min(self._count, CAPACITY, max(1, self._settings.length // 2)), self._count)
+        slots = newest % CAPACITY
+        there = (self._drives[slots] == self._drives[leader]) & (self._signs[slots] == self._signs[leader])
+        there &= np.abs(self._now_m()[slots] - along_m) <= self._settings.slack_m
+        there |= (self._agree[leader, slots] > 0) & (self._drives[slots] != self._drives[leader])
+        return float(there.mean())
 
     def _moved_share(self, span_m: float) -> float:
         """How far the place is from one that stays: over twice the slack, even that would agree with itself."""

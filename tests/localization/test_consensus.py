@@ -178,3 +178,12 @@ def test_two_drives_over_one_road_speak_for_one_place() -> None:
     assert not _last(_drive(PlaceConsensus(SETTINGS), votes)).is_believed
     elsewhere = [vote and replace(vote, along_m=vote.along_m + 200.0 * vote.drive) for vote in votes]
     assert not _last(_drive(PlaceConsensus(SETTINGS, positions_m), elsewhere)).is_believed
+
+
+def test_a_vehicle_that_turned_off_the_road_is_soon_not_believed_to_be_on_it() -> None:
+    """The old votes agree for 240 m, and those of an unknown road weigh little against them."""
+    consensus = PlaceConsensus(SETTINGS)
+    assert _last(_drive(consensus, _right(100.0, 120))).is_believed
+    after = _drive(consensus, _scattered(120), from_m=240.0)
+    believed = [frame for frame, belief in enumerate(after) if belief and belief.is_believed]
+    assert len(believed) <= 20

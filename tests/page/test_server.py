@@ -59,7 +59,7 @@ def snapshot(number: int) -> Snapshot:
         events=1,
         fps=4.0,
         category="street",
-        confidence_min=0.6,
+        confidence_min=0.5,
         stages_ms={"network": 9.5},
         journal_lost=0,
         camera=CameraHealth("running", "", 0, delivered=10, overwritten=2, bad=1),
