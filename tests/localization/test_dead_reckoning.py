@@ -107,3 +107,11 @@ def test_a_silence_begins_a_new_leg() -> None:
 def test_damage_and_what_is_older_are_ignored() -> None:
     motion = driven((10, 1, 0), (11, math.nan, 0), (11, 9999, 0), (10, 5, 0), (12, 1, 0))
     assert moved(motion, 12) == pytest.approx((2, 0))
+
+
+def test_a_silence_in_which_the_vehicle_may_have_moved_is_counted() -> None:
+    motion = DeadReckoning()
+    for second in (0, 1, 2, 10, 11, 40):
+        motion.add_speed(second * 10**9, 5.0, source=0)
+    assert motion.gaps == 2
+    assert motion.distance_m(40 * 10**9) == pytest.approx(15.0)  # of the three seconds that are known
