@@ -7,7 +7,7 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 SIDE_BY_SIDE := -n auto --dist worksteal --durations=10
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
-.PHONY: demo test test-core soak check lint smoke bench bench-quick clean
+.PHONY: demo test test-core soak check lint smoke bench bench-quick dist clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -41,6 +41,12 @@ bench: $(VENV)/.dev
 
 bench-quick: $(VENV)/.dev
 	$(BIN)/python -m sim.bench --quick
+
+# What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
+dist: $(VENV)/.dev
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
 
 clean:
 	rm -rf $(VENV) .venv-3.* demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -36,7 +36,7 @@ mv "$stage/etc/sysusers.d" "$stage/etc/tmpfiles.d" "$stage/usr/lib/"
 mv "$stage/etc/udev/rules.d" "$stage/usr/lib/udev/"
 rmdir "$stage/etc/systemd" "$stage/etc/udev"
 
-version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback"))')
+version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
 minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
 mkdir "$stage/DEBIAN"
 echo /etc/lookback/lookback.toml >"$stage/DEBIAN/conffiles"

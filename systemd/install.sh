@@ -79,7 +79,7 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
     if [ -n "$wheel" ]; then
         spec=$(CDPATH='' cd -- "$(dirname -- "$wheel")" && pwd)/$(basename -- "$wheel")
     elif [ -n "$pypi" ]; then
-        spec=lookback
+        spec=lookback-nav
     else
         [ -f "$here/../pyproject.toml" ] || die "no checkout around this script: use --wheel or --pypi"
         mkdir "$work/source"

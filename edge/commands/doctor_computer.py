@@ -19,6 +19,7 @@ from edge.camera.frozen_picture import BLANK_DEVIATION
 from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
+from edge.extras import install_command
 
 LEAST_FREE_MB = 500
 BUILT_UNIX_S = 1_763_000_000  # November 2025: an earlier clock was never set
@@ -44,7 +45,7 @@ def check_cameras(dev: Path, config: CameraConfig | None) -> Iterator[Diagnostic
     if oaks:
         yield good("camera", f"{len(oaks)} OAK device(s) on USB")
         if importlib.util.find_spec("depthai") is None:
-            yield note("camera", "DepthAI is not installed", "pip install 'lookback[oak]'")
+            yield note("camera", "DepthAI is not installed", install_command("oak"))
     if not nodes and not oaks:
         none = "no V4L2 device and no OAK was found"
         if config is not None and config.kind not in ("v4l2", "oak"):
@@ -92,7 +93,7 @@ def check_page(config: Config) -> Iterator[Diagnostic]:
     if config.page.port == 0:
         yield note("page", "the live page is off ([page] port = 0)")
     elif importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
-        yield note("page", "no live page: its packages are not installed", "pip install 'lookback[page]'")
+        yield note("page", "no live page: its packages are not installed", install_command("page"))
     else:
         yield good("page", f"http://{config.page.bind}:{config.page.port} while `lookback run` runs")
 

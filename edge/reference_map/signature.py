@@ -15,6 +15,7 @@ import msgspec
 
 from edge.atomic_file import replacing
 from edge.errors import ConfigError, MapError
+from edge.extras import install_command
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
@@ -97,7 +98,7 @@ def _ed25519() -> ModuleType:
     try:
         from cryptography.hazmat.primitives.asymmetric import ed25519
     except ImportError:
-        raise ConfigError("signed maps need the package cryptography: pip install 'lookback[signing]'") from None
+        raise ConfigError(f"signed maps need the package cryptography: {install_command('signing')}") from None
     return ed25519
 
 

@@ -57,7 +57,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if "No matching distribution found for setuptools" in built.stderr:
         pytest.skip("needs a package index, for setuptools")
     assert built.returncode == 0, built.stderr
-    return next(folder.glob("lookback-*.whl"))
+    return next(folder.glob("lookback_nav-*.whl"))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_the_environment_is_at_home_in_opt(root: Path) -> None:
     assert (venv / "bin/lookback").read_text().splitlines()[0] == "#!/opt/lookback/bin/python"
     for file in [venv / "pyvenv.cfg", *(path for path in (venv / "bin").iterdir() if not path.is_symlink())]:
         assert str(root) not in file.read_text(), file
-    command = [str(venv / "bin/python"), "-c", "from importlib.metadata import version; print(version('lookback'))"]
+    command = [str(venv / "bin/python"), "-c", "from importlib.metadata import version; print(version('lookback-nav'))"]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == edge.__version__
     assert list((venv / "lib").rglob("edge/__pycache__/daemon.*.pyc"))
@@ -127,7 +127,7 @@ def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> 
 
 def test_a_failed_update_leaves_the_old_version(root: Path, tmp_path: Path) -> None:
     before = files_under(root)
-    broken = tmp_path / f"lookback-{edge.__version__}-py3-none-any.whl"
+    broken = tmp_path / f"lookback_nav-{edge.__version__}-py3-none-any.whl"
     broken.write_bytes(b"not a wheel")
     result = run(INSTALL, "--root", root, "--wheel", broken, "--python", sys.executable)
     assert result.returncode != 0
