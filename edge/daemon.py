@@ -293,7 +293,7 @@ class Daemon:
 
     def _feed_watchdog(self) -> None:
         """This thread moves all but the camera: had it hung anywhere, it would not come here."""
-        self._supervision.publish(self._autopilot.state != "closed", self.monitor.hangs, self._clock_ns())
+        self._supervision.publish(self.monitor.hangs, self._clock_ns())
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
