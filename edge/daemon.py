@@ -86,7 +86,8 @@ class Daemon:
         self._newest: PlaceMatch | None = None  # that was accepted
         self._record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
-            self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
+            journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
+            self._journal = parts.enter_context(closing(journal))
             self._record = self._journal.write
         link = AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates)
         self._autopilot = parts.enter_context(closing(link))

@@ -54,10 +54,11 @@ def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:
 
     header: of the map at `path`, as it was read.
     """
+    where = "[map] require_signature_by"
+    ed25519 = _ed25519()
     from cryptography.exceptions import InvalidSignature
 
-    where = "[map] require_signature_by"
-    key = _ed25519().Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
+    key = ed25519.Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
     file = path / SIGNATURE
     try:
         if file.exists() and plain_size(file) > 4 * SIGNATURE_BYTES:
