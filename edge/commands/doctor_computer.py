@@ -6,6 +6,7 @@ import grp
 import importlib.util
 import os
 import platform
+import pwd
 import shutil
 import time
 from collections.abc import Iterator
@@ -73,7 +74,15 @@ def _permissions(what: str, device: Path) -> Diagnostic:
         group = grp.getgrgid(device.stat().st_gid).gr_name
     except (OSError, KeyError):
         group = "its group"
-    return bad(what, f"{device}: no permission", f"sudo usermod -aG {group} $USER, then log in again")
+    remedy = f"sudo usermod -aG {group} {_user()}, then log in again, or restart the service"
+    return bad(what, f"{device}: no permission", remedy)
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
 
 
 def check_clock() -> Iterator[Diagnostic]:
@@ -135,7 +144,7 @@ def check_disk(config: Config) -> Iterator[Diagnostic]:
     folder = next(one for one in Path(config.telemetry.journal).absolute().parents if one.exists())
     free_mb = shutil.disk_usage(folder).free / 1e6
     if not os.access(folder, os.W_OK):
-        remedy = f"sudo chown $USER {folder}, or set [telemetry] journal to another folder"
+        remedy = f"sudo chown {_user()} {folder}, or set [telemetry] journal to another folder"
         yield bad("disk", f"{folder}: the journal cannot be written here", remedy)
     elif free_mb < LEAST_FREE_MB:
         yield bad("disk", f"{folder}: {free_mb:.0f} MB left", "delete old feeds and journals")
