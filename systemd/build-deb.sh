@@ -45,7 +45,7 @@ rm -r "${stage:?}/etc" "$stage/usr/local"
 cp "$here/deb/copyright" "$doc/"
 cp "$here/deb/lintian-overrides" "$stage/usr/share/lintian/overrides/lookback"
 gzip -9nc "$here/deb/lookback.1" >"$stage/usr/share/man/man1/lookback.1.gz"
-find "$stage/opt" -name '*.pyc' -prune -o -type f ! -path '*/bin/*' -perm /111 ! -name '*.so*' -exec chmod a-x {} +
+find "$stage/opt/lookback/lib" -type f -perm /111 -exec chmod a-x {} +
 
 version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
 minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
@@ -61,8 +61,7 @@ Version: $version
 Architecture: $(dpkg --print-architecture)
 Maintainer: $maintainer
 Installed-Size: $(du -sk "$stage" | cut -f1)
-Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libc6, libgcc-s1, libstdc++6, systemd, udev,
- init-system-helpers
+Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libc6, libgcc-s1, libstdc++6, systemd, udev
 Section: science
 Priority: optional
 Description: place recognition that gives an autopilot position fixes
