@@ -257,6 +257,10 @@ Lookback is installed in $root$prefix${extras:+ with the extras $extras}, and st
 TEXT
 }
 
+remove_user() { # nothing is left that belongs to it
+    if getent passwd lookback >/dev/null; then userdel lookback; fi
+}
+
 uninstall_all() {
     lock
     if [ -e "$root/etc/systemd/system/lookback.service" ]; then
@@ -273,6 +277,7 @@ uninstall_all() {
     live reload_udev
     if [ "$purge" = yes ]; then
         rm -rf "$root/etc/lookback" "$root/var/lib/lookback"
+        live remove_user
         echo "Lookback is removed, with its config, maps and journal."
     else
         echo "Lookback is removed; $root/etc/lookback and $root/var/lib/lookback are kept (--purge removes them)."
