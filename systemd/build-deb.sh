@@ -41,7 +41,7 @@ mkdir -p "$doc/examples" "$stage/usr/share/man/man1" "$stage/usr/share/lintian/o
 # Not a conffile: dpkg would ask about an edited one at an upgrade, and nobody is there to answer.
 mv "$stage/etc/lookback/lookback.toml" "$doc/examples/"
 chmod 0644 "$doc/examples/lookback.toml"
-rm -r "${stage:?}/etc" "$stage/usr/local"
+rm -r "${stage:?}/etc" "${stage:?}/usr/local"
 cp "$here/deb/copyright" "$doc/"
 cp "$here/deb/lintian-overrides" "$stage/usr/share/lintian/overrides/lookback"
 gzip -9nc "$here/deb/lookback.1" >"$stage/usr/share/man/man1/lookback.1.gz"
