@@ -62,6 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LookbackError as error:
         print(f"lookback: {error}", file=sys.stderr)
         return EXIT_SETUP if isinstance(error, SetupError) else 1
+    except PermissionError as error:  # of a path on the command line
+        print(f"lookback: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_SETUP
     except BrokenPipeError:
         # The reader of our output went away (`| head`); the interpreter must not try to flush to it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -22,6 +22,8 @@ def earlier_files(path: Path) -> list[Path]:
 
 def rotate(path: Path) -> None:
     """Make PATH free: it becomes PATH.1, PATH.1 becomes PATH.2, and so on. Beyond FILES the oldest are deleted."""
+    if not path.exists():  # the last time, the next file could not be begun
+        return
     existing = set(earlier_files(path))
     number = 1
     while path.with_name(f"{path.name}.{number}") in existing:

@@ -56,17 +56,17 @@ def all_keys() -> list[str]:
     return keys
 
 
-def refused(config: Path, without: str = "") -> str:
+def refused(config: Path, without: str = "", command: tuple[str, ...] = ("run",)) -> str:
     """Run the daemon as the service's user would, perhaps without a package; its one line."""
     if os.geteuid() == 0 and shutil.which("setpriv") is None:
         pytest.skip("root needs setpriv (util-linux) to run without capabilities")
     wrapper = WITHOUT_RIGHTS if os.geteuid() == 0 else []
     code = f"import sys; sys.modules[{without!r}] = None; from edge.__main__ import main; sys.exit(main())"
-    command = [*wrapper, sys.executable, "-c", code, "run", str(config)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    line = [*wrapper, sys.executable, "-c", code, *command, str(config)]
+    result = subprocess.run(line, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert result.returncode == EXIT_SETUP, result.stderr
-    (line,) = result.stderr.splitlines()
-    return line
+    (said,) = result.stderr.splitlines()
+    return said
 
 
 @pytest.fixture
@@ -104,6 +104,11 @@ def test_a_file_that_others_own(key: str, tmp_path: Path, write_config: Callable
     assert f"{key}: {tmp_path / 'file'}: this user may not read it" in refused(
         write_config(**setting(key, tmp_path / "file"))
     )
+
+
+def test_a_closed_path_on_the_command_line(closed: Path, tmp_path: Path) -> None:
+    line = refused(closed / "inside", command=("map", "build", "-o", str(tmp_path / "map")))
+    assert line == f"lookback: {closed / 'inside'}: Permission denied"
 
 
 def test_a_home_folder_is_what_the_service_does_not_see(write_config: Callable[..., Path]) -> None:

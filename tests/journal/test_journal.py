@@ -32,6 +32,7 @@ from edge.journal.records import (
     Stopped,
     UnknownRecord,
 )
+from edge.journal.rotation import earlier_files, rotate
 
 
 @pytest.fixture
@@ -255,6 +256,17 @@ def test_a_journal_that_is_renamed_while_it_is_read(path: Path) -> None:
     assert isinstance(first.record, JournalOpened)
     states = [line.record.state for line in lines if isinstance(line.record, StateChanged)]
     assert states[:30] == [str(number) for number in range(30)]
+
+
+def test_a_disk_that_is_full_at_the_next_file_loses_nothing(path: Path) -> None:
+    journal = Journal(path, max_bytes=10_000)
+    while not earlier_files(path):
+        journal.write(StateChanged("one"))
+    path.unlink()  # as if it could not be created: the lines go on into the renamed file
+    before = earlier_files(path)
+    rotate(path)
+    assert earlier_files(path) == before
+    journal.close()
 
 
 def test_a_pipe_is_not_renamed(tmp_path: Path) -> None:
