@@ -7,7 +7,6 @@ structs. Paths are relative to the folder of the config file that names them.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,12 +16,11 @@ import msgspec
 from msgspec import Meta, Struct
 
 from edge.errors import ConfigError
+from edge.path_access import check_access
 from edge.toml_file import parse_toml, read_toml
 
 MOST_CROPPED = 0.9
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
-HOME_FOLDERS = ("/home", "/root", "/run/user")
-"""What ProtectHome=yes in the service's unit closes."""
 
 ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
 Positive = Annotated[float, Meta(gt=0)]
@@ -241,7 +239,7 @@ def load_config(path: Path) -> Config:
     """Read and check a config file; ConfigError names the file and the key, in one line."""
     config = _checked(read_toml(path, Config), path)
     with naming(path):
-        return change_paths(config, _check_path)
+        return change_paths(config, check_access)
 
 
 def parse_config(text: str, path: Path) -> Config:
@@ -305,25 +303,3 @@ def change_paths(config: Config, change: Callable[[str, str], str]) -> Config:
         telemetry=msgspec.structs.replace(telemetry, links=links),
         recording=changed(config.recording, "recording", "folder"),
     )
-
-
-def _check_path(where: str, path: str) -> str:
-    """The path. ConfigError if this user may not enter a folder on the way to it, where nothing can be seen at all.
-
-    Nor may it lead to what is neither file nor folder: a named pipe would be read without end.
-    """
-    real = Path(os.path.realpath(path))  # Path.resolve raises at a loop of links
-    for folder in (*reversed(real.parents), real):
-        if os.path.isdir(folder) and not os.access(folder, os.X_OK):  # noqa: PTH112  # Path.is_dir raises
-            raise ConfigError(f"{where}: {path}: this user may not enter {folder}; {_what_to_do(folder)}")
-    if real.exists() and not os.access(real, os.R_OK):
-        raise ConfigError(f"{where}: {path}: this user may not read it; {_what_to_do(real)}")
-    if real.exists() and not (real.is_file() or real.is_dir() or where == "[telemetry] journal"):
-        raise ConfigError(f"{where}: {path}: neither a file nor a folder")
-    return path
-
-
-def _what_to_do(closed: Path) -> str:
-    if str(closed) not in HOME_FOLDERS:
-        return "change its owner or its mode"
-    return "the service sees no home folders (ProtectHome=): put data in /var/lib/lookback and keys in /etc/lookback"

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edge.commands.diagnostic import Diagnostic, bad, note
-from edge.config import HOME_FOLDERS, Config, change_paths
+from edge.config import Config, change_paths
+from edge.path_access import HOME_FOLDERS
 
 SHOW = ("systemctl", "show", "lookback.service", "--property=User,SupplementaryGroups,ExecStart")
 
