@@ -236,6 +236,7 @@ try_package() {
     [ "$(property MainPID)" != "$before" ] && is_active || fail "the upgrade did not restart the service"
     [ "$(inside systemctl is-enabled lookback || true)" = disabled ] || fail "the upgrade enabled the service"
     step "package: upgraded without a question; config and disabled service as they were"
+    inside systemctl enable --quiet lookback-camera.socket
     inside dpkg --purge lookback >"$work/deb.txt" 2>&1 || fail "purge: $(tail -n 5 "$work/deb.txt")"
     left=$(what_is_left)
     [ -z "$left" ] || fail "left after purge: $left"

@@ -244,6 +244,7 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None
     for file in (
         "opt/lookback/bin/lookback",
         "usr/lib/systemd/system/lookback.service",
+        "usr/lib/systemd/system/lookback-camera.socket",
         "usr/lib/systemd/system/lookback.service.d/backoff.conf",
         "usr/lib/sysusers.d/lookback.conf",
         "usr/lib/tmpfiles.d/lookback.conf",
