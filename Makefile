@@ -7,7 +7,7 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 SIDE_BY_SIDE := -n auto --dist worksteal --durations=10
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
-.PHONY: demo test test-core soak check lint smoke bench bench-quick clean
+.PHONY: demo test test-core test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -18,6 +18,20 @@ test: $(VENV)/.dev
 # The tests of edge/ alone, for a Python beside the one of .venv.
 test-core:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(NOT_CORE:%=--ignore tests/%)
+
+# The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
+LOWEST_PYTHON ?= python3.10
+test-lowest: DEPENDENCIES := --constraint constraints/lowest.txt
+test-lowest: PYTHON := $(LOWEST_PYTHON)
+test-newest: DEPENDENCIES := --upgrade
+test-lowest test-newest: test-%:
+	$(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --only-binary :all: $(DEPENDENCIES) --editable '.[test]'
+	$(MAKE) test-core PYTHON_OF_TESTS=.venv-$*/bin/python
+
+# Boots a real Debian in a container and tries the service in it: needs root, mmdebstrap and systemd-container.
+test-boot: $(VENV)/.dev
+	tests/systemd/boot.sh
 
 # From a new seed each time, which is printed; LOOKBACK_SEED=... repeats a run.
 soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
@@ -42,8 +56,14 @@ bench: $(VENV)/.dev
 bench-quick: $(VENV)/.dev
 	$(BIN)/python -m sim.bench --quick
 
+# What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
+dist: $(VENV)/.dev
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
+
 clean:
-	rm -rf $(VENV) .venv-3.* demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-* demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -25,6 +25,8 @@ The files beside them:
     toml_file       a TOML file as a typed record
     atomic_file     a file that is replaced as a whole
     backoff         delays that double while attempts fail
+    path_access     whether the paths of a config can be reached
+    extras          how to add the packages that only some users need
 
 The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.
 """

@@ -16,6 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 import edge
 from edge.commands import completion, doctor, map_build, record, replay, run
 from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
+from edge.extras import install_command
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -26,7 +27,8 @@ def build_parser() -> argparse.ArgumentParser:
     for module in (run, record, map_build, replay, doctor):
         module.add_command(commands)
     completion.add_command(commands, parser)
-    for point in sorted(entry_points(group="lookback.commands"), key=lambda point: point.name):
+    # By name: an installation from before the distribution was renamed may still be beside this one.
+    for _, point in sorted({point.name: point for point in entry_points(group="lookback.commands")}.items()):
         _add_plug_in(point, commands)
     return parser
 
@@ -39,7 +41,7 @@ def _add_plug_in(point: EntryPoint, commands: argparse._SubParsersAction[argpars
         missing = error.name
 
         def refuse(args: argparse.Namespace) -> int:
-            raise ConfigError(f"{point.name}: needs the package {missing}: pip install 'lookback[sim]'")
+            raise ConfigError(f"{point.name}: needs the package {missing}: {install_command('sim')}")
 
         # No option is known here, so a dash means nothing: all words are the missing command's.
         parser = commands.add_parser(
@@ -60,6 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LookbackError as error:
         print(f"lookback: {error}", file=sys.stderr)
         return EXIT_SETUP if isinstance(error, SetupError) else 1
+    except PermissionError as error:  # of a path on the command line
+        print(f"lookback: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_SETUP
     except BrokenPipeError:
         # The reader of our output went away (`| head`); the interpreter must not try to flush to it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from edge.errors import ConfigError
+from edge.path_access import check_access
 from edge.toml_file import parse_toml, read_toml
 
 MOST_CROPPED = 0.9
@@ -193,6 +194,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     signing_clock: str = "/var/lib/lookback/signing"
     links: tuple[LinkConfig, ...] = ()
     journal: str = "/var/lib/lookback/events.jsonl"
+    journal_max_mb: Annotated[float, Meta(ge=1)] = 500.0
     journal_frames: bool = False
 
     def __post_init__(self) -> None:
@@ -235,7 +237,9 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
 def load_config(path: Path) -> Config:
     """Read and check a config file; ConfigError names the file and the key, in one line."""
-    return _checked(read_toml(path, Config), path)
+    config = _checked(read_toml(path, Config), path)
+    with naming(path):
+        return change_paths(config, check_access)
 
 
 def parse_config(text: str, path: Path) -> Config:
@@ -247,7 +251,7 @@ def _checked(config: Config, path: Path) -> Config:
     """The config with its paths resolved. ConfigError for a path that no file can have."""
     for where, why in _unusable_paths(config):
         raise ConfigError(f"{path}: {where}: {why}")
-    return _resolve_paths(config, path.parent)
+    return change_paths(config, lambda _, value: str(path.parent / value))
 
 
 @contextlib.contextmanager
@@ -281,39 +285,21 @@ def checked_option(config: ConfigStruct, option: str, **changes: object) -> Conf
         raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
 
 
-def _resolve_paths(config: Config, folder: Path) -> Config:
-    """Make the file paths in the config relative to the folder it lies in."""
+def change_paths(config: Config, change: Callable[[str, str], str]) -> Config:
+    """The config with each path of a file or folder changed. change: from the key, as in errors, and the path."""
 
-    def resolve(value: str) -> str:
-        return str(folder / value) if value else value
+    def changed(section: ConfigStruct, name: str, *keys: str) -> ConfigStruct:
+        paths = {key: getattr(section, key) for key in keys}
+        is_path = {key: path for key, path in paths.items() if path and not path.startswith("credential:")}
+        return msgspec.structs.replace(section, **{key: change(f"[{name}] {key}", is_path[key]) for key in is_path})
 
-    camera = config.camera
-    if camera.kind in ("feed", "sim"):
-        camera = msgspec.structs.replace(camera, device=resolve(camera.device))
-    camera = msgspec.structs.replace(camera, mask=resolve(camera.mask))
+    telemetry = changed(config.telemetry, "telemetry", "journal", "signing_key", "signing_clock")
+    links = tuple(changed(link, "telemetry.links", "signing_key") for link in telemetry.links)
     return msgspec.structs.replace(
         config,
-        camera=camera,
-        descriptor=msgspec.structs.replace(config.descriptor, model=resolve(config.descriptor.model)),
-        map=msgspec.structs.replace(
-            config.map,
-            path=resolve(config.map.path),
-            require_signature_by=resolve(config.map.require_signature_by),
-        ),
-        telemetry=_resolve_telemetry(config.telemetry, resolve),
-        recording=msgspec.structs.replace(config.recording, folder=resolve(config.recording.folder)),
-    )
-
-
-def _resolve_telemetry(telemetry: TelemetryConfig, resolve: Callable[[str], str]) -> TelemetryConfig:
-    def resolve_key(name: str) -> str:
-        return name if name.startswith("credential:") else resolve(name)
-
-    links = tuple(msgspec.structs.replace(link, signing_key=resolve_key(link.signing_key)) for link in telemetry.links)
-    return msgspec.structs.replace(
-        telemetry,
-        journal=resolve(telemetry.journal),
-        signing_key=resolve_key(telemetry.signing_key),
-        signing_clock=resolve(telemetry.signing_clock),
-        links=links,
+        camera=changed(config.camera, "camera", "mask", *(["device"] if config.camera.kind in ("feed", "sim") else [])),
+        descriptor=changed(config.descriptor, "descriptor", "model"),
+        map=changed(config.map, "map", "path", "require_signature_by"),
+        telemetry=msgspec.structs.replace(telemetry, links=links),
+        recording=changed(config.recording, "recording", "folder"),
     )

@@ -86,7 +86,8 @@ class Daemon:
         self._newest: PlaceMatch | None = None  # that was accepted
         self._record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
-            self._journal = parts.enter_context(closing(Journal(Path(config.telemetry.journal))))
+            journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
+            self._journal = parts.enter_context(closing(journal))
             self._record = self._journal.write
         link = AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates)
         self._autopilot = parts.enter_context(closing(link))
@@ -293,7 +294,7 @@ class Daemon:
 
     def _feed_watchdog(self) -> None:
         """This thread moves all but the camera: had it hung anywhere, it would not come here."""
-        self._supervision.publish(self._autopilot.state != "closed", self.monitor.hangs, self._clock_ns())
+        self._supervision.publish(self.monitor.hangs, self._clock_ns())
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Build lookback_VERSION_ARCH.deb, which contains the virtual environment, so that it installs without a network.
 # Usage: build-deb.sh [-o DIR] [options of install.sh: --wheel, --pypi, --extras, --python]
+# MAINTAINER='Name <address>' sets who answers for the package.
 #
 # Build it on the release and architecture that it will run on, or in a container of it: a virtual environment
 # works with one minor version of Python, and the package depends on that version.
@@ -30,65 +31,45 @@ stage=$work/stage
 "$here/install.sh" --root "$stage" "$@" >/dev/null
 
 # A package installs its units and rules under /usr/lib; /etc is for the admin.
-mkdir -p "$stage/usr/lib/systemd" "$stage/usr/lib/udev"
+mkdir -p "$stage/usr/lib/systemd" "$stage/usr/lib/udev" "$stage/usr/bin"
 mv "$stage/etc/systemd/system" "$stage/usr/lib/systemd/system"
 mv "$stage/etc/sysusers.d" "$stage/etc/tmpfiles.d" "$stage/usr/lib/"
 mv "$stage/etc/udev/rules.d" "$stage/usr/lib/udev/"
-rmdir "$stage/etc/systemd" "$stage/etc/udev"
+mv "$stage/usr/local/bin/lookback" "$stage/usr/bin/"
+doc=$stage/usr/share/doc/lookback
+mkdir -p "$doc/examples" "$stage/usr/share/man/man1" "$stage/usr/share/lintian/overrides"
+# Not a conffile: dpkg would ask about an edited one at an upgrade, and nobody is there to answer.
+mv "$stage/etc/lookback/lookback.toml" "$doc/examples/"
+chmod 0644 "$doc/examples/lookback.toml"
+rm -r "${stage:?}/etc" "${stage:?}/usr/local"
+cp "$here/deb/copyright" "$doc/"
+cp "$here/deb/lintian-overrides" "$stage/usr/share/lintian/overrides/lookback"
+gzip -9nc "$here/deb/lookback.1" >"$stage/usr/share/man/man1/lookback.1.gz"
+find "$stage/opt/lookback/lib" -type f -perm /111 -exec chmod a-x {} +
 
-version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback"))')
+version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
 minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
+maintainer=${MAINTAINER:-The Lookback authors <lookback@lists.invalid>}
+printf 'lookback (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' \
+    "$version" "$maintainer" "$(date -R -d "@${SOURCE_DATE_EPOCH:-$(date +%s)}")" | gzip -9n >"$doc/changelog.gz"
 mkdir "$stage/DEBIAN"
-echo /etc/lookback/lookback.toml >"$stage/DEBIAN/conffiles"
+cp "$here/deb/preinst" "$here/deb/postinst" "$here/deb/prerm" "$here/deb/postrm" "$stage/DEBIAN/"
+chmod 0755 "$stage/DEBIAN/"*
 cat >"$stage/DEBIAN/control" <<TEXT
 Package: lookback
 Version: $version
 Architecture: $(dpkg --print-architecture)
-Maintainer: The Lookback authors <lookback@localhost>
+Maintainer: $maintainer
 Installed-Size: $(du -sk "$stage" | cut -f1)
-Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libstdc++6, systemd, udev
+Depends: python3 (>= 3.$minor), python3 (<< 3.$((minor + 1))), libc6, libgcc-s1, libstdc++6, systemd, udev
 Section: science
 Priority: optional
 Description: place recognition that gives an autopilot position fixes
  Recognizes places along a route with one camera, also in the opposite
  direction or in other light, and sends position fixes over MAVLink.
 TEXT
-
-cat >"$stage/DEBIAN/postinst" <<'TEXT'
-#!/bin/sh
-set -e
-[ "$1" = configure ] || exit 0
-systemd-sysusers lookback.conf
-systemd-tmpfiles --create lookback.conf
-if [ -S /run/udev/control ]; then
-    udevadm control --reload
-    udevadm trigger --subsystem-match=usb --subsystem-match=tty
-fi
-# Only at the first installation: an admin may have disabled it later.
-[ -n "$2" ] || systemctl enable --quiet lookback.service
-if [ -d /run/systemd/system ]; then
-    systemctl daemon-reload
-    systemctl --no-block try-restart lookback.service  # it becomes ready only once its port exists
-fi
-TEXT
-cat >"$stage/DEBIAN/prerm" <<'TEXT'
-#!/bin/sh
-set -e
-[ "$1" = remove ] || exit 0
-[ ! -d /run/systemd/system ] || systemctl stop lookback.service
-systemctl disable --quiet lookback.service
-TEXT
-cat >"$stage/DEBIAN/postrm" <<'TEXT'
-#!/bin/sh
-set -e
-case $1 in
-    # Python may have compiled modules there that dpkg does not list.
-    remove | purge) rm -rf /opt/lookback ;;
-esac
-if [ "$1" = purge ]; then rm -rf /etc/lookback /var/lib/lookback; fi
-[ ! -d /run/systemd/system ] || systemctl daemon-reload
-TEXT
-chmod 0755 "$stage/DEBIAN/postinst" "$stage/DEBIAN/prerm" "$stage/DEBIAN/postrm"
+(cd "$stage" && find . -path ./DEBIAN -prune -o -type f -printf '%P\0' | sort -z | xargs -0 md5sum >DEBIAN/md5sums)
+chmod 0644 "$stage/DEBIAN/md5sums" "$stage/DEBIAN/control"
 
 mkdir -p "$output"
 # gzip: weights and compiled libraries gain little from xz, which takes minutes on a small computer.

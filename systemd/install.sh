@@ -6,6 +6,7 @@ umask 022 # the service's user must be able to read what root installs
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 prefix=/opt/lookback
+link=/usr/local/bin/lookback
 root=
 wheel=
 pypi=
@@ -16,15 +17,17 @@ purge=no
 
 usage() {
     cat <<TEXT
-Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras oak] [--python PYTHON] [--root DIR]
+Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras NAMES] [--python PYTHON] [--root DIR]
        install.sh --uninstall [--purge] [--root DIR]
 
-Installs or updates Lookback in $prefix with its service, user, udev rules and directories. Run it as root.
-An existing config is kept. A failed update leaves the old version in place.
+Installs or updates Lookback in $prefix with its service, user, udev rules and directories, and $link.
+Run it as root. An existing config is kept, and so are extras that were installed before. A failed update leaves the old
+version in place. A service that was disabled stays disabled.
 
   --wheel FILE      install this wheel (default: the checkout that contains this script)
   --pypi VERSION    install this version from PyPI
-  --extras NAMES    install these extras of the package, for example oak,stream
+  --extras NAMES    install these extras of the package as well, for example oak,stream; the first installation
+                    includes the extra page; "none" installs no extra, and no earlier one again
   --python PYTHON   the Python to use (default /usr/bin/python3)
   --root DIR        install below DIR and change nothing else: for packages and tests
   --uninstall       remove it; the config, maps and journal stay
@@ -59,6 +62,8 @@ done
 [ -z "$wheel" ] || [ -z "$pypi" ] || die "--wheel and --pypi exclude each other"
 [ -z "$wheel" ] || [ -f "$wheel" ] || die "$wheel: no such file"
 [ -n "$root" ] || [ "$(id -u)" = 0 ] || die "run it as root: sudo $0"
+[ -n "$root" ] || [ "$(dpkg-query -Wf '${db:Status-Status}' lookback 2>/dev/null)" != installed ] \
+    || die "the Debian package lookback is installed: update or remove it with apt"
 
 # With --root, files are installed and no service of this system is changed.
 live() {
@@ -79,7 +84,7 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
     if [ -n "$wheel" ]; then
         spec=$(CDPATH='' cd -- "$(dirname -- "$wheel")" && pwd)/$(basename -- "$wheel")
     elif [ -n "$pypi" ]; then
-        spec=lookback
+        spec=lookback-nav
     else
         [ -f "$here/../pyproject.toml" ] || die "no checkout around this script: use --wheel or --pypi"
         mkdir "$work/source"
@@ -93,14 +98,67 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
     echo "$spec"
 }
 
+installed_extras() { # prints those of the installed version whose packages are all there, with commas
+    "$root$prefix/bin/python" - <<'PYTHON'
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+
+from pip._vendor.packaging.requirements import Requirement
+
+
+def find(name: str) -> "Distribution | None":
+    try:
+        return distribution(name)
+    except PackageNotFoundError:
+        return None
+
+
+def has(lookback: Distribution, extra: str) -> bool:
+    for line in lookback.requires or ():
+        needed = Requirement(line)
+        if not needed.marker or needed.marker.evaluate({"extra": ""}) or not needed.marker.evaluate({"extra": extra}):
+            continue
+        found = find(needed.name)
+        if found is None or not needed.specifier.contains(found.version, prereleases=True):
+            return False
+        if needed.name == lookback.metadata["Name"] and not all(has(lookback, one) for one in needed.extras):
+            return False
+    return True
+
+
+lookback = find("lookback-nav") or find("lookback")  # its name before it was on PyPI
+extras = lookback.metadata.get_all("Provides-Extra") or []
+print(",".join(one for one in extras if has(lookback, one)))
+PYTHON
+}
+
+choose_extras() {
+    case $extras in
+        none) extras= ;;
+        *)
+            kept=page
+            [ ! -x "$root$prefix/bin/python" ] || kept=$(installed_extras) \
+                || die "cannot find out which extras are installed; name them with --extras"
+            extras=$kept${kept:+${extras:+,}}$extras
+            ;;
+    esac
+}
+
+check_python() {
+    command -v "$python" >/dev/null || die "$python: no such program; install it: apt install python3 python3-venv"
+    version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])') || die "$python does not run as Python"
+    case $version in
+        3.10 | 3.11 | 3.12 | 3.13) ;;
+        *) die "$python is Python $version, and Lookback needs 3.10 to 3.13; name one with --python" ;;
+    esac
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python$version-venv"
+}
+
 make_venv() { # at $stage, with every path in it as if it were at $prefix
-    "$python" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' \
-        || die "$python is not Python 3.10 to 3.13; name one with --python"
+    check_python
     home=$("$python" -c 'import sys; print(sys.base_prefix)')
     case $home in
         /home/* | /root/*) [ -n "$root" ] || die "$python is in $home, which the service cannot read (ProtectHome)" ;;
     esac
-    "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python3-venv"
     "$python" -m venv "$stage"
     spec=$(what_to_install)
     "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location \
@@ -118,6 +176,21 @@ swap_venv() {
     [ ! -e "$root$prefix" ] || mv "$root$prefix" "$root$prefix.old"
     mv "$stage" "$root$prefix"
     rm -rf "$root$prefix.old"
+}
+
+clean_up_after_a_kill() { # of an earlier run of this script, at any point
+    rm -rf "$root$prefix.new".??????
+    [ -e "$root$prefix" ] || [ ! -e "$root$prefix.old" ] || mv "$root$prefix.old" "$root$prefix"
+    rm -rf "$root$prefix.old"
+}
+
+put_link() {
+    mkdir -p "$root$(dirname "$link")"
+    if [ "$(readlink "$root$link")" = "$prefix/bin/lookback" ] || [ ! -e "$root$link" ]; then
+        ln -sfn "$prefix/bin/lookback" "$root$link"
+    else
+        echo "install.sh: $link belongs to something else, and stays" >&2
+    fi
 }
 
 put_files() {
@@ -145,31 +218,51 @@ reload_udev() {
     fi
 }
 
-install_all() {
+lock() { # until this script ends
     mkdir -p "$root$(dirname "$prefix")"
-    work=$(mktemp -d "$root$prefix.XXXXXX")
+    exec 9<"$root$(dirname "$prefix")"
+    flock -n 9 || die "another install.sh is running"
+}
+
+install_all() {
+    lock
+    clean_up_after_a_kill
+    choose_extras
+    first=yes
+    [ ! -e "$root/etc/systemd/system/lookback.service" ] || first=no
+    work=$(mktemp -d "$root$prefix.new.XXXXXX")
     trap 'rm -rf "$work"' EXIT
     trap 'exit 130' INT TERM
     stage=$work/venv
     make_venv
     swap_venv
     put_files
+    put_link
     live systemd-sysusers lookback.conf
     live systemd-tmpfiles --create lookback.conf
     live reload_udev
     live_systemctl daemon-reload
-    live_systemctl enable --quiet lookback.service
-    live_systemctl --no-block try-restart lookback.service  # it becomes ready only once its port exists
+    [ "$first" = no ] || live_systemctl enable --quiet lookback.service # an admin may have disabled it later
+    live_systemctl try-restart lookback.service || die "the service does not start: journalctl -eu lookback"
+    if [ "$first" = no ]; then
+        echo "Lookback is updated${extras:+, with the extras $extras}."
+        return
+    fi
     cat <<TEXT
-Lookback is installed in $root$prefix and starts at boot. Next:
+Lookback is installed in $root$prefix${extras:+ with the extras $extras}, and starts at boot. Next:
   1. edit  $root/etc/lookback/lookback.toml
-  2. check $prefix/bin/lookback check /etc/lookback/lookback.toml
-  3. build a map of the route at the path in the config (lookback record, lookback map build)
+  2. build a map of the route at the path in the config (lookback record, lookback map build)
+  3. check sudo lookback doctor /etc/lookback/lookback.toml
   4. start systemctl start lookback, and watch it with journalctl -fu lookback
 TEXT
 }
 
+remove_user() { # nothing is left that belongs to it
+    if getent passwd lookback >/dev/null; then userdel lookback; fi
+}
+
 uninstall_all() {
+    lock
     if [ -e "$root/etc/systemd/system/lookback.service" ]; then
         live_systemctl disable --now --quiet lookback.service lookback-camera.socket
     fi
@@ -178,11 +271,13 @@ uninstall_all() {
         "$root/etc/tmpfiles.d/lookback.conf" "$root/etc/udev/rules.d/70-lookback.rules" \
         "$root/etc/systemd/system/lookback.service.d/backoff.conf"
     rmdir "$root/etc/systemd/system/lookback.service.d" 2>/dev/null || true # kept if the admin has drop-ins in it
-    rm -rf "$root$prefix" "$root$prefix.old"
+    rm -rf "$root$prefix" "$root$prefix.old" "$root$prefix.new".??????
+    [ "$(readlink "$root$link")" != "$prefix/bin/lookback" ] || rm "$root$link"
     live_systemctl daemon-reload
     live reload_udev
     if [ "$purge" = yes ]; then
         rm -rf "$root/etc/lookback" "$root/var/lib/lookback"
+        live remove_user
         echo "Lookback is removed, with its config, maps and journal."
     else
         echo "Lookback is removed; $root/etc/lookback and $root/var/lib/lookback are kept (--purge removes them)."

@@ -14,7 +14,17 @@ STAGES = ("feed", "camera", "descriptor", "reference_map", "sequence", "localiza
 
 Feeds come first, since one of the cameras plays a feed.
 """
-SHARED_TOOLS = ("errors", "config", "geodesy", "atomic_file", "backoff", "toml_file", "journal")
+SHARED_TOOLS = (
+    "errors",
+    "config",
+    "geodesy",
+    "atomic_file",
+    "backoff",
+    "toml_file",
+    "extras",
+    "path_access",
+    "journal",
+)
 """Below everything."""
 DEBTS: set[tuple[str, str]] = set()
 """Imports that the rule forbids and that are still there; none may be added, and what is gone must be struck out."""

@@ -1,4 +1,4 @@
-"""A Luxonis OAK camera through DepthAI 3 (`pip install lookback[oak]`).
+"""A Luxonis OAK camera through DepthAI 3 (extra `oak`).
 
 The OAK scales and converts on the device, so that frames arrive as BGR in the requested size.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from edge.camera.settings import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
+from edge.extras import install_command
 from edge.feed import Frame
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def import_depthai() -> ModuleType:
     try:
         return importlib.import_module("depthai")
     except ImportError:
-        raise ConfigError("[camera] kind: oak needs DepthAI: pip install 'lookback[oak]'") from None
+        raise ConfigError(f"[camera] kind: oak needs DepthAI: {install_command('oak')}") from None
 
 
 def device_source(config: CameraConfig) -> OakSource:

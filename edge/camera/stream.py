@@ -19,6 +19,7 @@ from edge.camera.command_output import CommandOutput
 from edge.camera.stream_clock import StreamClock
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
+from edge.extras import install_command
 from edge.feed import Frame
 
 if TYPE_CHECKING:
@@ -226,7 +227,7 @@ def import_av() -> ModuleType:
     try:
         return importlib.import_module("av")
     except ImportError:
-        raise ConfigError("[camera] kind: stream needs PyAV, the extra `stream`; see docs/cameras.md") from None
+        raise ConfigError(f"[camera] kind: stream needs PyAV: {install_command('stream')}") from None
 
 
 def open_source(device: str) -> str | CommandOutput:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from edge.errors import ConfigError
+from edge.extras import install_command
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser], whole: argparse.ArgumentParser) -> None:
@@ -24,7 +25,7 @@ def _run(args: argparse.Namespace) -> int:
     try:
         import shtab
     except ModuleNotFoundError:
-        raise ConfigError("completion needs shtab: pip install 'lookback[desk]'") from None
+        raise ConfigError(f"completion needs shtab: {install_command('desk')}") from None
     _complete_paths(args.whole, shtab.FILE)
     print(shtab.complete(args.whole, args.shell))
     return 0

@@ -25,6 +25,7 @@ from edge.commands.doctor_computer import (
     check_page,
     check_ports,
 )
+from edge.commands.doctor_service import act_as_service, check_home_folders
 from edge.commands.doctor_setup import check_links, check_model_and_map
 from edge.config import DEFAULT_TOML, Config, load_config
 from edge.errors import EXIT_SETUP, LookbackError
@@ -39,7 +40,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         help="check this computer, its devices, the autopilot and a config, and say what to do",
         description="Checks cameras, ports, permissions, model, maps, disk, clock and the autopilot. Exit code 1 if"
         " something keeps `lookback run` from doing all of its work. Stop the service first: only one program at a time"
-        " can use a camera or a port.",
+        " can use a camera or a port. Root checks the service's config with the rights of the service's user.",
     )
     doctor.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the config file of `lookback run`")
     doctor.add_argument("--json", action="store_true", help="print the findings as one JSON list")
@@ -68,6 +69,8 @@ def examine(
 
     dev: where its devices are. offline: only what the config file and the files that it names say.
     """
+    acting = list(act_as_service(path)) if path else []
+    yield from acting
     config, finding = _config(path)
     if not offline:
         yield check_computer()
@@ -79,6 +82,8 @@ def examine(
         yield from check_page(config or Config())
     if config is None:
         return
+    if acting:
+        yield from check_home_folders(config)
     yield from check_model_and_map(config)
     yield from check_links(config.telemetry)
     if not offline:

@@ -6,6 +6,7 @@ import grp
 import importlib.util
 import os
 import platform
+import pwd
 import shutil
 import time
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from edge.camera.frozen_picture import BLANK_DEVIATION
 from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
+from edge.extras import install_command
 
 LEAST_FREE_MB = 500
 BUILT_UNIX_S = 1_763_000_000  # November 2025: an earlier clock was never set
@@ -44,7 +46,7 @@ def check_cameras(dev: Path, config: CameraConfig | None) -> Iterator[Diagnostic
     if oaks:
         yield good("camera", f"{len(oaks)} OAK device(s) on USB")
         if importlib.util.find_spec("depthai") is None:
-            yield note("camera", "DepthAI is not installed", "pip install 'lookback[oak]'")
+            yield note("camera", "DepthAI is not installed", install_command("oak"))
     if not nodes and not oaks:
         none = "no V4L2 device and no OAK was found"
         if config is not None and config.kind not in ("v4l2", "oak"):
@@ -72,7 +74,15 @@ def _permissions(what: str, device: Path) -> Diagnostic:
         group = grp.getgrgid(device.stat().st_gid).gr_name
     except (OSError, KeyError):
         group = "its group"
-    return bad(what, f"{device}: no permission", f"sudo usermod -aG {group} $USER, then log in again")
+    remedy = f"sudo usermod -aG {group} {_user()}, then log in again, or restart the service"
+    return bad(what, f"{device}: no permission", remedy)
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
 
 
 def check_clock() -> Iterator[Diagnostic]:
@@ -92,7 +102,7 @@ def check_page(config: Config) -> Iterator[Diagnostic]:
     if config.page.port == 0:
         yield note("page", "the live page is off ([page] port = 0)")
     elif importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
-        yield note("page", "no live page: its packages are not installed", "pip install 'lookback[page]'")
+        yield note("page", "no live page: its packages are not installed", install_command("page"))
     else:
         yield good("page", f"http://{config.page.bind}:{config.page.port} while `lookback run` runs")
 
@@ -134,7 +144,7 @@ def check_disk(config: Config) -> Iterator[Diagnostic]:
     folder = next(one for one in Path(config.telemetry.journal).absolute().parents if one.exists())
     free_mb = shutil.disk_usage(folder).free / 1e6
     if not os.access(folder, os.W_OK):
-        remedy = f"sudo chown $USER {folder}, or set [telemetry] journal to another folder"
+        remedy = f"sudo chown {_user()} {folder}, or set [telemetry] journal to another folder"
         yield bad("disk", f"{folder}: the journal cannot be written here", remedy)
     elif free_mb < LEAST_FREE_MB:
         yield bad("disk", f"{folder}: {free_mb:.0f} MB left", "delete old feeds and journals")

@@ -114,7 +114,7 @@ def _read_bare_video(path: Path, view: View) -> Feed:
 def _open_video(path: Path) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path))
     if not video.isOpened():
-        others = "".join(sorted(f", or *.{point.name}" for point in entry_points(group="lookback.feeds")))
+        others = "".join(sorted({f", or *.{point.name}" for point in entry_points(group="lookback.feeds")}))
         raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}")
     return video
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 STOPS = (signal.SIGTERM, signal.SIGINT)
-EXTEND_EACH_S = 20
 FED_EACH_S = 0.1
 MANAGER_S = 1.0
 """A service manager that does not read fills its socket: do not wait for it any longer."""
@@ -20,29 +19,20 @@ class Supervision:
     """Reports to systemd, in each turn of the loop, that the service is ready and alive."""
 
     def __init__(self) -> None:
-        self._is_ready = False
-        self._extended_ns: int | None = None
         self._fed_ns: int | None = None
 
-    def publish(self, can_work: bool, hangs: bool, now_ns: int) -> None:
-        """Send READY=1 in the first turn in which it can work, and WATCHDOG=1 unless a part of it hangs.
+    def publish(self, hangs: bool, now_ns: int) -> None:
+        """Send READY=1 in the first turn, and WATCHDOG=1 unless a part of the daemon hangs.
 
-        Until it is ready, extend the start timeout: a port may appear long after the computer has booted.
+        It is ready without its port or its camera too: it opens them when they appear, which may be never, and the
+        computer must finish booting. STATUS= says what is missing.
         """
-        if can_work and not self._is_ready:
-            self._is_ready = True
+        if self._fed_ns is None:
             notify("READY=1")
-        if hangs:
+        elif hangs or now_ns - self._fed_ns < FED_EACH_S * 1e9:
             return
-        if self._is_ready:
-            self._feed(now_ns)
-        elif self._extended_ns is None or now_ns - self._extended_ns >= EXTEND_EACH_S * 1e9:
-            self._extended_ns = now_ns
-            notify(f"EXTEND_TIMEOUT_USEC={2 * EXTEND_EACH_S * 1_000_000}")
-
-    def _feed(self, now_ns: int) -> None:
-        if self._fed_ns is None or now_ns - self._fed_ns >= FED_EACH_S * 1e9:
-            self._fed_ns = now_ns
+        self._fed_ns = now_ns
+        if not hangs:
             notify("WATCHDOG=1", wait_s=0.0)
 
 

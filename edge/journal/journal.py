@@ -1,16 +1,20 @@
 """The journal: what happened, one record of `records` per line as a JSON object, only ever appended.
 
 A crash can tear the last line and no other: each line goes out in a single write, and a file that ends in half a
-line gets a new line started at the next opening. A full disk costs the lines that do not fit, and is reported.
+line gets a new line started at the next opening. A full disk costs the lines that do not fit, and is reported. A file
+that has grown to its share of the journal's space is renamed (`rotation`), and the next one begins.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
+import math
 import os
 import stat
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +23,7 @@ import msgspec
 import edge
 from edge.errors import ConfigError
 from edge.journal.records import SCHEMA, FrameUsed, JournalLine, JournalOpened, Record, UnknownRecord
+from edge.journal.rotation import FILES, open_all, rotate
 
 log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Record)
@@ -27,9 +32,20 @@ R = TypeVar("R", bound=Record)
 class Journal:
     """An open journal, which begins with `JournalOpened`; the folder it lies in is created."""
 
-    def __init__(self, path: Path, *, sync: bool = False, unix_time_s: Callable[[], float] = time.time) -> None:
-        """`sync` waits for the disk after each line. ConfigError when the file cannot be opened for appending."""
+    def __init__(
+        self,
+        path: Path,
+        *,
+        max_bytes: float = math.inf,
+        sync: bool = False,
+        unix_time_s: Callable[[], float] = time.time,
+    ) -> None:
+        """ConfigError when the file cannot be opened for appending.
+
+        max_bytes: of all files of the journal. sync: wait for the disk after each line.
+        """
         self._path = path
+        self._file_bytes = self._rotate_at = max_bytes / FILES
         self._sync = sync
         self._unix_time_s = unix_time_s
         self.lost = 0
@@ -37,19 +53,41 @@ class Journal:
         self.why_lost = ""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            self._torn = _ends_torn(self._fd)
-            _give_to_owner_of(path.parent, self._fd)
+            self._open()
         except OSError as error:
             raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
         self.write(JournalOpened(SCHEMA, edge.__version__))
 
+    def _open(self) -> None:
+        self._fd = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._torn = _ends_torn(self._fd)
+        _give_to_owner_of(self._path.parent, self._fd)
+        self._size = os.fstat(self._fd).st_size
+
+    def _rotate_if_due(self) -> None:
+        """Begin the next file. Where that fails, this one goes on, and the next try is a file's length later."""
+        if self._size < self._rotate_at or not stat.S_ISREG(os.fstat(self._fd).st_mode):
+            return
+        self._rotate_at = self._size + self._file_bytes
+        full = self._fd
+        try:
+            rotate(self._path)
+            self._open()
+        except OSError as error:
+            log.warning("%s: cannot begin a new file: %s", self._path, error.strerror)
+            return
+        os.close(full)
+        self._rotate_at = self._file_bytes
+        self.write(JournalOpened(SCHEMA, edge.__version__))
+
     def write(self, record: Record) -> bool:
         """Append one record with the wall clock as `unix_s`; False, and reported, when it does not fit on the disk."""
+        self._rotate_if_due()
         fields = {"unix_s": round(self._unix_time_s(), 3), **msgspec.to_builtins(record)}
         line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
         try:
             written = os.write(self._fd, line)
+            self._size += written
             if self._sync:
                 os.fsync(self._fd)
         except OSError as error:
@@ -91,14 +129,14 @@ def _ends_torn(fd: int) -> bool:
 
 
 def read_journal(path: Path) -> Iterator[JournalLine]:
-    """The records of a journal, or of what `lookback replay` wrote, in order.
+    """The records of a journal, with those of its earlier files, or of what `lookback replay` wrote, in order.
 
     Lines that a crash or a full disk has torn are skipped. What this schema does not know is an `UnknownRecord`: other
     values of `event`, and everything that a run with a newer schema has written.
     """
     is_known = True
-    with path.open("rb") as lines:
-        for line in lines:
+    with ExitStack() as parts:
+        for line in itertools.chain.from_iterable(open_all(path, parts)):
             try:
                 fields = _decode_fields(line)
             except (msgspec.DecodeError, UnicodeDecodeError):

@@ -43,7 +43,7 @@ class _Tagged(msgspec.Struct, frozen=True, tag_field="event"):
 
 
 class JournalOpened(_Tagged, frozen=True, tag="journal_opened"):
-    """The journal was opened for writing: the first record of each run."""
+    """The journal was opened for writing: the first record of each run, and of each file of a long one."""
 
     schema: Annotated[int, unit("", "version of the records that follow")]
     lookback: Annotated[str, unit("", "version of Lookback that writes them")]

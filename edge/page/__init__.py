@@ -7,6 +7,7 @@ import os
 from typing import TYPE_CHECKING
 
 from edge.config import PageConfig
+from edge.extras import install_command
 from edge.page.map_view import MapView, map_view
 from edge.page.snapshot import LiveStatus, Snapshot, Sources
 
@@ -27,7 +28,7 @@ def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:
 
         page = StatusPage(config, maps)
     except ModuleNotFoundError as error:
-        log.info("no live page: the package %s is missing: pip install 'lookback[page]'", error.name)
+        log.info("no live page: the package %s is missing: %s", error.name, install_command("page"))
         return None
     except OSError as error:
         log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))

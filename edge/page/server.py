@@ -32,11 +32,12 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+import edge
 from edge.config import PageConfig
 from edge.page.map_view import MapView
 from edge.page.metrics import as_metrics
@@ -49,6 +50,17 @@ PATIENCE_S = 10.0
 CONNECTIONS = 24
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
+SERVICE = {
+    "name": "Lookback",
+    "description": "Place recognition that gives the autopilot position fixes",
+    "icon": "mdi-map-marker-path",
+    "company": "",
+    "version": edge.__version__,
+    "webpage": "",
+    "api": "",
+    "avoid_iframes": True,  # no other site may show this page in a frame
+}
+"""What BlueOS, a companion computer's system, asks of an extension's web server at /register_service."""
 log = logging.getLogger(__name__)
 
 
@@ -151,6 +163,9 @@ class StatusPage:
         async def route(request: Request) -> Response:
             return Response(self._map.as_json(), media_type="application/json")
 
+        async def service(request: Request) -> Response:
+            return JSONResponse(SERVICE)
+
         return Starlette(
             routes=[
                 Route("/", page),
@@ -159,6 +174,7 @@ class StatusPage:
                 Route("/frame.jpg", self._with_snapshot(frame)),
                 Route("/thumbnail/{place_index:int}.jpg", thumbnail),
                 Route("/route.json", route),
+                Route("/register_service", service),
             ]
         )
 

@@ -15,6 +15,7 @@ import msgspec
 
 from edge.atomic_file import replacing
 from edge.errors import ConfigError, MapError
+from edge.extras import install_command
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
@@ -53,10 +54,11 @@ def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:
 
     header: of the map at `path`, as it was read.
     """
+    where = "[map] require_signature_by"
+    ed25519 = _ed25519()
     from cryptography.exceptions import InvalidSignature
 
-    where = "[map] require_signature_by"
-    key = _ed25519().Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
+    key = ed25519.Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
     file = path / SIGNATURE
     try:
         if file.exists() and plain_size(file) > 4 * SIGNATURE_BYTES:
@@ -97,7 +99,7 @@ def _ed25519() -> ModuleType:
     try:
         from cryptography.hazmat.primitives.asymmetric import ed25519
     except ImportError:
-        raise ConfigError("signed maps need the package cryptography: pip install 'lookback[signing]'") from None
+        raise ConfigError(f"signed maps need the package cryptography: {install_command('signing')}") from None
     return ed25519
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,8 @@ class Laps:
         self._last_ns = now_ns
 
 
-def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
-    """Frames of 640x480 on a map with this number of places; the rows are of the frames after the warm-up."""
-    network = Network.load()
+def run_frames(folder: Path, places: int, frames: int, network: Network) -> Iterator[dict[str, float]]:
+    """CPU milliseconds of each stage of each frame of 640x480, after the warm-up, on a map with this many places."""
     path = folder / f"frames_{places}.map"
     write_simulated_map(path, places, model_key(network))
     laps = Laps()
@@ -56,7 +56,14 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
         laps.begin()
         recognizer.observe(picture, frame * 200_000_000, distance_m=frame * config.sampling.spacing_m)
         laps.lap("answer")
-    measured = laps.frames[LENGTH:]
+        if frame >= LENGTH:
+            yield laps.frames[-1]
+
+
+def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
+    """A row for each stage of the frames, and for all of them together."""
+    network = Network.load()
+    measured = list(run_frames(folder, places, frames, network))
     whole = Times(tuple(sum(frame.values()) for frame in measured))
     alone = Times(tuple(frame["network"] for frame in measured))
     floors = {

@@ -17,6 +17,7 @@ from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
+from edge.extras import install_command
 from edge.feed import Feed, read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key, sigma_key
@@ -181,7 +182,8 @@ def write_lines(path: Path, lines: Lines) -> None:
     try:
         import tomlkit
     except ModuleNotFoundError:
-        raise ConfigError("--write needs tomlkit: pip install 'lookback[desk]', or copy the lines yourself") from None
+        hint = f"{install_command('desk')}, or copy the lines yourself"
+        raise ConfigError(f"--write needs tomlkit: {hint}") from None
     text = path.read_text(encoding="utf-8")
     document = tomlkit.parse(text)
     for (section, key), value in lines.items():

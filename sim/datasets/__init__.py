@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from edge.errors import FeedError
+from edge.extras import install_command
 from edge.feed import FeedRow, Pictures, View
 
 TruthKind = Literal["positions", "rows", "route_m"]
@@ -122,7 +123,6 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     except ModuleNotFoundError as error:
-        raise FeedError(
-            f"{kind}: needs the package {str(error.name).partition('.')[0]}: pip install 'lookback[eval]'"
-        ) from None
+        package = str(error.name).partition(".")[0]
+        raise FeedError(f"{kind}: needs the package {package}: {install_command('eval')}") from None
     return traverse

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from edge.errors import ConfigError, FeedError
+from edge.extras import install_command
 from edge.geodesy import east_north
 from edge.journal.journal import read_journal
 from edge.journal.records import FrameUsed, JournalLine, PlaceFix
@@ -164,7 +165,7 @@ def _run(args: argparse.Namespace) -> int:
     try:
         text = writer(points, args.journal.stem, points[0])
     except ModuleNotFoundError as error:
-        raise ConfigError(f"{args.output.suffix} needs {error.name}: pip install 'lookback[desk]'") from None
+        raise ConfigError(f"{args.output.suffix} needs {error.name}: {install_command('desk')}") from None
     try:
         args.output.write_text(text, encoding="utf-8")
     except OSError as error:

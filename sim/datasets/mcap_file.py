@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ConfigError, FeedError, FrameError
+from edge.extras import install_command
 from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
 from edge.feed.format import MEASURES
 
@@ -75,7 +76,7 @@ def _write(feed: Feed, path: Path) -> int:
     try:
         from mcap.writer import Writer
     except ModuleNotFoundError:
-        raise ConfigError("MCAP needs the package mcap: pip install 'lookback[desk]'") from None
+        raise ConfigError(f"MCAP needs the package mcap: {install_command('desk')}") from None
     try:
         with path.open("xb") as stream:
             writer: Any = Writer(stream)
@@ -218,7 +219,7 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[tuple[int, Mes
         from mcap.exceptions import McapError
         from mcap.reader import NonSeekingReader
     except ModuleNotFoundError:
-        raise ConfigError("MCAP needs the package mcap: pip install 'lookback[desk]'") from None
+        raise ConfigError(f"MCAP needs the package mcap: {install_command('desk')}") from None
     is_mcap = False
     try:
         with path.open("rb") as stream:

@@ -16,6 +16,7 @@ import numpy as np
 from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
 from edge.errors import ConfigError, LookbackError
+from edge.extras import install_command
 from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
@@ -59,7 +60,7 @@ def _run(args: argparse.Namespace) -> int:
         from sim.demo.report import write_report
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        raise ConfigError(f"demo: needs the package {package}: pip install 'lookback[sim]'") from None
+        raise ConfigError(f"demo: needs the package {package}: {install_command('sim')}") from None
     folder: Path = args.output
     started_s = time.monotonic()
     _make_folder(folder)

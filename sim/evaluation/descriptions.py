@@ -20,6 +20,7 @@ from tqdm import tqdm
 from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
+from edge.extras import install_command
 from edge.feed import FeedImages, read_feed
 from sim.evaluation.methods import likeliest_states, runs
 from sim.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
@@ -164,7 +165,7 @@ def open_executor(workers: int, cluster: str) -> Iterator[Executor | None]:
         try:
             dask = import_module("dask.distributed")
         except ImportError:
-            raise ConfigError("--cluster: needs Dask; pip install 'lookback[cluster]'") from None
+            raise ConfigError(f"--cluster: needs Dask: {install_command('cluster')}") from None
         try:
             client = dask.Client(cluster, timeout=CONNECT_TIMEOUT_S)
         except (OSError, ValueError) as error:

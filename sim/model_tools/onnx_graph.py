@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import METADATA_KEY, ModelInfo
 from edge.errors import ModelError
+from edge.extras import install_command
 from sim.model_tools.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, Conv, Weights
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ The networks were trained with zeros there, after normalization, which is up to 
 that all channels share lets the pixels enter the int8 network as they are, without rounding them again.
 """
 OPSET, IR_VERSION = 17, 8  # read by ONNX Runtime since 1.12
-IMPORT_HINT = "pip install 'lookback[model]'"
 DIMENSIONS = {"fc6": FC6_SHAPE[0], "conv3": 384 * 13 * 13}
 
 
@@ -110,7 +110,7 @@ class GraphBuilder:
         try:
             import onnx
         except ImportError:
-            raise ModelError(f"importing a model needs the onnx package; {IMPORT_HINT}") from None
+            raise ModelError(f"importing a model needs the onnx package: {install_command('model')}") from None
         self._onnx = onnx
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []

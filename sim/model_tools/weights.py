@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ModelError
+from edge.extras import install_command
 
 Weights = Mapping[str, NDArray[np.float32]]
 
@@ -81,7 +82,7 @@ def _read_torch(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
     try:
         import torch
     except ImportError:
-        raise ModelError(f"{path}: needs PyTorch to be read; pip install 'lookback[torch]'") from None
+        raise ModelError(f"{path}: needs PyTorch to be read: {install_command('torch')}") from None
     try:
         checkpoint = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         state = checkpoint.get("state_dict", checkpoint)

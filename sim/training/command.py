@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from edge.config import checked_option
 from edge.errors import ConfigError
+from edge.extras import install_command
 from sim.training.images import LabeledImages, find_classes, read_images
 from sim.training.recipe import Recipe
 
@@ -85,7 +86,7 @@ def _device(asked_for: str | None) -> str:
     try:
         import torch
     except ImportError:
-        raise ConfigError("training needs PyTorch; pip install 'lookback[sim,model,torch]'") from None
+        raise ConfigError(f"training needs PyTorch: {install_command('sim,model,torch')}") from None
     if asked_for == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device: PyTorch sees no CUDA device here; use cpu")
     return asked_for or ("cuda" if torch.cuda.is_available() else "cpu")

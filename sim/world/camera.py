@@ -11,6 +11,7 @@ from edge.camera import Camera, Frame
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge.extras import install_command
 from edge.feed import read_feed
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario, load_scenario
@@ -36,7 +37,7 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     try:
         from sim.world.renderer import Renderer
     except ModuleNotFoundError as error:
-        raise ConfigError(f"the simulator needs {error.name}: pip install 'lookback[sim]'") from None
+        raise ConfigError(f"the simulator needs {error.name}: {install_command('sim')}") from None
     from sim.world.light import LIGHTS
     from sim.world.street import build_world
     from sim.world.traffic import build_traffic

@@ -16,6 +16,7 @@ from edge.camera import open_camera
 from edge.camera.oak import OakCamera, OakSource
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
+from edge.extras import install_command
 
 Build = Callable[..., OakSource]
 
@@ -105,7 +106,7 @@ try:
 except Exception as error:
     print(type(error).__name__, error)
 """
-    assert run_python(code).stdout == "ConfigError [camera] kind: oak needs DepthAI: pip install 'lookback[oak]'\n"
+    assert run_python(code).stdout == f"ConfigError [camera] kind: oak needs DepthAI: {install_command('oak')}\n"
 
 
 def test_depthai_leaves_the_signals_alone() -> None:

@@ -219,19 +219,20 @@ def test_a_camera_that_is_not_there_is_no_hang(
         process.wait_for_word("WATCHDOG=1")
 
 
-def test_ready_waits_for_the_port_and_asks_for_time_meanwhile(
+def test_ready_without_a_port_and_link_up_when_it_appears(
     write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
 ) -> None:
     from sim.vehicle.pty_link import open_pty
 
     port = tmp_path / "autopilot"
     process = start(write_config(telemetry={"connection": f"serial:{port}:921600"}))
-    assert process.wait_for_word("EXTEND_TIMEOUT_USEC=") == "EXTEND_TIMEOUT_USEC=40000000"
     process.wait_for_word(f"STATUS=degraded: link: {port}: no such port")
-    cable = open_pty()
-    port.symlink_to(cable.device)
     process.wait_for_word("READY=1")
     process.wait_for_word("WATCHDOG=1")
+    cable = open_pty()
+    port.symlink_to(cable.device)
+    while str(port) in process.wait_for_word("STATUS="):
+        pass
     cable.close()
 
 

@@ -32,6 +32,7 @@ from edge.journal.records import (
     Stopped,
     UnknownRecord,
 )
+from edge.journal.rotation import earlier_files, rotate
 
 
 @pytest.fixture
@@ -208,3 +209,81 @@ def test_the_output_of_replay_is_read_as_frames(path: Path) -> None:
     used = FrameUsed(5, 9_000_000_000, place=3)
     path.write_text(as_line(used))
     assert list(read_journal(path)) == [JournalLine(None, used)]
+
+
+def files(path: Path) -> list[str]:
+    return sorted(file.name.removeprefix(path.name) for file in path.parent.iterdir())
+
+
+def write_numbers(path: Path, count: int, max_bytes: float) -> None:
+    journal = Journal(path, max_bytes=max_bytes)
+    assert all(journal.write(StateChanged(str(number))) for number in range(count))
+    journal.close()
+
+
+def test_a_full_file_is_renamed_and_no_record_is_lost(path: Path) -> None:
+    write_numbers(path, 60, max_bytes=10_000)
+    assert len(files(path)) > 3
+    assert texts(path) == [str(number) for number in range(60)]
+    assert all(file.read_bytes().startswith(b'{"unix_s":') for file in path.parent.iterdir())
+    assert all("journal_opened" in file.read_text().splitlines()[0] for file in path.parent.iterdir())
+
+
+def test_the_oldest_file_goes_when_the_space_is_used(path: Path) -> None:
+    write_numbers(path, 600, max_bytes=10_000)
+    assert files(path) == ["", *(f".{number}" for number in range(1, 10))]
+    assert sum(file.stat().st_size for file in path.parent.iterdir()) < 12_000
+    kept = texts(path)
+    assert kept == [str(number) for number in range(600 - len(kept), 600)]
+
+
+def test_a_crash_between_two_renames_loses_nothing(path: Path) -> None:
+    write_numbers(path, 60, max_bytes=10_000)
+    oldest = len(files(path)) - 1
+    path.with_name(f"{path.name}.{oldest}").rename(path.with_name(f"{path.name}.{oldest + 1}"))
+    before = texts(path)
+    write_numbers(path, 20, max_bytes=10_000)
+    assert texts(path) == [*before, *(str(number) for number in range(20))]
+    path.unlink()  # the last rename was done, and the new file not begun
+    assert texts(path)[: len(before)] == before
+
+
+def test_a_journal_that_is_renamed_while_it_is_read(path: Path) -> None:
+    write_numbers(path, 30, max_bytes=10_000)
+    lines = read_journal(path)
+    first = next(lines)
+    write_numbers(path, 30, max_bytes=2_000)
+    assert isinstance(first.record, JournalOpened)
+    states = [line.record.state for line in lines if isinstance(line.record, StateChanged)]
+    assert states[:30] == [str(number) for number in range(30)]
+
+
+def test_a_disk_that_is_full_at_the_next_file_loses_nothing(path: Path) -> None:
+    journal = Journal(path, max_bytes=10_000)
+    while not earlier_files(path):
+        journal.write(StateChanged("one"))
+    path.unlink()  # as if it could not be created: the lines go on into the renamed file
+    before = earlier_files(path)
+    rotate(path)
+    assert earlier_files(path) == before
+    journal.close()
+
+
+def test_a_pipe_is_not_renamed(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    write_numbers(path, 30, max_bytes=100)
+    assert files(path) == [""]
+    os.close(reader)
+
+
+def test_a_folder_that_cannot_be_written_keeps_the_one_file(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    write(path, "one")
+    path.parent.chmod(0o500)
+    write_numbers(path, 30, max_bytes=1_000)
+    path.parent.chmod(0o700)
+    assert "cannot begin a new file" in caplog.text
+    assert len(texts(path)) == 31

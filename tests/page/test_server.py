@@ -170,6 +170,12 @@ def test_the_route_and_the_page_itself(page: StatusPage) -> None:
     assert b"https://" not in body
 
 
+def test_blueos_finds_a_service_and_opens_it_without_a_frame(page: StatusPage) -> None:
+    service = json.loads(get(page, "/register_service")[1])
+    assert (service["name"], service["avoid_iframes"]) == ("Lookback", True)
+    assert {"description", "icon", "company", "version", "webpage", "api"} <= set(service)
+
+
 def test_metrics_are_what_prometheus_reads(page: StatusPage, loop: Loop) -> None:
     families = {family.name: family for family in text_string_to_metric_families(get(page, "/metrics")[1].decode())}
     assert families["lookback_frames_used"].samples[0].value == 1

@@ -57,7 +57,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if "No matching distribution found for setuptools" in built.stderr:
         pytest.skip("needs a package index, for setuptools")
     assert built.returncode == 0, built.stderr
-    return next(folder.glob("lookback-*.whl"))
+    return next(folder.glob("lookback_nav-*.whl"))
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +91,7 @@ def test_puts_every_file_in_its_place(root: Path, checkout: Path) -> None:
         "etc/udev/rules.d/70-lookback.rules",
         "opt/lookback/bin/lookback",
     } <= found
+    assert (root / "usr/local/bin/lookback").readlink() == Path("/opt/lookback/bin/lookback")
     assert not (root / "etc/systemd/system/lookback.service.d").exists()  # systemd 252 knows no RestartSteps=
     assert (root / CONFIG).read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
     assert (root / CONFIG).stat().st_mode & 0o777 == 0o640
@@ -102,7 +103,7 @@ def test_the_environment_is_at_home_in_opt(root: Path) -> None:
     assert (venv / "bin/lookback").read_text().splitlines()[0] == "#!/opt/lookback/bin/python"
     for file in [venv / "pyvenv.cfg", *(path for path in (venv / "bin").iterdir() if not path.is_symlink())]:
         assert str(root) not in file.read_text(), file
-    command = [str(venv / "bin/python"), "-c", "from importlib.metadata import version; print(version('lookback'))"]
+    command = [str(venv / "bin/python"), "-c", "from importlib.metadata import version; print(version('lookback-nav'))"]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == edge.__version__
     assert list((venv / "lib").rglob("edge/__pycache__/daemon.*.pyc"))
@@ -127,12 +128,71 @@ def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> 
 
 def test_a_failed_update_leaves_the_old_version(root: Path, tmp_path: Path) -> None:
     before = files_under(root)
-    broken = tmp_path / f"lookback-{edge.__version__}-py3-none-any.whl"
+    broken = tmp_path / f"lookback_nav-{edge.__version__}-py3-none-any.whl"
     broken.write_bytes(b"not a wheel")
     result = run(INSTALL, "--root", root, "--wheel", broken, "--python", sys.executable)
     assert result.returncode != 0
     assert files_under(root) == before
     assert [path.name for path in (root / "opt").iterdir()] == ["lookback"]
+
+
+def test_an_old_python_is_named(tmp_path: Path) -> None:
+    python = tmp_path / "python3.9"
+    python.write_text("#!/bin/sh\necho 3.9\n")
+    python.chmod(0o755)
+    result = run(INSTALL, "--root", tmp_path / "root", "--python", python)
+    needs = "and Lookback needs 3.10 to 3.13; name one with --python"
+    assert result.stderr == f"install.sh: {python} is Python 3.9, {needs}\n"
+
+
+def pretend_to_install(root: Path, *distributions: str) -> None:
+    """What pip leaves of a package: tests install none."""
+    site = next((root / "opt/lookback/lib").glob("*/site-packages"))
+    for name in distributions:
+        info = site / f"{name.replace('-', '_')}-99.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 99.0\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "extras"),
+    [([], "page,signing"), (["--extras", "oak"], "page,signing,oak"), (["--extras", "none"], "")],
+)
+def test_an_update_keeps_the_extras(options: list[str], extras: str, root: Path, wheel: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(root, tmp_path / "root", symlinks=True)
+    pretend_to_install(root, "prometheus-client", "starlette", "uvicorn", "cryptography")
+    result = run(INSTALL, "--root", root, "--wheel", wheel, "--python", sys.executable, *options)
+    assert result.returncode == 0, result.stderr
+    named = sorted(result.stdout.removeprefix("Lookback is updated, with the extras ").rstrip(".\n").split(","))
+    assert named == (sorted(extras.split(",")) if extras else ["Lookback is updated"])
+
+
+def test_the_first_installation_includes_the_page(wheel: Path, tmp_path: Path) -> None:
+    result = run(INSTALL, "--root", tmp_path / "root", "--wheel", wheel, "--python", sys.executable)
+    assert "with the extras page, and starts at boot" in result.stdout
+
+
+def test_what_a_killed_installation_left_is_cleaned_up(root: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(root, tmp_path / "root", symlinks=True)
+    (root / "opt/lookback.new.Ab3dE6/venv").mkdir(parents=True)
+    (root / "opt/lookback").rename(root / "opt/lookback.old")  # killed between the two renames
+    (root / "opt/lookback.backup").mkdir()
+    broken = tmp_path / f"lookback_nav-{edge.__version__}-py3-none-any.whl"
+    broken.write_bytes(b"not a wheel")
+    assert run(INSTALL, "--root", root, "--wheel", broken, "--python", sys.executable).returncode != 0
+    assert sorted(path.name for path in (root / "opt").iterdir()) == ["lookback", "lookback.backup"]
+    assert (root / "opt/lookback/bin/lookback").is_file()
+
+
+def test_a_program_of_another_name_stays(wheel: Path, tmp_path: Path) -> None:
+    program = tmp_path / "root/usr/local/bin/lookback"
+    program.parent.mkdir(parents=True)
+    program.write_text("mine")
+    result = run(INSTALL, "--root", tmp_path / "root", "--wheel", wheel, "--python", sys.executable)
+    assert result.returncode == 0
+    assert "belongs to something else" in result.stderr
+    assert run(INSTALL, "--uninstall", "--root", tmp_path / "root").returncode == 0
+    assert program.read_text() == "mine"
 
 
 def test_uninstall_keeps_what_is_the_users_and_purge_does_not(root: Path, tmp_path: Path) -> None:
@@ -150,11 +210,12 @@ def test_uninstall_keeps_what_is_the_users_and_purge_does_not(root: Path, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--root", "x", "--python", "nopy"], "nopy: no such program; install it: apt install python3 python3-venv"),
         (["--frobnicate"], "unknown option --frobnicate; see --help"),
         (["--purge"], "--purge goes with --uninstall"),
         (["--wheel"], "--wheel needs a value; see --help"),
         (["--wheel", "missing.whl"], "missing.whl: no such file"),
-        (["--root", "x", "--python", "/bin/false"], "/bin/false is not Python 3.10 to 3.13; name one with --python"),
+        (["--root", "x", "--python", "/bin/false"], "/bin/false does not run as Python"),
     ],
 )
 def test_bad_arguments(arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,11 +236,15 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None
     minor = sys.version_info.minor
     assert f"Version: {edge.__version__}\n" in control
     assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
-    assert (unpacked / "DEBIAN/conffiles").read_text() == f"/{CONFIG}\n"
-    assert (unpacked / CONFIG).read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
+    assert not (unpacked / "DEBIAN/conffiles").exists()  # or an upgrade would ask about an edited config
+    assert not (unpacked / "etc").exists()
+    example = unpacked / "usr/share/doc/lookback/examples/lookback.toml"
+    assert example.read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
+    assert (unpacked / "usr/bin/lookback").readlink() == Path("/opt/lookback/bin/lookback")
     for file in (
         "opt/lookback/bin/lookback",
         "usr/lib/systemd/system/lookback.service",
+        "usr/lib/systemd/system/lookback-camera.socket",
         "usr/lib/systemd/system/lookback.service.d/backoff.conf",
         "usr/lib/sysusers.d/lookback.conf",
         "usr/lib/tmpfiles.d/lookback.conf",
@@ -189,7 +254,10 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None
     assert (unpacked / "opt/lookback/bin/lookback").read_text().startswith("#!/opt/lookback/bin/python\n")
 
 
-@pytest.mark.parametrize("script", [INSTALL, BUILD_DEB], ids=lambda path: path.name)
+SCRIPTS = [INSTALL, BUILD_DEB, *(SYSTEMD / "deb" / name for name in ("preinst", "postinst", "prerm", "postrm"))]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
 def test_shellcheck(script: Path) -> None:
     tool = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if tool is None:

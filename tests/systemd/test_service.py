@@ -19,6 +19,7 @@ import pytest
 from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
+from edge.extras import install_command
 from edge.feed import FeedHeader, FeedWriter, read_feed
 from edge.journal.journal import read_journal
 from edge.journal.records import Stopped
@@ -147,7 +148,7 @@ sys.exit(main())
         (
             ["demo", "-o", "folder"],
             EXIT_SETUP,
-            "lookback: demo: needs the package matplotlib: pip install 'lookback[sim]'",
+            f"lookback: demo: needs the package matplotlib: {install_command('sim')}",
         ),
     ],
 )

@@ -17,6 +17,7 @@ from edge.__main__ import main
 from edge.camera import open_camera
 from edge.config import CameraConfig
 from edge.errors import FeedError
+from edge.extras import install_command
 from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import open_map
 
@@ -93,7 +94,7 @@ def test_without_the_library_it_is_said_what_to_install(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mcap", None)  # as where it is not installed
     assert main(["replay", str(recorded[1]), "--map", "a.map"]) == 78
-    assert capsys.readouterr().err == "lookback: MCAP needs the package mcap: pip install 'lookback[desk]'\n"
+    assert capsys.readouterr().err == f"lookback: MCAP needs the package mcap: {install_command('desk')}\n"
 
 
 def test_messages_of_somebody_else_are_one_line(tmp_path: Path) -> None:

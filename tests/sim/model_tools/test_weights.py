@@ -136,7 +136,7 @@ def test_checkpoint_that_would_run_code(tmp_path: Path) -> None:
 def test_checkpoint_without_pytorch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)  # as Python itself marks a module that cannot be imported
     (tmp_path / "alexnet.pth").write_bytes(b"")
-    with pytest.raises(ModelError, match=r"alexnet\.pth: needs PyTorch to be read; pip install 'lookback\[torch\]'"):
+    with pytest.raises(ModelError, match=r"alexnet\.pth: needs PyTorch to be read: .*\[torch\]"):
         read_weights(tmp_path / "alexnet.pth")
 
 

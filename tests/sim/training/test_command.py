@@ -11,6 +11,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.descriptor.network import Head, Network
+from edge.extras import install_command
 
 SMALL = ["--epochs", "2", "--batch", "6", "--size", "48", "--rate", "0.02", "--hold-out", "0.2", "--device", "cpu"]
 
@@ -53,7 +54,7 @@ def test_options_out_of_range(options: list[str], line: str, tmp_path: Path, cap
 def test_without_pytorch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)  # as Python itself marks a module that cannot be imported
     assert main(["train", str(tmp_path), "-o", str(tmp_path / "w.npz")]) == 78
-    assert capsys.readouterr().err == "lookback: training needs PyTorch; pip install 'lookback[sim,model,torch]'\n"
+    assert capsys.readouterr().err == f"lookback: training needs PyTorch: {install_command('sim,model,torch')}\n"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,147 @@
+"""`lookback bench`: how fast the recognizer runs on this board, as a row of docs/boards.md.
+
+It needs no package beyond those of `lookback run`, and measures with the code of `make bench`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+
+from edge.descriptor.network import Network
+from edge.errors import ConfigError
+from sim.bench.frame_rows import SIZE_PX, run_frames
+from sim.bench.machine import machine_name
+from sim.bench.timing import wall_ns
+
+PLACES = 10_000
+HEADER = (
+    "| board | regions | network | matching | search | whole frame, median / 95 % | peak memory | slower at the end |"
+    " hottest | throttled |\n|---|---|---|---|---|---|---|---|---|---|"
+)
+SLOWER = 1.1
+"""Ratio of the frame times at the end and at the beginning from which a board counts as throttled."""
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback bench` to the command line; an entry point of `lookback.commands`."""
+    parser = commands.add_parser(
+        "bench",
+        help="measure this board: one row for docs/boards.md",
+        description="Recognizes random pictures on one core, without a pause, on a map of random places in a temporary"
+        " folder. Stop the service first; leave the board in its housing, and cool it as on the vehicle. Times are CPU"
+        " times of one thread, in milliseconds.",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=300.0, metavar="S", help="how long (default 300, since heat takes time)"
+    )
+    parser.add_argument("--places", type=int, default=PLACES, metavar="N", help=f"places of the map (default {PLACES})")
+    parser.add_argument("--folder", type=Path, help="where to put the map meanwhile, 80 MB (default: temporary files)")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if not args.seconds > 0 or args.places < 100:
+        raise ConfigError("bench: --seconds must be above 0 and --places at least 100")
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
+        run = measure(Path(folder), args.places, args.seconds)
+    print(
+        f"{len(run.frames)} frames of {SIZE_PX[0]}x{SIZE_PX[1]}, {args.places:,} places, Lookback"
+        f" {version('lookback-nav')}",
+        file=sys.stderr,
+    )
+    print(HEADER)
+    print(row(board_name(), run))
+    return 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """frames: CPU milliseconds by stage. temperatures_c: of the hottest sensor. limits: what slowed the board down."""
+
+    frames: Sequence[dict[str, float]]
+    temperatures_c: Sequence[float]
+    limits: frozenset[str]
+
+
+def measure(folder: Path, places: int, seconds: float) -> Run:
+    """Recognize pictures for that long, at least two of them, and read the sensors between them."""
+    frames, temperatures, limits = [], [], set()
+    until_ns = wall_ns() + seconds * 1e9
+    for frame in run_frames(folder, places, sys.maxsize // 2, Network.load()):
+        frames.append(frame)
+        temperatures += hottest_c()
+        limits |= throttling()
+        if wall_ns() >= until_ns and len(frames) >= 2:
+            break
+    return Run(frames, temperatures, frozenset(limits))
+
+
+def row(board: str, run: Run) -> str:
+    """The row of one board."""
+
+    def median(stage: str) -> str:
+        return f"{statistics.median(frame.get(stage, 0.0) for frame in run.frames):.1f}"
+
+    whole = [sum(frame.values()) for frame in run.frames]
+    fifth = max(1, len(whole) // 5)
+    slower = statistics.median(whole[-fifth:]) / statistics.median(whole[:fifth])
+    throttled = ", ".join(sorted(run.limits)) or ("no" if slower < SLOWER else "yes, by the times")
+    cells = [
+        board,
+        *(median(stage) for stage in ("regions", "network", "matching", "search")),
+        f"{statistics.median(whole):.1f} / {statistics.quantiles(whole, n=20)[-1]:.1f}",
+        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB",
+        f"{100 * (slower - 1):+.0f} %",
+        f"{max(run.temperatures_c):.0f} °C" if run.temperatures_c else "no sensor",
+        throttled,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def board_name(model: Path = Path("/proc/device-tree/model")) -> str:
+    """What the board calls itself (its device tree), if it does, with processor, system and versions."""
+    if not model.exists():
+        return machine_name()
+    return f"{model.read_text(encoding='utf-8').rstrip(chr(0))}: {machine_name()}"
+
+
+def hottest_c(sensors: Path = Path("/sys/class/thermal")) -> list[float]:
+    """The temperature of the hottest sensor; none where no sensor can be read."""
+    found = []
+    for file in sensors.glob("thermal_zone*/temp"):
+        try:
+            found.append(int(file.read_text()) / 1000)
+        except (OSError, ValueError):
+            continue  # a sensor that is switched off
+    return [max(found)] if found else []
+
+
+RASPBERRY_PI_BITS = {0: "under-voltage", 1: "frequency capped", 2: "throttled", 3: "temperature limit"}
+"""https://www.raspberrypi.com/documentation/computers/os.html#get_throttled"""
+
+
+def throttling(
+    raspberry_pi: Path = Path("/sys/devices/platform/soc/soc:firmware/get_throttled"),
+    cooling: Path = Path("/sys/class/thermal"),
+) -> set[str]:
+    """What slows the board down now: flags of a Raspberry Pi's firmware, or limits that the kernel sets."""
+    found = set()
+    if raspberry_pi.exists():
+        flags = int(raspberry_pi.read_text(), 16)
+        found |= {name for bit, name in RASPBERRY_PI_BITS.items() if flags >> bit & 1}
+    for device in cooling.glob("cooling_device*"):
+        kind, state = (device / "type"), (device / "cur_state")
+        if "cpu" in kind.read_text().lower() and int(state.read_text()) > 0:
+            found.add("kernel limits the processor")
+    return found

@@ -1,0 +1,54 @@
+"""The container's file and its labels, which BlueOS reads, against the code that they describe."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+import subprocess
+from pathlib import Path
+
+import edge
+from edge.config import DEFAULT_TOML, PageConfig, TelemetryConfig, load_config
+
+CONTAINER = Path(__file__).parents[2] / "container"
+DOCKERFILE = (CONTAINER / "Dockerfile").read_text().replace("\\\n", "")
+UNIT = (CONTAINER.parent / "systemd/lookback.service").read_text()
+
+
+def label(name: str) -> str:
+    (value,) = re.findall(rf"^LABEL {name}=(['\"])(.*)\1$", DOCKERFILE, re.MULTILINE)
+    return str(value[1])
+
+
+def test_labels_are_json_and_name_this_version_and_port() -> None:
+    permissions = json.loads(label("permissions"))
+    port = f"{PageConfig().port}/tcp"
+    assert list(permissions["ExposedPorts"]) == [port]
+    assert permissions["HostConfig"]["PortBindings"] == {port: [{"HostPort": ""}]}
+    assert not permissions["HostConfig"].get("Privileged")
+    assert label("version") == edge.__version__
+    assert all(isinstance(json.loads(label(name)), list) for name in ("authors", "tags"))
+    assert f"EXPOSE {port}\n" in DOCKERFILE
+    assert f"127.0.0.1:{PageConfig().port}/status.json" in DOCKERFILE
+
+
+def test_the_environment_is_that_of_the_service() -> None:
+    for word in re.findall(r"^Environment=(.*)$", UNIT, re.MULTILINE):
+        assert set(word.split()) <= set(DOCKERFILE.split())
+
+
+def test_the_generated_config_is_valid_and_reaches_the_host(tmp_path: Path) -> None:
+    """The lines of `start` that edit the default config, run by sed."""
+    start = (CONTAINER / "start").read_text()
+    assert (CONTAINER / "start").stat().st_mode & stat.S_IXUSR
+    script = re.findall(r"-e ('.*')", start)
+    assert len(script) == 3
+    command = f"sed {' '.join('-e ' + one for one in script)} {DEFAULT_TOML}"
+    text = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
+    (tmp_path / "lookback.toml").write_text(text)
+    config = load_config(tmp_path / "lookback.toml")
+    assert config.page.bind == "0.0.0.0"
+    assert "blueos.local" in config.page.hosts
+    assert config.telemetry.connection.startswith("udp:host.docker.internal:")
+    assert config.telemetry.journal == TelemetryConfig().journal
