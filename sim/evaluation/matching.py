@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,10 +64,14 @@ def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
     return CostMatcher(encoded, squared_norms(encoded))
 
 
-def match(rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher) -> Matches:
-    """Match every frame of a query with the recognizer's own search."""
+def match(
+    rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher, starts: Collection[int] = ()
+) -> Matches:
+    """Match every frame of a query with the recognizer's own search; a new sequence begins at each of `starts`."""
     found = []
-    for change in rows:
+    for frame, change in enumerate(rows):
+        if frame in starts:
+            matcher.clear()
         costs = costs_of(change.rows)
         best = matcher.push(costs, change.ages)
         newest = costs[0].min(axis=0).astype(np.float32)
@@ -90,15 +94,19 @@ def open_matcher(
     *,
     regions: int = 1,
     views: tuple[View, View] = ("front", "front"),
+    drives: Sequence[slice] = (),
 ) -> RowMatcher:
-    """A matcher of one drive, whose places are where `place_coordinates` says.
+    """A matcher of places that are where `place_coordinates` says.
 
     window: places within it of each other, in the same unit, are the same place. views: of reference and query.
+    drives: the places of each; all are of one by default.
     """
+    segments = [(drive.start, drive.stop) for drive in drives] or [(0, len(along))]
+    drive_of = np.repeat(np.arange(len(segments), dtype=np.int32), [end - start for start, end in segments])
     acceptance = AcceptanceConfig(window_m=window)
     config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
-    near = Neighborhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
-    return RowMatcher([(0, len(along))], [views[0]], regions, near, config)
+    near = Neighborhood(ground, along, drive_of, acceptance)
+    return RowMatcher(segments, [views[0]] * len(segments), regions, near, config)
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
@@ -173,10 +181,12 @@ def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queri
     )
 
 
-def judged_queries(errors: NDArray[np.float64], length: int) -> NDArray[np.intp]:
-    """Queries with a known true position, from the first on that ends a whole sequence."""
-    known = np.flatnonzero(~np.isnan(errors).all(axis=1))
-    return known[known >= length - 1]
+def judged_queries(errors: NDArray[np.float64], length: int, drives: Sequence[slice] = ()) -> NDArray[np.intp]:
+    """Queries with a known true position, from the first of each drive on that ends a whole sequence."""
+    is_judged: NDArray[np.bool_] = ~np.asarray(np.isnan(errors).all(axis=1))
+    for drive in drives or [slice(0, len(errors))]:
+        is_judged[drive][: length - 1] = False
+    return np.flatnonzero(is_judged)
 
 
 def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ input of the recognizer's cost matcher and search.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -123,11 +123,18 @@ def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
 
 
 def query_rows(
-    method: Method, raw: Raw, length: int, *, segments: Runs = (), earlier: Raw | None = None
+    method: Method,
+    raw: Raw,
+    length: int,
+    *,
+    segments: Runs = (),
+    earlier: Raw | None = None,
+    starts: Collection[int] = (),
 ) -> Iterator[NormalizedRows]:
     """The rows that each query frame adds to the ring or replaces in it, in order.
 
-    `earlier` are raw descriptors of the drive whose statistics a warm method starts with.
+    earlier: raw descriptors of the drive whose statistics a warm method starts with. starts: frames that begin a new
+    ring, as each drive does.
     """
     if method.query in ("none", "set", "segments"):
         apart = segments if method.query == "segments" else [(0, len(raw))]
@@ -140,8 +147,10 @@ def query_rows(
         normalizer = OnlineNormalizer(length, renormalize_ring=method.query == "ring" and length > 1)
         for one in earlier if method.warm and earlier is not None else ():
             normalizer.push(one)
-        normalizer.clear_ring()
-        yield from map(normalizer.push, raw)
+        for frame, one in enumerate(raw):
+            if frame == 0 or frame in starts:
+                normalizer.clear_ring()
+            yield normalizer.push(one)
 
 
 def _normalized_apart(raw: Raw, runs: Runs, deviation: bool) -> Raw:
