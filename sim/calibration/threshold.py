@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config, RigConfig
+from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap
 from edge.sequence.search import NO_LINE
@@ -28,6 +28,8 @@ from sim.evaluation.metrics import Answers, precision_recall
 
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""
+
+DEFAULT = AcceptanceConfig().uniqueness_min
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,18 @@ class Curve:
             return float(self.thresholds[last])
         # Halfway to the next, which must be rejected, so that neither lies exactly on the threshold.
         return float(self.thresholds[last] + self.thresholds[last + 1]) / 2
+
+
+def choose(curve: Curve, off_map: Sequence[float], precision: float, length: int) -> float:
+    """The lowest threshold of that precision that also rejects this share of what was matched off the map.
+
+    off_map: uniqueness of a drive's matches while it was off the map. With fewer than `length` of them nothing shows
+    what is accepted there, and the threshold is at least the default. LookbackError where the precision is not reached.
+    """
+    lowest = curve.lowest_for(precision) if curve.precision.min() < precision else 1.0
+    if len(off_map) < length:
+        return max(lowest, DEFAULT)
+    return max(lowest, float(np.quantile(off_map, precision)))
 
 
 def curve_of_drive(seen: Sequence[Sighting], rig: RigConfig, tolerance_m: float, length: int) -> Curve:

@@ -21,7 +21,7 @@ from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
-from sim.calibration.threshold import curve_of_drive, curve_of_map
+from sim.calibration.threshold import choose, curve_of_drive, curve_of_map
 
 
 def sighting(ahead_m: float, uniqueness: float = 1.5, *, accepted: bool = True, line_sigma_m: float = 0.0) -> Sighting:
@@ -78,6 +78,19 @@ def test_the_threshold_is_the_lowest_with_that_precision() -> None:
     assert curve.lowest_for(0.99) == pytest.approx((1.2 + 1.1) / 2)  # 99 right and one wrong above it
     assert curve.lowest_for(1.0) == pytest.approx((1.251 + 1.25) / 2)
     assert curve.stretches == 5
+
+
+def test_only_what_was_matched_off_the_map_leads_below_the_default() -> None:
+    right = [sighting(20, 1.02 + at / 1000) for at in range(99)]
+    strangers = [1.0 + at / 10_000 for at in range(41)]
+
+    def chosen(seen: list[Sighting], off_map: list[float]) -> float:
+        return choose(curve_of_drive(seen, RigConfig(), tolerance_m=40, length=20), off_map, 0.9, 20)
+
+    assert chosen(right, []) == chosen(right, strangers[:19]) == 1.08
+    assert chosen(right, strangers) == pytest.approx(1.0036)
+    wrong = [sighting(200, 1.1) for _ in range(20)]
+    assert chosen([*right, *wrong], []) == pytest.approx(1.1005)
 
 
 def test_a_precision_that_nothing_reaches_is_one_line() -> None:

@@ -17,7 +17,7 @@ pytest.importorskip("panda3d")
 from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Network
-from edge.errors import FeedError
+from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
 from edge.localization.route_tracker import RouteTracker
@@ -135,6 +135,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     args = parser.parse_args([*argv, "--write", str(config), "--curve", str(tmp_path / "curve.csv")])
     assert args.run(args) == 0
     printed = capsys.readouterr().out
+    assert "the default is kept: lower ones reach this precision" in printed  # the drive never left the map
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
@@ -142,11 +143,31 @@ def test_the_command_prints_the_lines_and_writes_them(
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
-    assert f"uniqueness_min = {loaded.acceptance.uniqueness_min:g}" in printed
+    assert loaded.acceptance.uniqueness_min == 1.08 and "\nuniqueness_min = 1.08\n" in printed
     assert "# short" in config.read_text()
     lines = (tmp_path / "curve.csv").read_text().splitlines()
     assert lines[0] == "uniqueness_min,accepted,precision"
-    assert float(lines[-1].split(",")[0]) <= loaded.acceptance.uniqueness_min <= float(lines[1].split(",")[0])
+    assert 1.0 < float(lines[-1].split(",")[0]) < float(lines[1].split(",")[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("missing/lookback.toml", None, r"missing/lookback\.toml: cannot read it"),
+        ("lookback.toml", "[rig]\nahead = 1\n", r"\[rig\] unknown key `ahead`"),
+        ("/proc/version", None, "/proc/version: "),
+    ],
+)
+def test_a_config_that_cannot_be_written_is_named_before_anything_is_measured(
+    tmp_path: Path, name: str, text: str | None, says: str
+) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    parser = argparse.ArgumentParser()
+    command.add_command(parser.add_subparsers())
+    args = parser.parse_args(["calibrate", "--map", str(tmp_path / "no_map"), "--write", str(tmp_path / name)])
+    with pytest.raises(ConfigError, match=says):
+        args.run(args)
 
 
 def test_a_feed_without_positions_is_refused_in_one_line(maps: dict[str, ReferenceMap], tmp_path: Path) -> None:
