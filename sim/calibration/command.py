@@ -29,8 +29,8 @@ Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
 
 WHY_DEFAULT = (
-    "lower ones reach this precision, but nothing shows what they accept off the map; a drive that is off the map for the"
-    " length of a sequence does"
+    "lower ones reach this precision, but nothing shows what they accept off the map; a drive that is off the map for"
+    " the length of a sequence does"
 )
 
 
