@@ -78,12 +78,9 @@ def match(
         if best is None or matcher.lines is None:
             found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
         else:
-            candidates = _lowest(matcher.lines.costs, NO_LINE)
+            candidates = lowest(matcher.lines.costs, NO_LINE)
             found.append((best.place, best.uniqueness, best.direction == "reverse", candidates, newest))
-    place, confidence, reverse, all_candidates, all_costs = zip(*found, strict=True)
-    return Matches(
-        np.array(place), np.array(confidence), np.array(reverse), np.stack(all_candidates), np.stack(all_costs)
-    )
+    return gathered(found)
 
 
 def open_matcher(
@@ -107,6 +104,12 @@ def open_matcher(
     config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
     near = Neighborhood(ground, along, drive_of, acceptance)
     return RowMatcher(segments, [views[0]] * len(segments), regions, near, config)
+
+
+def gathered(found: Sequence[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
+    """The matches of frames as one; each has the fields of `Matches`, place -1 and NaN where there is none."""
+    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
+    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
@@ -140,7 +143,7 @@ def match_seqslam(
     return _better_way(forward, mirrored, len(reference))
 
 
-def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
+def lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
     """The CANDIDATES places of lowest cost, -1 where there are no more."""
     order = np.argsort(costs, kind="stable")[:CANDIDATES]
     out = np.full(CANDIDATES, -1)
@@ -150,7 +153,7 @@ def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
 
 def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
     shift = matches.place - matches.scores.argmin(axis=1)  # of the answer against its trajectory's start
-    starts = np.stack([_lowest(scores, np.inf) for scores in matches.scores])
+    starts = np.stack([lowest(scores, np.inf) for scores in matches.scores])
     candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
     candidates[candidates >= len(differences)] = -1
     # Best over second best: its inverse is the uniqueness of the other methods.

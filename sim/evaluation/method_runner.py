@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, SamplingConfig, SequenceConfig
 from edge.errors import ConfigError
+from edge.recognizer import model_key
+from sim.evaluation.as_run import config_of, match_as_run
 from sim.evaluation.bootstrap import Resampling
 from sim.evaluation.descriptions import Descriptions, Raw
 from sim.evaluation.matching import (
@@ -61,9 +63,11 @@ class Outcome:
 
     @property
     def threshold(self) -> float:
-        """The confidence from which `lookback run` would accept a match by uniqueness; SeqSLAM has its inverse."""
-        default = AcceptanceConfig().uniqueness_min
-        return -1 / default if self.method.layer == "pixels" else default
+        """The default confidence from which a match is accepted; SeqSLAM has the inverse of a uniqueness."""
+        default = AcceptanceConfig()
+        if self.method.recognizer == "belief":
+            return default.confidence_min
+        return -1 / default.uniqueness_min if self.method.layer == "pixels" else default.uniqueness_min
 
     def places_of_vehicle(self) -> NDArray[np.intp]:
         """(Q,) the place of the match's drive that lies `ahead` behind the match; -1 without one."""
@@ -192,6 +196,12 @@ class MethodRunner:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
             places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
             return match_seqslam(reference.pixels, query.pixels, length, places, centered=method.centered)
+        if method.recognizer:
+            raw = self._raw(method, reference, precision), self._raw(method, query, precision)
+            sequence = SequenceConfig(length=length, region_order=method.order)
+            config = config_of(pair, reference, query, sequence, self.plan.region_width)
+            network = self.descriptions.network(method.network, "fc6", precision)
+            return match_as_run(reference, query, raw, config, model_key(network), method.recognizer)
         described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
         costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
         earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None

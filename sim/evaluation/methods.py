@@ -32,6 +32,8 @@ class Method:
     deviation: False subtracts the mean only. warm: statistics continue those of an earlier drive.
     order: the lower cost of the two region orders in each frame (the paper), one order for a whole sequence, or the
     one that the two cameras' views allow in that direction of travel ("rig").
+    recognizer: the row is what `lookback run` does, with its own matcher: the places that it believes with their
+    confidence, or the best line of each frame with its uniqueness.
     centered: SeqSLAM uses frames half a sequence ahead, and the forward direction only, as published; otherwise only
     earlier frames, and both directions. description: the row in words.
     """
@@ -45,6 +47,7 @@ class Method:
     deviation: bool = True
     warm: bool = False
     order: Literal["frame", "sequence", "rig"] = "frame"
+    recognizer: Literal["", "belief", "uniqueness"] = ""
     centered: bool = False
     network: str = ""
     external: str = ""
@@ -67,8 +70,14 @@ def _rows() -> Iterator[Method]:
     yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalized again", query="ring")
     yield Method("NSD-CR/ring", "NSD-CR, the ring normalized again", regions="left-right", query="ring")
     yield Method("NSD-CR/order", "NSD-CR, one region order a sequence", regions="left-right", order="sequence")
-    lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows, as `run`", query="ring")
-    yield replace(lookback, regions="left-right", order="rig")
+    run = Method("Lookback", "as `lookback run`: the place belief", regions="left-right", query="ring", order="rig")
+    yield replace(run, recognizer="belief")
+    yield replace(
+        run,
+        name="Lookback/uniqueness",
+        description="the best lines of the same run, by their uniqueness",
+        recognizer="uniqueness",
+    )
     yield Method("mean-fc6", "fc6 minus its mean, query online", deviation=False)
     yield Method("mean-fc6/batch", "fc6 minus its mean, both over their sets", query="set", deviation=False)
     warm = Method(

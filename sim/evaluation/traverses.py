@@ -24,8 +24,9 @@ from sim.evaluation.seqslam import describe
 class Traverse:
     """The frames of a feed, or of several, that the sampling chose; `paths` are what they were read from.
 
-    rows: (n,) of the feed. drive_of: (n,) number of the feed in `paths`. pixels: (n, 32, 64) float32, as SeqSLAM sees
-    them (read here, since every picture is decoded here once to find out which are readable).
+    rows: (n,) of the feed. drive_of: (n,) number of the feed in `paths`. distance_m: (n,) driven since the first row of
+    the drive, NaN where it is not known. missed: (n,) places passed before each without a frame. pixels: (n, 32, 64)
+    float32, as SeqSLAM sees them (read here, since every picture is decoded here once to find out which are readable).
     """
 
     name: str
@@ -34,6 +35,8 @@ class Traverse:
     sampling: SamplingConfig
     rows: NDArray[np.intp]
     drive_of: NDArray[np.intp]
+    distance_m: NDArray[np.float64]
+    missed: NDArray[np.intp]
     pixels: NDArray[np.float32]
     external: dict[str, Path]
 
@@ -90,27 +93,31 @@ def load_traverse(
 
     FeedError if fewer than 2 frames of a feed are left, or it has no distance to choose by.
     """
-    rows: list[int] = []
+    items: list[tuple[int, int, float | None, int]] = []
     pixels: list[NDArray[np.float32]] = []
-    drive_of: list[int] = []
     before = 0
     for drive, path in enumerate(paths):
-        feed = read_feed(path)
+        feed, count = read_feed(path), len(items)
         last = len(feed.rows) - 1 if plan.last_row is None else plan.last_row
-        chosen = [
-            (before + item.frame.index, describe(item.frame.image))
-            for item in traverse(feed, sampling, must_have_distance=sampling.by == "distance")
-            if plan.first_row <= item.frame.index <= last
-        ]
-        if len(chosen) < 2:
-            raise FeedError(f"{path}: the sampling leaves {len(chosen)} frame(s); a traverse needs at least 2")
-        rows += [row for row, _ in chosen]
-        pixels += [picture for _, picture in chosen]
-        drive_of += [drive] * len(chosen)
+        for item in traverse(feed, sampling, must_have_distance=sampling.by == "distance"):
+            if plan.first_row <= item.frame.index <= last:
+                items.append((before + item.frame.index, drive, item.distance_m, item.missed))
+                pixels.append(describe(item.frame.image))
+        if len(items) < count + 2:
+            raise FeedError(f"{path}: the sampling leaves {len(items) - count} frame(s); a traverse needs at least 2")
         before += len(feed.rows)
-    external = {source: beside / file for source, file in plan.external.items()}
+    rows, drive_of, distance_m, missed = zip(*items, strict=True)
     return Traverse(
-        name, tuple(paths), read_feeds(paths), sampling, np.array(rows), np.array(drive_of), np.stack(pixels), external
+        name,
+        tuple(paths),
+        read_feeds(paths),
+        sampling,
+        np.array(rows),
+        np.array(drive_of),
+        distance_m=np.array(distance_m, dtype=np.float64),
+        missed=np.array(missed),
+        pixels=np.stack(pixels),
+        external={source: beside / file for source, file in plan.external.items()},
     )
 
 
