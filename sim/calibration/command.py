@@ -29,8 +29,8 @@ Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
 
 WHY_DEFAULT = (
-    "lower ones reach this precision, but nothing shows what they accept off the map; a drive that is off the map for"
-    " the length of a sequence does"
+    "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too little"
+    " of what is believed elsewhere"
 )
 
 
@@ -93,7 +93,7 @@ def _run(args: argparse.Namespace) -> int:
     off_map: list[float] = []
     if args.feeds:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
-        off_map = [one.uniqueness for one in seen if np.isnan(one.ahead_m)]
+        off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
         lines |= _rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
@@ -107,9 +107,9 @@ def _run(args: argparse.Namespace) -> int:
         raise LookbackError(
             f"{args.map}: no whole sequence of {config.sequence.length} places, so there is nothing to measure"
         )
-    chosen = choose(curve, off_map, args.precision, config.sequence.length)
+    chosen = choose(curve, off_map, args.precision)
     threshold = float(np.ceil(chosen * 1e4) / 1e4)
-    lines["acceptance", "uniqueness_min"] = threshold
+    lines["acceptance", "confidence_min"] = threshold
     _print_curve(curve, threshold, drive=bool(args.feeds))
     if chosen == DEFAULT:
         print(f"the default is kept: {WHY_DEFAULT}")
@@ -155,7 +155,7 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
     """About 13 points of the curve, and the chosen one."""
-    print(f"  uniqueness_min  accepted  {'precision' if drive else 'rejected'}")
+    print(f"  confidence_min  accepted  {'precision' if drive else 'rejected'}")
     rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
     for row in rows:
         print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
@@ -177,7 +177,7 @@ def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
 def _curve_as_csv(curve: Curve) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["uniqueness_min", "accepted", "precision"])
+    writer.writerow(["confidence_min", "accepted", "precision"])
     for threshold, accepted, precision in zip(curve.thresholds, curve.accepted, curve.precision, strict=True):
         writer.writerow([f"{threshold:.6f}", accepted, f"{precision:.6f}"])
     return text.getvalue()

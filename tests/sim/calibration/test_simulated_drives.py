@@ -135,7 +135,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     args = parser.parse_args([*argv, "--write", str(config), "--curve", str(tmp_path / "curve.csv")])
     assert args.run(args) == 0
     printed = capsys.readouterr().out
-    assert "the default is kept: lower ones reach this precision" in printed  # the drive never left the map
+    assert "the default is kept: lower ones may reach this precision" in printed  # the drive never left the map
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
@@ -143,11 +143,11 @@ def test_the_command_prints_the_lines_and_writes_them(
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
-    assert loaded.acceptance.uniqueness_min == 1.08 and "\nuniqueness_min = 1.08\n" in printed
+    assert loaded.acceptance.confidence_min == 0.5 and "\nconfidence_min = 0.5\n" in printed
     assert "# short" in config.read_text()
     lines = (tmp_path / "curve.csv").read_text().splitlines()
-    assert lines[0] == "uniqueness_min,accepted,precision"
-    assert 1.0 < float(lines[-1].split(",")[0]) < float(lines[1].split(",")[0])
+    assert lines[0] == "confidence_min,accepted,precision"
+    assert 0.0 <= float(lines[-1].split(",")[0]) < float(lines[1].split(",")[0]) <= 1.0
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         descriptor=msgspec.structs.replace(default.descriptor, region_width=plan.region_width, standing_change=0.0),
         sequence=msgspec.structs.replace(default.sequence, length=LENGTH),
         # The corridor's nominal meter is one frame.
-        acceptance=AcceptanceConfig(window_m=2 * TOLERANCE),
+        acceptance=AcceptanceConfig(window_m=2 * TOLERANCE, window_places=round(2 * TOLERANCE)),
     )
     reference, query = (
         replace(feed, rows=feed.rows[:FRAMES])
@@ -52,8 +52,9 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
     lines = replay_on_new_map([reference], query, config, network=network)
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
-    uniqueness = [line.uniqueness for line in lines[LENGTH - 1 :]]
-    assert uniqueness == [round(float(value), 6) for value in outcome.matches.confidence[LENGTH - 1 :]]
+    assert [line.confidence for line in lines[LENGTH - 1 :]] == outcome.matches.confidence[LENGTH - 1 :].round(
+        4
+    ).tolist()
 
 
 def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: Path, write_feed: Any) -> None:
