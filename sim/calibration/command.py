@@ -29,8 +29,8 @@ Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
 
 WHY_DEFAULT = (
-    "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too little"
-    " of what is believed elsewhere"
+    "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too"
+    " little of what is believed elsewhere"
 )
 
 
