@@ -13,7 +13,7 @@ from sim.evaluation import figures
 from sim.evaluation.bootstrap import difference, interval
 from sim.evaluation.matching import errors_of
 from sim.evaluation.method_runner import MethodRunner, Outcome
-from sim.evaluation.metrics import max_f1_of_places, precision_recall, recall_of_best, scores
+from sim.evaluation.metrics import at_threshold, max_f1_of_places, precision_recall, recall_of_best, scores
 from sim.evaluation.plan import Pair
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
 from sim.evaluation.traverses import open_pictures
@@ -29,7 +29,8 @@ SCORE_NOTE = (
     "Accuracy: right best matches over all frames that have a true place. Max-F1 (places): recall counts every frame"
     " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
     " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
-    " R@P100, R@P99: recall of places at 100 % and 99 % precision. Offset: how far ahead of the vehicle a match is"
+    " R@P100, R@P99: recall of places at 100 % and 99 % precision. Precision, recall: of what is accepted"
+    " at the default threshold. Offset: how far ahead of the vehicle a match is"
     " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
     " an offset it is limited to the tolerance. Published: the paper's max-F1; it does not say by which recall."
 )
@@ -186,6 +187,7 @@ def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence
                 found.average_precision,
                 found.recall_at_100,
                 found.recall_at_99,
+                *at_threshold(outcome.answers, outcome.threshold),
                 outcome.ahead,
                 median_ahead(outcome),
                 "" if published is None else published,
@@ -204,6 +206,8 @@ def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence
         "AP",
         "R@P100",
         "R@P99",
+        "precision",
+        "recall",
         "offset",
         "median ahead",
         "published max-F1",

@@ -115,6 +115,14 @@ def scores(answers: Answers) -> Scores:
     )
 
 
+def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
+    """Precision and recall_of_places of what is accepted from a threshold on; NaN where there is nothing."""
+    accepted = answers.confidence >= threshold  # NaN is not
+    hits = float((accepted & answers.correct).sum())
+    total, on_map = float(accepted.sum()), float(answers.has_truth.sum())
+    return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
+
+
 def f1(precision: Floats, recall: Floats) -> Floats:
     """Harmonic mean, 0 where both are 0 or recall is undefined: (T,), (T,) -> (T,)."""
     total = precision + recall
