@@ -175,8 +175,9 @@ class MethodRunner:
         if key not in self._ahead:
             other = self.run(msgspec.structs.replace(pair, query=pair.calibration, calibration="", ahead=0.0), text)
             ahead = other.ahead_of_query()[other.matches.confidence >= other.threshold]
-            # A median over fewer matches may be that of wrong ones.
-            self._ahead[key] = float(np.nanmedian(ahead)) if (~np.isnan(ahead)).sum() >= FEWEST else 0.0
+            # What lies further away than the places that count as the same is a wrong match, and no offset.
+            ahead = ahead[np.abs(ahead) <= 2 * pair.tolerance]
+            self._ahead[key] = float(np.median(ahead)) if len(ahead) >= FEWEST else 0.0
         return self._ahead[key]
 
     def _match(
