@@ -108,7 +108,7 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
         part = Submap([(0, header.places)], map_set, config)
-        consensus = PlaceConsensus(settings)
+        consensus = PlaceConsensus(settings, drives.positions_m)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
