@@ -36,6 +36,9 @@ from sim.evaluation.traverses import Traverse, place_coordinates, true_errors
 FEWEST = 10
 """Matches that an offset is measured on at least, as `lookback calibrate` does."""
 
+FURTHEST = 4
+"""Tolerances ahead of the vehicle, or behind it, up to which a match can be right before the offset is known."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -175,8 +178,8 @@ class MethodRunner:
         if key not in self._ahead:
             other = self.run(msgspec.structs.replace(pair, query=pair.calibration, calibration="", ahead=0.0), text)
             ahead = other.ahead_of_query()[other.matches.confidence >= other.threshold]
-            # What lies further away than the places that count as the same is a wrong match, and no offset.
-            ahead = ahead[np.abs(ahead) <= 2 * pair.tolerance]
+            # What lies further away than a camera sees is a wrong match, and no offset.
+            ahead = ahead[np.abs(ahead) <= FURTHEST * pair.tolerance]
             self._ahead[key] = float(np.median(ahead)) if len(ahead) >= FEWEST else 0.0
         return self._ahead[key]
 

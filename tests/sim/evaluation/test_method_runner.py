@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import pytest
 
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
@@ -23,7 +22,6 @@ from sim.evaluation.run import SHIPPED, Folders, open_runner
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
 
-@pytest.mark.xfail(reason="the evaluation answers by uniqueness alone, the recognizer by the place belief", strict=True)
 def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Network, tmp_path: Path) -> None:
     feeds = shared / "feeds"
     plan = Plan(
