@@ -46,6 +46,12 @@ class Answers:
         return Answers(self.confidence[queries], self.correct[queries], self.has_truth[queries])
 
 
+def joined(several: Sequence[Answers]) -> Answers:
+    """The answers of several traverses, one after the other."""
+    columns = ((one.confidence, one.correct, one.has_truth) for one in several)
+    return Answers(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
 @dataclass(frozen=True)
 class PrecisionRecall:
     """The whole curve: one point for every distinct confidence, from the highest to the lowest.
