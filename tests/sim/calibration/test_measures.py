@@ -18,7 +18,7 @@ from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
-from sim.calibration.threshold import choose, curve_of_drive, curve_of_map
+from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
 
 
 def sighting(ahead_m: float, confidence: float = 0.8, *, accepted: bool = True, line_sigma_m: float = 0.0) -> Sighting:
@@ -84,7 +84,7 @@ def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_bel
     def chosen(seen: list[Sighting], off_map: list[float]) -> float:
         return choose(curve_of_drive(seen, RigConfig(), tolerance_m=40, length=20), off_map, 0.9)
 
-    assert chosen(right, []) == 0.6
+    assert chosen(right, []) == DEFAULT
     assert chosen(right, strangers) == pytest.approx(0.72)
     wrong = [sighting(200, 0.65 + at / 1000) for at in range(20)]
     better = [sighting(20, 0.75 + at / 1000) for at in range(99)]
@@ -136,7 +136,7 @@ def test_the_map_against_itself_has_an_answer_for_each_place(out_and_back: Refer
     """The first is that of the tenth place; a place is not compared with the way back beside it either."""
     curve = curve_of_map(out_and_back, Config(sequence=SequenceConfig(length=10)))
     assert curve.answers == 400 - 9
-    assert curve.thresholds.max() < 0.6
+    assert curve.thresholds.max() < DEFAULT
 
 
 def smooth_street(seed: int) -> NDArray[np.float32]:
@@ -145,7 +145,7 @@ def smooth_street(seed: int) -> NDArray[np.float32]:
     return np.asarray(sum(np.roll(noise, shift, axis=0) for shift in range(12)), dtype=np.float32)
 
 
-@pytest.mark.parametrize(("second", "low", "high"), [(2, 0.0, 0.6), (1, 0.6, 1.0)])
+@pytest.mark.parametrize(("second", "low", "high"), [(2, 0.0, DEFAULT), (1, DEFAULT, 1.0)])
 def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshold(
     tmp_path: Path, second: int, low: float, high: float
 ) -> None:

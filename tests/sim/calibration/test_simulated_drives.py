@@ -27,6 +27,7 @@ from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
+from sim.calibration.threshold import DEFAULT
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
@@ -152,7 +153,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
-    assert loaded.acceptance.confidence_min == 0.6 and "\nconfidence_min = 0.6\n" in printed
+    assert loaded.acceptance.confidence_min == DEFAULT and f"\nconfidence_min = {DEFAULT}\n" in printed
     assert "# short" in config.read_text()
     lines = (tmp_path / "curve.csv").read_text().splitlines()
     assert lines[0] == "confidence_min,accepted,precision"
