@@ -6,7 +6,9 @@ import argparse
 import csv
 import io
 import os
+import tempfile
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -22,10 +24,15 @@ from edge.feed import Feed, read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key, sigma_key
 from sim.calibration.sightings import Sighting, sightings
-from sim.calibration.threshold import TOLERANCE_M, Curve, curve_of_drive, curve_of_map
+from sim.calibration.threshold import DEFAULT, TOLERANCE_M, Curve, choose, curve_of_drive, curve_of_map
 
 Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
+
+WHY_DEFAULT = (
+    "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too"
+    " little of what is believed elsewhere"
+)
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -77,12 +84,17 @@ def measure_rig(
 
 
 def _run(args: argparse.Namespace) -> int:
+    # Measuring takes minutes, so it is found out first whether the result can be written.
+    if args.write:
+        check_writable(args.write)
     reference_map = open_map(args.map)
     settings = args.config or args.write
     config = load_config(settings) if settings else config_for_map(reference_map.header)
     lines: dict[tuple[str, str], float] = {}
+    off_map: list[float] = []
     if args.feeds:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
+        off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
         lines |= _rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
@@ -96,9 +108,12 @@ def _run(args: argparse.Namespace) -> int:
         raise LookbackError(
             f"{args.map}: no whole sequence of {config.sequence.length} places, so there is nothing to measure"
         )
-    threshold = float(np.ceil(max(1.0, curve.lowest_for(args.precision)) * 1e4) / 1e4)
-    lines["acceptance", "uniqueness_min"] = threshold
+    chosen = choose(curve, off_map, args.precision)
+    threshold = float(np.ceil(chosen * 1e4) / 1e4)
+    lines["acceptance", "confidence_min"] = threshold
     _print_curve(curve, threshold, drive=bool(args.feeds))
+    if chosen == DEFAULT:
+        print(f"the default is kept: {WHY_DEFAULT}")
     if args.feeds:
         _print_off_map(curve_of_map(reference_map, config), threshold, args.precision)
     if args.curve:
@@ -141,7 +156,7 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
     """About 13 points of the curve, and the chosen one."""
-    print(f"  uniqueness_min  accepted  {'precision' if drive else 'rejected'}")
+    print(f"  confidence_min  accepted  {'precision' if drive else 'rejected'}")
     rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
     for row in rows:
         print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
@@ -163,7 +178,7 @@ def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
 def _curve_as_csv(curve: Curve) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["uniqueness_min", "accepted", "precision"])
+    writer.writerow(["confidence_min", "accepted", "precision"])
     for threshold, accepted, precision in zip(curve.thresholds, curve.accepted, curve.precision, strict=True):
         writer.writerow([f"{threshold:.6f}", accepted, f"{precision:.6f}"])
     return text.getvalue()
@@ -177,15 +192,23 @@ def _as_toml(lines: Lines) -> str:
     )
 
 
+def check_writable(path: Path) -> None:
+    """ConfigError unless `write_lines` could write into this config file now."""
+    if find_spec("tomlkit") is None:
+        raise ConfigError(f"--write needs tomlkit: {install_command('desk')}, or copy the lines yourself")
+    load_config(path)
+    try:
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write into its folder: {error.strerror}") from None
+
+
 def write_lines(path: Path, lines: Lines) -> None:
     """Write values into a config file in one step; its comments, order and other keys stay. ConfigError."""
-    try:
-        import tomlkit
-    except ModuleNotFoundError:
-        hint = f"{install_command('desk')}, or copy the lines yourself"
-        raise ConfigError(f"--write needs tomlkit: {hint}") from None
-    text = path.read_text(encoding="utf-8")
-    document = tomlkit.parse(text)
+    import tomlkit
+
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
     for (section, key), value in lines.items():
         document.setdefault(section, tomlkit.table())[key] = value
     new = tomlkit.dumps(document)

@@ -41,7 +41,7 @@ class Sighting:
     direction: Direction
     order: Order
     ahead_m: float
-    uniqueness: float
+    confidence: float
     accepted: bool
     left_m: float = float("nan")
     line_sigma_m: float = 0.0
@@ -61,7 +61,9 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     drives = MapDrives(reference_map, feed)
     ends = LineRefinement(Route(recognizer.map_set), config.sequence.length)
     for item in traverse(feed, config.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, missed=item.missed)
+        match = recognizer.observe(
+            item.frame.image, item.frame.stamp_ns, missed=item.missed, distance_m=item.distance_m
+        )
         ends.move(match, item.distance_m, item.missed)
         if match is not None:
             end = ends.end_of(match)
@@ -70,7 +72,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             ahead_m = further_m if match.direction == "forward" else -further_m
             left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
             sigma_m = end.sigma_m if end else float("nan")
-            yield Sighting(match.direction, match.order, ahead_m, match.uniqueness, match.accepted, left_m, sigma_m)
+            yield Sighting(match.direction, match.order, ahead_m, match.confidence, match.accepted, left_m, sigma_m)
 
 
 class MapDrives:

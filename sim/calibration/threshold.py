@@ -1,12 +1,12 @@
-"""The uniqueness from which a match is accepted, for a precision that the user chooses.
+"""The confidence from which a place is believed, for a precision that the user chooses.
 
 From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
 From the map alone: each of its frames is matched to the map without the frame's surroundings. All such matches are
-wrong, as those of a vehicle off the map, and the threshold rejects all but the allowed share of them. On three
-simulated streets of 1 km the threshold for 99 % was 1.145, 1.167 and 1.198, where another street driven on that map
-needed 1.124, 1.135 and 1.142; on a real corridor 1.21, where recordings of other places stayed below 1.05. The map
-alone does not show how well places are recognized in other light. If it has no positions and passes a place twice, it
-shows nothing: the other pass of the same place is matched.
+wrong, as those of a vehicle off the map, and the threshold rejects all but the allowed share of them. On six simulated
+streets of 1 km the threshold for 99 % was 0.09 to 0.66, where other streets driven on those maps needed 0.23 to 0.56:
+it may ask for more than the default, and is no reason to go below it. The map alone does not show how well places are
+recognized in other light. If it has no positions and passes a place twice, it shows nothing: the other pass of the same
+place is matched.
 """
 
 from __future__ import annotations
@@ -18,16 +18,20 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config, RigConfig
+from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
+from edge.localization.consensus import ConsensusSettings, PlaceConsensus
+from edge.localization.drives import Drives
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap
-from edge.sequence.search import NO_LINE
+from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
 
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""
+
+DEFAULT = AcceptanceConfig().confidence_min
 
 
 @dataclass(frozen=True)
@@ -60,40 +64,57 @@ class Curve:
         return float(self.thresholds[last] + self.thresholds[last + 1]) / 2
 
 
+def choose(curve: Curve, off_map: Sequence[float], precision: float) -> float:
+    """The lowest threshold of that precision that also rejects this share of what was matched off the map.
+
+    off_map: confidence of the drives' matches while they were off the map. At least the default: one drive shows too
+    little of what lies off a map to go below it. LookbackError where the precision is not reached.
+    """
+    lowest = curve.lowest_for(precision) if curve.precision.min() < precision else DEFAULT
+    return max(DEFAULT, lowest, float(np.quantile(off_map, precision)) if off_map else DEFAULT)
+
+
 def curve_of_drive(seen: Sequence[Sighting], rig: RigConfig, tolerance_m: float, length: int) -> Curve:
     """From sightings with known positions; a vehicle off the map's drives makes every match wrong."""
     left_m = np.array([one.ahead_m - rig.ahead_m(one.direction, one.order) for one in seen])
-    uniqueness = np.array([one.uniqueness for one in seen])
+    confidence = np.array([one.confidence for one in seen])
     correct = np.abs(left_m) <= tolerance_m  # NaN is not
-    curve = precision_recall(Answers(uniqueness, correct, np.ones(len(seen), dtype=bool)))
-    accepted = np.array([(uniqueness >= threshold).sum() for threshold in curve.thresholds])
+    curve = precision_recall(Answers(confidence, correct, np.ones(len(seen), dtype=bool)))
+    accepted = np.array([(confidence >= threshold).sum() for threshold in curve.thresholds])
     return Curve(curve.thresholds, curve.precision, accepted, len(seen), len(seen) // length)
 
 
 def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
     """From the map alone: each place matched without its surroundings."""
-    wrong = -np.sort([-uniqueness for uniqueness in _uniqueness_off_map(reference_map, config)])
+    wrong = -np.sort([-confidence for confidence in _confidence_off_map(reference_map, config)])
     accepted = np.arange(1, len(wrong) + 1)
     return Curve(wrong, 1 - accepted / max(len(wrong), 1), accepted, len(wrong), len(wrong) // config.sequence.length)
 
 
-def _uniqueness_off_map(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
-    """Uniqueness of the best match of each place after its own surroundings were removed."""
+def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator[float]:
+    """Confidence of what is believed at each place after its own surroundings were removed."""
     header = reference_map.header
     map_set = MapSet.of(reference_map)
     (matcher,) = map_set.matchers
-    missing = NO_LINE // (2 * config.sequence.length)  # no line through such a place is the best, and no sum overflows
+    drives = Drives(map_set, config.sampling.spacing_m)
+    length, spacing_m = config.sequence.length, drives.spacing_m
+    settings = ConsensusSettings(length, spacing_m, slack_m=length * spacing_m / 4)
+    if drives.is_metric:
+        limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
+        measured = msgspec.structs.replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES)
+        config = msgspec.structs.replace(config, sequence=measured)
     for segment in header.segments:
         # With the view of the segment's own camera: the region orders of the other would match its mirror image.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
         part = Submap([(0, header.places)], map_set, config)
+        consensus = PlaceConsensus(settings, drives.positions_m)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
-            costs[..., part.neighborhood.around(place)] = missing
+            costs[..., part.neighborhood.around(place)] = COST_ONE
             match = part.push(costs)
-            if match is None or match.distance * COST_ONE * config.sequence.length >= missing:
-                continue
-            alone = match.uniqueness * match.distance * COST_ONE * config.sequence.length >= missing
-            yield 1.0 if alone else match.uniqueness
+            vote = drives.vote(match) if match is not None else None
+            belief = consensus.update(vote, drives.along_m(place) if drives.is_metric else None)
+            if match is not None:
+                yield belief.confidence if belief is not None else 0.0

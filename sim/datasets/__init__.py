@@ -47,7 +47,7 @@ class ReadOptions:
     """Options of reading; each kind has some of them, see `KINDS`. None is the kind's own default."""
 
     camera: str | None = None
-    """Which camera (RobotCar: stereo/left; KITTI: image_2) or topic (ROS)."""
+    """Which camera (RobotCar: stereo/left; KITTI: image_2; NSAVP: mono_left) or topic (ROS)."""
     positions: str | None = None
     """Which positions: a file (a log, a CSV file, poses), a topic, or gps | ins (RobotCar)."""
     names: Path | None = None
@@ -98,6 +98,15 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "gardens-point": _kind("equal_index", "Gardens Point: day_left, ...", "rows", 2.0, "names", "fps"),
         "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "positions", 25.0, "fps"),
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "positions", 10.0, "camera", "positions"),
+        "nsavp": _kind(
+            "nsavp",
+            "NSAVP: folder of one sequence's HDF5 files",
+            "positions",
+            25.0,
+            "camera",
+            "positions",
+            "crop_bottom",
+        ),
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "positions", 25.0, "fps"),
         "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "positions", 25.0),
         "video-log": _kind("video_log", "video, and a .tlog, .bin or .ulg", "positions", 25.0, "positions", "start_s"),

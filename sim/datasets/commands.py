@@ -38,7 +38,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 
 def _add_read_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--camera", help="camera or topic, such as stereo/left, mono_rear, image_2")
+    parser.add_argument("--camera", help="camera or topic, such as stereo/left, mono_left, image_2")
     parser.add_argument("--positions", help="source of positions: a log, a file, a topic, or ins | gps")
     parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures in this list")
     parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, for layouts without times")

@@ -10,7 +10,6 @@ vehicle by the rig's offset, which is measured on another drive of the same dire
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -21,16 +20,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, Config, SamplingConfig
+from edge.config import AcceptanceConfig, Config
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
 from edge.descriptor.regions import cut_regions
 from edge.recognizer import SequenceMatcher
-from edge.reference_map import MapSet, ModelKey, open_map_set
-from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.store import RegionsKey
+from edge.reference_map import ModelKey
+from edge.reference_map.builder import Place
 from edge.sequence import Direction
-from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, at_threshold, joined, precision_recall, recall_at_precision
+from sim.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import LightName, Scenario
@@ -91,35 +89,28 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
     }[cut]
 
 
-def open_part(road: Described, cut: Cut, folder: Path) -> MapSet:
-    """A map of the parts of a road that are left, each a drive of its own."""
-    model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
-    with MapBuilder(folder / cut, model, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        for start, end in kept(cut, len(road.raw)):
-            builder.begin_segment(cut, "rear")
-            for row in range(start, end):
-                builder.add(road.raw[row].astype(np.float32), Place(row=row, route_m=float(road.route_m[row])))
-        builder.finish(normalize, "belief")
-    return open_map_set(folder / cut)
-
-
 def believe(road: Described, query: Described, cut: Cut, odometer_scale: float = 1.0) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped."""
-    with tempfile.TemporaryDirectory() as folder:
-        map_set = open_part(road, cut, Path(folder))
-        config = Config()
-        matcher = SequenceMatcher(map_set, config)
-        found = np.full((len(query.raw), 4), np.nan)
-        found[:, 1] = found[:, 3] = 0.0
+    config, rows = Config(), np.arange(len(road.raw))
+    drives = [
+        MappedDrive(
+            road.raw[start:end].astype(np.float32),
+            [Place(row, route_m=float(road.route_m[row])) for row in rows[start:end].tolist()],
+            "rear",
+        )
+        for start, end in kept(cut, len(rows))
+    ]
+    found = np.full((len(query.raw), 4), np.nan)
+    found[:, 1] = found[:, 3] = 0.0
+    model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
+    with temporary_map(drives, model, config.descriptor) as map_set:
+        matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
             match = matcher.push(raw, distance_m=float(driven_m) * odometer_scale)
-            if match is not None:
-                along_m = float(map_set.places["route_m"][match.place_index])
-                if match.confidence > 0:
-                    found[frame, :2] = along_m, match.confidence
-                if matcher.best is not None and frame >= config.sequence.length - 1:
-                    best_m = float(map_set.places["route_m"][matcher.best.place_index])
-                    found[frame, 2:] = best_m, matcher.best.uniqueness
+            if match is not None and match.confidence > 0:
+                found[frame, :2] = route_m[match.place_index], match.confidence
+            if matcher.best is not None and frame >= config.sequence.length - 1:
+                found[frame, 2:] = route_m[matcher.best.place_index], matcher.best.uniqueness
     return Beliefs(*found.T)
 
 
@@ -184,10 +175,8 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
     ):
         answers: list[Answers] = [getattr(one, kind) for one in judged]
         at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
-        accepted = [one.confidence >= threshold for one in answers]
-        right = sum(int((take & one.correct).sum()) for take, one in zip(accepted, answers, strict=True))
-        total, on_map = sum(int(take.sum()) for take in accepted), sum(int(one.has_truth.sum()) for one in answers)
-        cells.append(f"{at_100:.2f} / {right / max(total, 1):.4f} / {right / on_map:.2f}")
+        precision, recall = at_threshold(joined(answers), threshold)
+        cells.append(f"{at_100:.2f} / {precision:.4f} / {recall:.2f}")
     return f"| {cut} | {' | '.join(cells)} | {np.median([one.first_m for one in judged]):.0f} m |"
 
 

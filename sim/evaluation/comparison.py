@@ -9,15 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.feed import FeedImages
 from sim.evaluation import figures
 from sim.evaluation.bootstrap import difference, interval
 from sim.evaluation.matching import errors_of
 from sim.evaluation.method_runner import MethodRunner, Outcome
-from sim.evaluation.metrics import max_f1_of_places, precision_recall, recall_of_best, scores
+from sim.evaluation.metrics import at_threshold, max_f1_of_places, precision_recall, recall_of_best, scores
 from sim.evaluation.plan import Pair
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
-from sim.evaluation.traverses import place_coordinates
+from sim.evaluation.traverses import open_pictures
 
 COUNTS = (1, 5, 10)
 THUMBNAIL_PX = 200
@@ -30,9 +29,10 @@ SCORE_NOTE = (
     "Accuracy: right best matches over all frames that have a true place. Max-F1 (places): recall counts every frame"
     " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
     " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
-    " R@P100, R@P99: recall of places at 100 % and 99 % precision. Median ahead: of right answers, how far they lie"
-    " ahead of the true place in the direction of travel, meters or frames. Published: the paper's max-F1;"
-    " it does not say by which recall."
+    " R@P100, R@P99: recall of places at 100 % and 99 % precision. Precision, recall: of what is accepted"
+    " at the default threshold. Offset: how far ahead of the vehicle a match is"
+    " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
+    " an offset it is limited to the tolerance. Published: the paper's max-F1; it does not say by which recall."
 )
 
 
@@ -91,7 +91,8 @@ def overview(runner: MethodRunner, results: Results) -> Section:
     rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
     table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
     plot = Figure("overview", "Max-F1 (places)", figures.bar_plot(pairs, heights, "max-F1 (places)"))
-    return Section("Overview", _methods_text(runner), [table, *_differences(runner, results)], [plot])
+    tables = [table, _first_answers(runner, results), *_differences(runner, results)]
+    return Section("Overview", _methods_text(runner), tables, [plot])
 
 
 def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Picture]]:
@@ -110,18 +111,25 @@ def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Pict
 
 
 def median_ahead(outcome: Outcome) -> float:
-    """How far ahead of the true place right answers lie, in the direction of travel; NaN if none is right.
+    """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
+    ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
+    return float(np.median(ahead)) if ahead.size else float("nan")
 
-    A front and a rear camera see the same object at different times, so that this is far from 0.
+
+def lags(outcome: Outcome) -> list[float]:
+    """Frames from each entry into the map to the first right accepted answer, inf where there is none until its end.
+
+    Frames count from the entry on, before the first whole sequence too.
     """
-    queries = outcome.judged[outcome.answers.correct]
-    if not queries.size:
-        return float("nan")
-    along = place_coordinates(outcome.reference, outcome.pair)[1]
-    ahead = along[outcome.matches.place[queries]] - along[outcome.errors[queries].argmin(axis=1)]
-    if outcome.pair.loop:
-        ahead = (ahead + outcome.pair.loop / 2) % outcome.pair.loop - outcome.pair.loop / 2
-    return float(np.median(np.where(outcome.matches.reverse[queries], -ahead, ahead)))
+    on_map = outcome.errors.min(axis=1) <= outcome.pair.tolerance  # NaN is not
+    right = (outcome.error_of_best() <= outcome.pair.tolerance) & (outcome.matches.confidence >= outcome.threshold)
+    found = []
+    for drive in outcome.query.drives():
+        edges = np.diff(on_map[drive], prepend=False, append=False).nonzero()[0] + drive.start
+        for entry, end in zip(edges[::2], edges[1::2], strict=True):
+            first = np.flatnonzero(right[entry:end])
+            found.append(float(first[0]) if first.size else np.inf)
+    return found
 
 
 def _picture_row(outcome: Outcome, query: int, word: str) -> list[Picture]:
@@ -140,7 +148,7 @@ def _picture_row(outcome: Outcome, query: int, word: str) -> list[Picture]:
 
 def _picture(outcome: Outcome, index: int, caption: str, *, of_query: bool) -> Picture:
     traverse = outcome.query if of_query else outcome.reference
-    with closing(FeedImages(traverse.feed)) as images:
+    with closing(open_pictures(traverse.feed)) as images:
         return Picture(thumbnail(images.read(int(traverse.rows[index]))), caption)
 
 
@@ -179,6 +187,8 @@ def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence
                 found.average_precision,
                 found.recall_at_100,
                 found.recall_at_99,
+                *at_threshold(outcome.answers, outcome.threshold),
+                outcome.ahead,
                 median_ahead(outcome),
                 "" if published is None else published,
             ]
@@ -196,6 +206,9 @@ def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence
         "AP",
         "R@P100",
         "R@P99",
+        "precision",
+        "recall",
+        "offset",
         "median ahead",
         "published max-F1",
     )
@@ -221,6 +234,29 @@ def _recall_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequenc
         rows,
         "The best places of the sequence search, neighbors included.",
     )
+
+
+def _first_answers(runner: MethodRunner, results: Results) -> Table:
+    """Lag of every method on every pair, in meters where frames are chosen by distance."""
+    sampling = runner.plan.sampling
+    meters, unit = (sampling.spacing_m, "m") if sampling.by == "distance" else (1.0, "frames")
+    rows: list[Sequence[Cell]] = []
+    for text in runner.plan.methods:
+        outcomes = [results.get((pair.name, text)) for pair in runner.plan.pairs]
+        rows.append([text, *(_lag_text(lags(one), meters) if one else "" for one in outcomes)])
+    note = (
+        f"From entering the map to the first right match that is accepted by the default threshold, {unit}; of several"
+        " entries the median. Entries without one until the map ends are counted, as longer than any lag."
+    )
+    return Table(
+        "first_answers", "First right answer", ("method", *(pair.name for pair in runner.plan.pairs)), rows, note
+    )
+
+
+def _lag_text(found: Sequence[float], meters: float) -> str:
+    median, never = float(np.median(found)) if found else np.nan, sum(map(np.isinf, found))
+    text = "never" if np.isinf(median) else f"{median * meters:.0f}"
+    return text + (f" ({never} of {len(found)} never)" if never and len(found) > 1 else "")
 
 
 def _differences(runner: MethodRunner, results: Results) -> list[Table]:

@@ -21,11 +21,10 @@ from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
 from edge.extras import install_command
-from edge.feed import FeedImages, read_feed
 from sim.evaluation.methods import likeliest_states, runs
 from sim.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
 from sim.evaluation.plan import NetworkPlan, Plan
-from sim.evaluation.traverses import Traverse
+from sim.evaluation.traverses import Traverse, open_pictures, read_feeds
 from sim.model_tools.weights import Weights
 
 Raw = NDArray[np.float32]
@@ -64,8 +63,8 @@ class Descriptions:
         """The task that describes a traverse."""
         rows = tuple(traverse.rows.tolist())
         plan, width = self._plan.networks[name], self._plan.region_width
-        path = traverse.path
-        return DescribeTask(traverse.name, path, rows, name, plan, self._folder, tap, precision, regions, width)
+        paths = traverse.paths
+        return DescribeTask(traverse.name, paths, rows, name, plan, self._folder, tap, precision, regions, width)
 
     def describe_all(self, tasks: Iterable[DescribeTask], executor: Executor) -> None:
         """Run tasks with the executor and keep their results."""
@@ -123,10 +122,10 @@ CONNECT_TIMEOUT_S = 10
 
 @dataclass(frozen=True)
 class DescribeTask:
-    """Chosen rows of a feed, and the layer that describes them; paths are those of the machine that runs it."""
+    """Chosen rows of a traverse, and the layer that describes them; paths are those of the machine that runs it."""
 
     traverse: str
-    feed: Path
+    feeds: tuple[Path, ...]
     rows: tuple[int, ...]
     network: str
     network_plan: NetworkPlan
@@ -141,7 +140,7 @@ def describe(task: DescribeTask, progress: bool = False) -> NDArray[np.float32]:
     """Raw descriptors (n, R, D) float32; ConfigError names a picture that cannot be read."""
     network = open_network(task.network, task.network_plan, task.models, task.tap, task.precision)
     out = np.empty((len(task.rows), REGION_COUNT[task.regions], network.info.dimensions), dtype=np.float32)
-    images = FeedImages(read_feed(task.feed))
+    images = open_pictures(read_feeds(task.feeds))
     title = f"{task.traverse}: {task.tap} {network.info.precision}, {task.regions}"
     try:
         for target, row in zip(

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config, SamplingConfig
-from edge.feed import FeedImages
 from sim.evaluation import figures
 from sim.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
 from sim.evaluation.comparison import Results, thumbnail
@@ -20,7 +19,7 @@ from sim.evaluation.methods import METHODS, query_rows
 from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.evaluation.plan import ActivationMap, Pair, Plan
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
-from sim.evaluation.traverses import true_errors
+from sim.evaluation.traverses import open_pictures, true_errors
 
 Step = Callable[[str], None]
 
@@ -166,7 +165,7 @@ def activation_maps(runner: MethodRunner, step: Step) -> Section:
 
 
 def _activation_row(runner: MethodRunner, wanted: ActivationMap, name: str) -> list[Picture]:
-    with closing(FeedImages(runner.traverse(wanted.traverse).feed)) as images:
+    with closing(open_pictures(runner.traverse(wanted.traverse).feed)) as images:
         image = images.read(wanted.row)
     weights = runner.descriptions.weights(name)
     pooled = pooled_features(weights, runner.descriptions.network(name, "fc6").info, image)
@@ -207,7 +206,7 @@ def _halting(runner: MethodRunner, pair: Pair, sampling: SamplingConfig, gate: f
         sequence=msgspec.structs.replace(Config().sequence, length=runner.sequence_length(pair)),
     )
     lines = replay_on_new_map([reference.feed], query.feed, config, sampling=sampling, network=network)
-    errors = true_errors(reference, query, pair)
+    errors = true_errors(reference, query, pair, runner.offset(pair, "Lookback"))
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)
     return len(lines), len(answered), right / len(answered) if answered else float("nan")

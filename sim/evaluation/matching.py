@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,22 +64,23 @@ def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
     return CostMatcher(encoded, squared_norms(encoded))
 
 
-def match(rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher) -> Matches:
-    """Match every frame of a query with the recognizer's own search."""
+def match(
+    rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher, starts: Collection[int] = ()
+) -> Matches:
+    """Match every frame of a query with the recognizer's own search; a new sequence begins at each of `starts`."""
     found = []
-    for change in rows:
+    for frame, change in enumerate(rows):
+        if frame in starts:
+            matcher.clear()
         costs = costs_of(change.rows)
         best = matcher.push(costs, change.ages)
         newest = costs[0].min(axis=0).astype(np.float32)
         if best is None or matcher.lines is None:
             found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
         else:
-            candidates = _lowest(matcher.lines.costs, NO_LINE)
+            candidates = lowest(matcher.lines.costs, NO_LINE)
             found.append((best.place, best.uniqueness, best.direction == "reverse", candidates, newest))
-    place, confidence, reverse, all_candidates, all_costs = zip(*found, strict=True)
-    return Matches(
-        np.array(place), np.array(confidence), np.array(reverse), np.stack(all_candidates), np.stack(all_costs)
-    )
+    return gathered(found)
 
 
 def open_matcher(
@@ -90,15 +91,25 @@ def open_matcher(
     *,
     regions: int = 1,
     views: tuple[View, View] = ("front", "front"),
+    drives: Sequence[slice] = (),
 ) -> RowMatcher:
-    """A matcher of one drive, whose places are where `place_coordinates` says.
+    """A matcher of places that are where `place_coordinates` says.
 
     window: places within it of each other, in the same unit, are the same place. views: of reference and query.
+    drives: the places of each; all are of one by default.
     """
+    segments = [(drive.start, drive.stop) for drive in drives] or [(0, len(along))]
+    drive_of = np.repeat(np.arange(len(segments), dtype=np.int32), [end - start for start, end in segments])
     acceptance = AcceptanceConfig(window_m=window)
     config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
-    near = Neighborhood(ground, along, np.zeros(len(along), dtype=np.int32), acceptance)
-    return RowMatcher([(0, len(along))], [views[0]], regions, near, config)
+    near = Neighborhood(ground, along, drive_of, acceptance)
+    return RowMatcher(segments, [views[0]] * len(segments), regions, near, config)
+
+
+def gathered(found: Sequence[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
+    """The matches of frames as one; each has the fields of `Matches`, place -1 and NaN where there is none."""
+    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
+    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
 
 
 def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
@@ -132,7 +143,7 @@ def match_seqslam(
     return _better_way(forward, mirrored, len(reference))
 
 
-def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
+def lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
     """The CANDIDATES places of lowest cost, -1 where there are no more."""
     order = np.argsort(costs, kind="stable")[:CANDIDATES]
     out = np.full(CANDIDATES, -1)
@@ -142,7 +153,7 @@ def _lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
 
 def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
     shift = matches.place - matches.scores.argmin(axis=1)  # of the answer against its trajectory's start
-    starts = np.stack([_lowest(scores, np.inf) for scores in matches.scores])
+    starts = np.stack([lowest(scores, np.inf) for scores in matches.scores])
     candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
     candidates[candidates >= len(differences)] = -1
     # Best over second best: its inverse is the uniqueness of the other methods.
@@ -173,10 +184,12 @@ def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queri
     )
 
 
-def judged_queries(errors: NDArray[np.float64], length: int) -> NDArray[np.intp]:
-    """Queries with a known true position, from the first on that ends a whole sequence."""
-    known = np.flatnonzero(~np.isnan(errors).all(axis=1))
-    return known[known >= length - 1]
+def judged_queries(errors: NDArray[np.float64], length: int, drives: Sequence[slice] = ()) -> NDArray[np.intp]:
+    """Queries with a known true position, from the first of each drive on that ends a whole sequence."""
+    is_judged: NDArray[np.bool_] = ~np.asarray(np.isnan(errors).all(axis=1))
+    for drive in drives or [slice(0, len(errors))]:
+        is_judged[drive][: length - 1] = False
+    return np.flatnonzero(is_judged)
 
 
 def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ input of the recognizer's cost matcher and search.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -32,6 +32,8 @@ class Method:
     deviation: False subtracts the mean only. warm: statistics continue those of an earlier drive.
     order: the lower cost of the two region orders in each frame (the paper), one order for a whole sequence, or the
     one that the two cameras' views allow in that direction of travel ("rig").
+    recognizer: the row is what `lookback run` does, with its own matcher: the places that it believes with their
+    confidence, or the best line of each frame with its uniqueness.
     centered: SeqSLAM uses frames half a sequence ahead, and the forward direction only, as published; otherwise only
     earlier frames, and both directions. description: the row in words.
     """
@@ -45,6 +47,7 @@ class Method:
     deviation: bool = True
     warm: bool = False
     order: Literal["frame", "sequence", "rig"] = "frame"
+    recognizer: Literal["", "belief", "uniqueness"] = ""
     centered: bool = False
     network: str = ""
     external: str = ""
@@ -67,8 +70,14 @@ def _rows() -> Iterator[Method]:
     yield Method("NSD-fc6/ring", "NSD-fc6, the ring normalized again", query="ring")
     yield Method("NSD-CR/ring", "NSD-CR, the ring normalized again", regions="left-right", query="ring")
     yield Method("NSD-CR/order", "NSD-CR, one region order a sequence", regions="left-right", order="sequence")
-    lookback = Method("Lookback", "NSD-CR/ring, in the region order that the rig allows, as `run`", query="ring")
-    yield replace(lookback, regions="left-right", order="rig")
+    run = Method("Lookback", "as `lookback run`: the place belief", regions="left-right", query="ring", order="rig")
+    yield replace(run, recognizer="belief")
+    yield replace(
+        run,
+        name="Lookback/uniqueness",
+        description="the best lines of the same run, by their uniqueness",
+        recognizer="uniqueness",
+    )
     yield Method("mean-fc6", "fc6 minus its mean, query online", deviation=False)
     yield Method("mean-fc6/batch", "fc6 minus its mean, both over their sets", query="set", deviation=False)
     warm = Method(
@@ -123,11 +132,18 @@ def reference_rows(method: Method, raw: Raw, segments: Runs) -> Raw:
 
 
 def query_rows(
-    method: Method, raw: Raw, length: int, *, segments: Runs = (), earlier: Raw | None = None
+    method: Method,
+    raw: Raw,
+    length: int,
+    *,
+    segments: Runs = (),
+    earlier: Raw | None = None,
+    starts: Collection[int] = (),
 ) -> Iterator[NormalizedRows]:
     """The rows that each query frame adds to the ring or replaces in it, in order.
 
-    `earlier` are raw descriptors of the drive whose statistics a warm method starts with.
+    earlier: raw descriptors of the drive whose statistics a warm method starts with. starts: frames that begin a new
+    ring, as each drive does.
     """
     if method.query in ("none", "set", "segments"):
         apart = segments if method.query == "segments" else [(0, len(raw))]
@@ -140,8 +156,10 @@ def query_rows(
         normalizer = OnlineNormalizer(length, renormalize_ring=method.query == "ring" and length > 1)
         for one in earlier if method.warm and earlier is not None else ():
             normalizer.push(one)
-        normalizer.clear_ring()
-        yield from map(normalizer.push, raw)
+        for frame, one in enumerate(raw):
+            if frame == 0 or frame in starts:
+                normalizer.clear_ring()
+            yield normalizer.push(one)
 
 
 def _normalized_apart(raw: Raw, runs: Runs, deviation: bool) -> Raw:

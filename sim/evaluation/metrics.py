@@ -46,6 +46,12 @@ class Answers:
         return Answers(self.confidence[queries], self.correct[queries], self.has_truth[queries])
 
 
+def joined(several: Sequence[Answers]) -> Answers:
+    """The answers of several traverses, one after the other."""
+    columns = ((one.confidence, one.correct, one.has_truth) for one in several)
+    return Answers(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
 @dataclass(frozen=True)
 class PrecisionRecall:
     """The whole curve: one point for every distinct confidence, from the highest to the lowest.
@@ -113,6 +119,14 @@ def scores(answers: Answers) -> Scores:
         recall_at_100=recall_at_precision(curve, 1.0),
         recall_at_99=recall_at_precision(curve, 0.99),
     )
+
+
+def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
+    """Precision and recall_of_places of what is accepted from a threshold on; NaN where there is nothing."""
+    accepted = answers.confidence >= threshold  # NaN is not
+    hits = float((accepted & answers.correct).sum())
+    total, on_map = float(accepted.sum()), float(answers.has_truth.sum())
+    return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
 
 
 def f1(precision: Floats, recall: Floats) -> Floats:

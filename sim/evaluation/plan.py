@@ -16,6 +16,7 @@ weights = "alexnet.npz"     # for float networks, and for layers that are not in
 
 [traverses.day_rear]
 feed = "day_rear"           # under --feeds, or beside the plan; or:
+feeds = ["a_rear", "b_rear"]  # several, each a drive of its own; or:
 scenario = "day_rear.toml"  # a drive of the simulator, rendered once
 
 [[pairs]]
@@ -24,6 +25,7 @@ reference = "day_rear"
 query = "dusk_front"
 truth = "positions"         # or rows, route_m, anchors, see `Pair`
 tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
+ahead = 28.0                # how far ahead the matched place lies, or: calibration = "another traverse"
 length_m = 40.0             # of a sequence; or length = 20, in frames
 figure = "fig. 5"           # the paper's figure of the same comparison
 
@@ -62,7 +64,7 @@ class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
-    """[traverses.NAME]: a feed, or a scenario of the simulator that is rendered into one.
+    """[traverses.NAME]: a feed, several feeds (each a drive of its own), or a scenario that is rendered into a feed.
 
     fps: frames a second of a scenario, also during halts; without it, one frame every spacing of the sampling.
     first_row, last_row: the first and the last row of the feed that are used. external: name -> .npy of descriptors
@@ -70,6 +72,7 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     feed: str = ""
+    feeds: tuple[str, ...] = ()
     scenario: str = ""
     fps: Positive | None = None
     first_row: Annotated[int, Meta(ge=0)] = 0
@@ -81,7 +84,10 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
 
     truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters); route_m
-    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames); anchors (frames).
+    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames; of traverses with
+    several feeds, equally numbered feeds); anchors (frames).
+    ahead: how far ahead of the vehicle, in its direction of travel, the right place lies, meters or frames: the offset
+    of the rig, as `lookback calibrate` prints it. calibration: a traverse on which each method measures it instead.
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap.
@@ -95,6 +101,8 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     query: str
     truth: Truth
     tolerance: Positive = 40.0
+    ahead: float = 0.0
+    calibration: str = ""
     length: Length | None = None
     length_m: Positive | None = None
     anchors: list[tuple[float, float]] = []
@@ -169,13 +177,18 @@ def load_plan(path: Path) -> Plan:
 def _check_names(path: Path, plan: Plan) -> None:
     """ConfigError unless all names in the plan are defined."""
     for name, traverse in plan.traverses.items():
-        if bool(traverse.feed) == bool(traverse.scenario):
-            raise ConfigError(f"{path}: traverses.{name}: needs a feed or a scenario, and not both")
+        if [bool(traverse.feed), bool(traverse.feeds), bool(traverse.scenario)].count(True) != 1:
+            raise ConfigError(f"{path}: traverses.{name}: needs one of feed, feeds and scenario")
+        if traverse.feeds and (traverse.external or traverse.first_row or traverse.last_row is not None):
+            raise ConfigError(f"{path}: traverses.{name}: first_row, last_row and external need feed, not feeds")
     for index, pair in enumerate(plan.pairs):
         where = f"{path}: pairs[{index}] {pair.name!r}"
-        for key, name in (("reference", pair.reference), ("query", pair.query), ("warm_start", pair.warm_start)):
-            if name or key != "warm_start":
+        for key in ("reference", "query", "warm_start", "calibration"):
+            name = getattr(pair, key)
+            if name or key in ("reference", "query"):
                 named(f"{where}: {key}", name, plan.traverses)
+        if pair.calibration and (pair.calibration == pair.query or pair.ahead or pair.truth == "anchors"):
+            raise ConfigError(f"{where}: calibration needs another drive than the query, no ahead, and no anchors")
         if (pair.length is None) == (pair.length_m is None):
             raise ConfigError(f"{where}: needs length (frames) or length_m, and not both")
         if pair.length_m is not None and plan.sampling.by != "distance":

@@ -86,11 +86,11 @@ def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
 
     def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
         traverse = plan.traverses[name]
-        if traverse.feed:
-            path = folders.feeds / traverse.feed
+        if traverse.scenario:
+            paths = [feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)]
         else:
-            path = feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)
-        return load_traverse(name, traverse, path, sampling, folders.feeds)
+            paths = [folders.feeds / feed for feed in traverse.feeds or (traverse.feed,)]
+        return load_traverse(name, traverse, paths, sampling, folders.feeds)
 
     return MethodRunner(plan, Descriptions(plan, folders.models), open_traverse)
 

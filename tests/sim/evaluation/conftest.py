@@ -28,16 +28,25 @@ def street(route_m: float, light: float, rng: np.random.Generator) -> NDArray[np
 
 @pytest.fixture
 def write_feed(tmp_path: Path) -> WriteFeed:
-    """write(name, places in meters along the route, view, light) makes a feed in the test's folder."""
+    """write(name, places in meters along the route, view, light, sees_m) makes a feed in the test's folder.
 
-    def write(name: str, route_m: list[float], view: Literal["front", "rear"] = "front", light: float = 1.0) -> Path:
+    sees_m: how far along the route what a picture shows lies beyond where it was taken.
+    """
+
+    def write(
+        name: str,
+        route_m: list[float],
+        view: Literal["front", "rear"] = "front",
+        light: float = 1.0,
+        sees_m: float = 0.0,
+    ) -> Path:
         rng = np.random.default_rng(len(name))
         path = tmp_path / name
         with FeedWriter(path, FeedHeader(name, view, WIDTH, HEIGHT), extra_columns=("route_m",)) as writer:
-            for index, at_m in enumerate(route_m):
-                covered_m = abs(at_m - route_m[0])
+            covered = np.abs(np.diff(route_m, prepend=route_m[0])).cumsum().tolist()
+            for index, (at_m, covered_m) in enumerate(zip(route_m, covered, strict=True)):
                 writer.write(
-                    street(at_m, light, rng),
+                    street(at_m + sees_m, light, rng),
                     index * 500_000_000,
                     lat_deg=at_m * METER_DEG,
                     lon_deg=0.0,

@@ -8,21 +8,20 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import pytest
 
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from sim.evaluation.comparison import median_ahead
+from sim.evaluation.comparison import lags, median_ahead
 from sim.evaluation.golden import replay_on_new_map
 from sim.evaluation.matching import judge
-from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
-from sim.evaluation.run import Folders, open_runner
+from sim.evaluation.method_runner import MethodRunner
+from sim.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan, load_plan
+from sim.evaluation.run import SHIPPED, Folders, open_runner
 
 LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
 
 
-@pytest.mark.xfail(reason="the evaluation answers by uniqueness alone, the recognizer by the place belief", strict=True)
 def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Network, tmp_path: Path) -> None:
     feeds = shared / "feeds"
     plan = Plan(
@@ -42,7 +41,7 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         descriptor=msgspec.structs.replace(default.descriptor, region_width=plan.region_width, standing_change=0.0),
         sequence=msgspec.structs.replace(default.sequence, length=LENGTH),
         # The corridor's nominal meter is one frame.
-        acceptance=AcceptanceConfig(window_m=2 * TOLERANCE),
+        acceptance=AcceptanceConfig(window_m=2 * TOLERANCE, window_places=round(2 * TOLERANCE)),
     )
     reference, query = (
         replace(feed, rows=feed.rows[:FRAMES])
@@ -51,8 +50,9 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
     lines = replay_on_new_map([reference], query, config, network=network)
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
-    uniqueness = [line.uniqueness for line in lines[LENGTH - 1 :]]
-    assert uniqueness == [round(float(value), 6) for value in outcome.matches.confidence[LENGTH - 1 :]]
+    assert [line.confidence for line in lines[LENGTH - 1 :]] == outcome.matches.confidence[LENGTH - 1 :].round(
+        4
+    ).tolist()
 
 
 def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: Path, write_feed: Any) -> None:
@@ -73,3 +73,53 @@ def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: P
         matches = replace(outcome.matches, place=places, reverse=np.full(4, reverse))
         answers = judge(matches, outcome.errors, 9.0, outcome.judged)
         assert abs(median_ahead(replace(outcome, matches=matches, answers=answers)) - ahead_m) < 0.1
+
+
+def runner_on(tmp_path: Path, pairs: list[Pair], *feeds: str) -> MethodRunner:
+    plan = Plan(
+        title="street",
+        methods=["SeqSLAM/causal"],
+        networks={"shipped": NetworkPlan()},
+        traverses={name: TraversePlan(feed=name) for name in feeds},
+        pairs=pairs,
+        sampling=SamplingConfig(by="frames"),
+    )
+    return open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
+
+
+def test_the_offset_is_measured_on_another_drive_and_moves_what_is_right(tmp_path: Path, write_feed: Any) -> None:
+    """The rear camera's place shows what the front camera sees 16 m before it."""
+    write_feed("rear", [2.0 * step for step in range(80)], view="rear")
+    for name, start_m in (("front", 4.0), ("before", 14.0)):
+        write_feed(name, [start_m + 2.0 * step for step in range(50)], sees_m=16.0)
+    pair = Pair("p", "rear", "front", "positions", tolerance=5.0, length=10)
+    runner = runner_on(tmp_path, [pair], "rear", "front", "before")
+    plain = runner.run(pair, "SeqSLAM/causal")
+    assert not plain.answers.correct.any() and lags(plain) == [np.inf]
+    for changes in ({"ahead": 16.0}, {"calibration": "before"}):
+        outcome = runner.run(msgspec.structs.replace(pair, **changes), "SeqSLAM/causal")
+        assert abs(outcome.ahead - 16.0) < 0.5 and outcome.answers.correct.mean() > 0.9
+        assert abs(median_ahead(outcome) - 16.0) < 0.5
+        assert 8 <= lags(outcome)[0] <= 15  # the first whole sequence, and the frames that it takes to be unique
+        assert (outcome.matches.place - outcome.places_of_vehicle())[outcome.judged[outcome.answers.correct]].max() == 8
+
+
+def test_a_drive_that_leaves_the_map_and_comes_back_has_two_lags(tmp_path: Path, write_feed: Any) -> None:
+    write_feed("there", [2.0 * step for step in range(30)])
+    write_feed("here", [*(20.0 + 2 * step for step in range(40)), *(98.0 - 2 * step for step in range(30))])
+    pair = Pair("p", "there", "here", "positions", tolerance=3.0, length=3)
+    outcome = runner_on(tmp_path, [pair], "there", "here").run(pair, "SeqSLAM/causal")
+    confidence = np.full(70, np.nan)
+    confidence[7:20] = outcome.threshold
+    matches = replace(outcome.matches, place=outcome.errors.argmin(axis=1), confidence=confidence)
+    assert lags(replace(outcome, matches=matches)) == [7.0, np.inf]
+
+
+def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
+    plan = load_plan(SHIPPED / "real_front_rear.toml")
+    plan = msgspec.structs.replace(plan, networks={"shipped": NetworkPlan()})
+    feeds = shared / "feeds/street_front_rear"
+    outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "NSD-CR/batch")
+    assert len(outcome.query.drives()) == 6 and len(lags(outcome)) == 6
+    assert len(outcome.judged) == len(outcome.query.rows) - 6 * 9
+    assert outcome.answers.correct.mean() > 0.4  # a guess is right in 0.05

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from sim.evaluation.metrics import (
     Answers,
+    at_threshold,
     max_f1_of_correct,
     precision_recall,
     recall_at_precision,
@@ -124,3 +125,12 @@ def test_recall_of_the_best_k_is_that_counted_by_hand(seed: int, queries: int) -
                 total += 1
                 hits += any(error <= radius for error in errors[query, :count])
             assert table[row, column] == pytest.approx(ratio(hits, total), nan_ok=True)
+
+
+def test_precision_and_recall_at_a_threshold_count_unanswered_queries_as_missed() -> None:
+    confidence = np.array([0.9, 0.6, 0.5, 0.4, np.nan, 0.7])
+    correct = np.array([True, True, True, True, False, False])
+    answers = Answers(confidence, correct, np.array([True, True, True, True, True, False]))
+    assert at_threshold(answers, 0.5) == (3 / 4, 3 / 5)
+    precision, recall = at_threshold(answers, 1.0)
+    assert np.isnan(precision) and recall == 0.0

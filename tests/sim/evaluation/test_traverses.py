@@ -12,7 +12,15 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import FeedHeader, FeedWriter
 from sim.evaluation.plan import Pair, TraversePlan
-from sim.evaluation.traverses import Traverse, anchored_errors, load_traverse, place_coordinates, true_errors
+from sim.evaluation.traverses import (
+    Traverse,
+    anchored_errors,
+    load_traverse,
+    moved_ahead,
+    open_pictures,
+    place_coordinates,
+    true_errors,
+)
 
 EVERY = SamplingConfig(by="frames")
 
@@ -22,7 +30,7 @@ def pair(truth: Any, **changes: Any) -> Pair:
 
 
 def load(path: Path, **changes: Any) -> Traverse:
-    return load_traverse(path.name, TraversePlan(feed=path.name, **changes), path, EVERY)
+    return load_traverse(path.name, TraversePlan(feed=path.name, **changes), [path], EVERY)
 
 
 def test_the_truth_is_the_distance_to_every_place(write_feed: Any) -> None:
@@ -37,7 +45,7 @@ def test_the_truth_is_the_distance_to_every_place(write_feed: Any) -> None:
 def test_the_sampling_and_the_rows_of_the_plan_choose_the_frames(write_feed: Any) -> None:
     path = write_feed("there", [float(at) for at in range(12)])
     two_meters = SamplingConfig(by="distance", spacing_m=2.0)
-    assert load_traverse("t", TraversePlan(feed="t"), path, two_meters).rows.tolist() == [0, 2, 4, 6, 8, 10]
+    assert load_traverse("t", TraversePlan(feed="t"), [path], two_meters).rows.tolist() == [0, 2, 4, 6, 8, 10]
     part = load(path, first_row=3, last_row=6)
     assert part.rows.tolist() == [3, 4, 5, 6] and part.pixels.shape == (4, 32, 64)
     with pytest.raises(FeedError, match="at least 2"):
@@ -92,6 +100,36 @@ def test_aligned_feeds_are_judged_by_the_frame_they_were_made_from(tmp_path: Pat
     here = load(_write(tmp_path / "here", [{"source_frame": number} for number in ("4", "10")]))
     np.testing.assert_array_equal(true_errors(there, here, pair("rows")), [[4, 1, 6], [10, 5, 0]])
     np.testing.assert_array_equal(place_coordinates(there, pair("rows"))[1], [0, 5, 10])
+
+
+def test_the_right_place_lies_ahead_on_the_querys_own_drive(write_feed: Any) -> None:
+    there = load(write_feed("there", [0.0, 10.0, 20.0, 30.0]))
+    home = load(write_feed("home", [30.0, 12.0]))
+    errors = true_errors(there, home, pair("positions"), ahead=7.0)
+    np.testing.assert_allclose(errors, np.abs(np.array([[23.0], [5.0]]) - [0.0, 10.0, 20.0, 30.0]), atol=0.1)
+    np.testing.assert_allclose(true_errors(there, there, pair("rows"), ahead=2.0)[1], [3, 2, 1, 0])
+    corner = np.array([[0.0, 0.0], [0.0, 3.0], [np.nan, np.nan], [4.0, 3.0]])
+    np.testing.assert_allclose(moved_ahead(corner, 3.5), [[0.5, 3.0], [3.5, 3.0], [np.nan, np.nan], [7.5, 3.0]])
+    np.testing.assert_allclose(moved_ahead(corner[:2], -1.0), [[0.0, -1.0], [0.0, 2.0]])
+
+
+def test_several_feeds_are_drives_of_one_traverse_and_only_equal_ones_are_right(
+    write_feed: Any, tmp_path: Path
+) -> None:
+    paths = {name: write_feed(name, [0.0, 10.0, 20.0]) for name in ("a", "bb", "a_again", "bb_again")}
+    plan = TraversePlan(feeds=("a", "bb"))
+    there = load_traverse("there", plan, [paths["a"], paths["bb"]], EVERY)
+    here = load_traverse("here", plan, [paths["a_again"], paths["bb_again"]], EVERY)
+    assert there.drives() == [slice(0, 3), slice(3, 6)]
+    errors = true_errors(there, here, pair("rows"), ahead=1.0)
+    np.testing.assert_array_equal(errors[0], [1, 0, 1, np.inf, np.inf, np.inf])
+    np.testing.assert_array_equal(errors[5], [np.inf, np.inf, np.inf, 3, 2, 1])
+    pictures = open_pictures(there.feed)
+    for row, name in ((1, "a"), (4, "bb")):
+        np.testing.assert_array_equal(pictures.read(row), open_pictures(load(paths[name]).feed).read(1))
+    rear = write_feed("rear", [0.0, 10.0], view="rear")
+    with pytest.raises(FeedError, match="cameras that look the same way"):
+        load_traverse("mixed", plan, [paths["a"], rear], EVERY)
 
 
 def _write(path: Path, extras: list[dict[str, str]]) -> Path:

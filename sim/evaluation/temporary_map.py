@@ -1,0 +1,43 @@
+"""A map of descriptors that are in memory, for the recognizer's own matcher."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import edge
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.feed import View
+from edge.reference_map import MapSet, ModelKey
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import RegionsKey, open_map
+
+
+@dataclass(frozen=True)
+class MappedDrive:
+    """Raw descriptors (n, R, D) of a drive, its n places, and where the camera looked."""
+
+    raw: NDArray[np.float32]
+    places: list[Place]
+    view: View
+
+
+@contextmanager
+def temporary_map(drives: Iterable[MappedDrive], model: ModelKey, descriptor: DescriptorConfig) -> Iterator[MapSet]:
+    """A map with a segment for each drive, which is gone when the block ends."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, regions = Path(folder) / "map", RegionsKey(descriptor.regions, descriptor.region_width, "set")
+        with MapBuilder(path, model, regions, SamplingConfig()) as builder:
+            for number, drive in enumerate(drives):
+                builder.begin_segment(str(number), drive.view)
+                for raw, place in zip(drive.raw, drive.places, strict=True):
+                    builder.add(raw, place)
+            builder.finish(normalize, edge.__version__)
+        yield MapSet.of(open_map(path))
