@@ -10,6 +10,7 @@ Places are given in map coordinates everywhere: `place` is a row of a map, and `
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -127,6 +128,14 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     def sigma_m(self) -> float:
         """The larger of both: autopilots take one number for every direction."""
         return max(self.sigma_along_m, self.sigma_across_m)
+
+    @property
+    def is_position(self) -> bool:
+        """Whether it has a position on the earth and a finite accuracy: no null, no NaN, nothing out of range."""
+        if self.lat_deg is None or self.lon_deg is None:
+            return False
+        has_sigma = 0 < self.sigma_along_m < math.inf and 0 < self.sigma_across_m < math.inf
+        return has_sigma and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 180
 
 
 class PositionMessageChosen(_Tagged, frozen=True, tag="way"):

@@ -63,7 +63,7 @@ def refusal(
     age_s = (situation.now_ns - fix.stamp_ns) / 1e9
     since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
     rules: tuple[tuple[bool, Reason], ...] = (
-        (fix.lat_deg is None, "no position in the map"),
+        (not fix.is_position, "no position in the map"),
         (not 0 <= age_s <= oldest_s, "too old"),
         (situation.gps_healthy and not gates.with_gps, "GPS is healthy"),
         (situation.speed_mps is not None and situation.speed_mps < gates.min_speed_mps, "standing"),

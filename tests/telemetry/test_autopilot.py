@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
@@ -83,7 +84,10 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
 
 
 @external
-@pytest.mark.parametrize("fix", [{"lat_deg": None, "lon_deg": None}, {"age_s": 6.0}, {"age_s": -0.2}])
+@pytest.mark.parametrize(
+    "fix",
+    [{"lat_deg": None, "lon_deg": None}, {"lon_deg": math.nan}, {"sigma_across_m": math.nan}, {"age_s": 6.0}, {"age_s": -0.2}],
+)
 def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, fix: dict[str, Any]) -> None:
     rig.run(4.0)
     assert not rig.connection.send_position(rig.fix(**fix))
