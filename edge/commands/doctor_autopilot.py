@@ -146,7 +146,7 @@ def probe_autopilot(
     sleep: Callable[[float], object] = time.sleep,
 ) -> Probe:
     """Listen until all is known, at most `seconds`. ConfigError for a malformed connection, or an unusable key."""
-    vehicle, probe = Vehicle(), Probe()
+    vehicle, probe = Vehicle(config.system_id), Probe()
     port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
     protocol = LinkProtocol(msgspec.structs.replace(config, origin=()), vehicle)
     asked_ns = 0

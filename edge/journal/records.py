@@ -188,6 +188,13 @@ class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
     map: MapName = UNSET
 
 
+class SourceSetAnswered(_Tagged, frozen=True, tag="source_set"):
+    """The autopilot answered a selection of its position sources (command 42007), or did not; repetitions once."""
+
+    number: Annotated[int, unit("", "the set of sources, 1 to 3")]
+    result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
+
+
 class Stopped(_Tagged, frozen=True, tag="stopped"):
     """The daemon ended in order: the last record of such a run."""
 
@@ -210,6 +217,7 @@ Record = (
     | FixSent
     | FixAnswered
     | FixChecked
+    | SourceSetAnswered
     | Stopped
 )
 

@@ -21,6 +21,7 @@ Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 BACK_OFF_FIRST_NS = 1_000_000_000
 BACK_OFF_LAST_NS = 30_000_000_000
 ANSWER_NS = 1_000_000_000
+NO_ANSWER = "NO_ANSWER"
 CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
 EARTH_M = 6_371_000.0
 MOVED_NS = 1_500_000_000

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
@@ -30,6 +31,7 @@ from edge.telemetry.acknowledgements import (
     BACK_OFF_FIRST_NS,
     BACK_OFF_LAST_NS,
     MOVED_NS,
+    NO_ANSWER,
     VERDICTS,
     Jump,
     result_name,
@@ -37,6 +39,8 @@ from edge.telemetry.acknowledgements import (
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
+from edge.telemetry.remembered_bound import RememberedBound
+from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
@@ -62,10 +66,13 @@ class PositionSender:
         self.message: PositionMessage | None = None
         self.why = ""
         self._uncertainty = Uncertainty(gates.drift_percent)
+        self._remembered = RememberedBound(
+            Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None, gates.drift_percent
+        )
         self._consistency = FixConsistency(gates)
         self._disabled = False
         self._reset_counter = 0
-        self._source_set = 1
+        self.sources = SourceSelection(vehicle, record, send_text)
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -81,7 +88,7 @@ class PositionSender:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
         self._start_over()
         self._disabled = False
-        self._source_set = 1
+        self.sources.new_session()
         self._uncertainty.reset()
         self._consistency.reset()
         self._choose()
@@ -130,7 +137,14 @@ class PositionSender:
         self._sent_stamp_ns = fix.stamp_ns
         if self.message.acknowledged:
             self._unanswered = fix, now_ns, False
-        return [*self._select_sources(2), *messages]
+        self._want_sources(VISION_SET)
+        return [*self.sources.due(now_ns), *messages]
+
+    def withdraw(self) -> None:
+        """The vehicle is not on the map any more: what was not answered is not sent again."""
+        if self._unanswered is not None:
+            fix, sent_ns, _ = self._unanswered
+            self._unanswered = fix, sent_ns, True
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -153,8 +167,11 @@ class PositionSender:
             confirmed,
         )
 
-    def _refusal(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> Refusal | None:
-        return refusal(fix, self._situation(fix, now_ns), self._gates, self._period_s(message), message.max_age_s)
+    def _refusal(
+        self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
+    ) -> Refusal | None:
+        period_s = self._period_s(message) if period_s is None else period_s
+        return refusal(fix, self._situation(fix, now_ns), self._gates, period_s, message.max_age_s)
 
     def _withhold(self, fix: PlaceFix, refused: Refusal) -> None:
         if refused.reason == self._withheld:
@@ -221,18 +238,16 @@ class PositionSender:
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
-    def _select_sources(self, number: int) -> list[Message]:
-        """For vision_position: select ArduPilot's second set of sources without GPS, the first one with it."""
-        if self.message is None or self.message.name != "vision_position" or not self._telemetry.switch_sources:
-            return []
-        if number == self._source_set:
-            return []
-        self._source_set = number
-        return [encoders.source_set(self._vehicle.system_id or 1, number)]
+    def _want_sources(self, number: int) -> None:
+        """For vision_position: ArduPilot's second set of sources without GPS, the first one with it."""
+        if self.message is not None and self.message.name == "vision_position" and self._telemetry.switch_sources:
+            self.sources.wanted = number
 
-    def read_acknowledgement(self, result: int, now_ns: int) -> None:
-        """COMMAND_ACK of 43003 that was addressed to us."""
-        if self._unanswered is None:
+    def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
+        """COMMAND_ACK that was addressed to us."""
+        if command == encoders.SET_EKF_SOURCE_SET:
+            self.sources.read_acknowledgement(result, now_ns)
+        if command != encoders.EXTERNAL_POSITION_ESTIMATE or self._unanswered is None:
             return
         verdict = VERDICTS.get(result, "not now")
         if verdict == "wait":
@@ -256,26 +271,37 @@ class PositionSender:
         """To be called often: bound the uncertainty, send again what was not answered, check what was accepted."""
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
-        messages: list[Message] = []
         if self._vehicle.gps_healthy(now_ns):
             self._uncertainty.bind(GPS_SIGMA_M, self._vehicle.driven_m(now_ns))
             if not self._gates.with_gps:
-                messages += self._select_sources(1)
+                self._want_sources(GPS_SET)
+        self._remember_bound(now_ns)
+        messages = self.sources.due(now_ns)
         self._check_jump(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
         return messages
 
+    def _remember_bound(self, now_ns: int) -> None:
+        """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
+        driven_m = self._vehicle.driven_m(now_ns)
+        ours_m = self._uncertainty.at(driven_m, None)
+        if ours_m is not None:
+            self._remembered.keep_if_due(ours_m, self._vehicle, now_ns)
+        elif (remembered_m := self._remembered.recall(self._vehicle, now_ns)) is not None:
+            self._uncertainty.bind(remembered_m, driven_m)
+
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
         self._unanswered = None
         if self.message is None:
             return []
-        is_recent = (now_ns - fix.stamp_ns) / 1e9 <= self.message.max_age_s
-        messages = self._encode(fix, now_ns, self.message, again=True) if not second and is_recent else []
+        # The position may have become stale, the vehicle may stand, or GPS may be back.
+        refused = self._refusal(fix, now_ns, self.message, period_s=0.0)
+        messages = self._encode(fix, now_ns, self.message, again=True) if not second and refused is None else []
         if messages:
             self._unanswered = fix, now_ns, True
         else:
-            self._record(FixAnswered(fix.place, "NO_ANSWER", fix.map))
+            self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
         return messages
 
     def _check_jump(self, now_ns: int) -> None:

@@ -11,12 +11,13 @@ from edge.journal.records import LinkChanged, Record
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, HEARTBEAT_NS
+from edge.telemetry.link_protocol import HEARTBEAT_NS
 from edge.telemetry.port import Port
 from edge.telemetry.vehicle import Vehicle
 
 TEXT_NS = 500_000_000
 PLACE_NS = 5_000_000_000
+PEER_SILENT_NS = 5_000_000_000
 QUEUE_LINES = 8
 
 
@@ -67,7 +68,7 @@ class ReportLink:
         self._clock_ns = clock_ns
         self._record = record
         self._texts = StatusTexts()
-        self._heartbeat_ns = 0
+        self._heartbeat_ns = self._heard_ns = 0
         self._was_open: bool | None = None
         self.system_status: int = mavlink.MAV_STATE_ACTIVE
         """MAV_STATE for our heartbeat."""
@@ -76,9 +77,12 @@ class ReportLink:
         """One turn. What arrives is read, so that the buffers stay empty, and ignored."""
         now_ns = self._clock_ns()
         self._port.open_if_due(now_ns)
-        if self._port.receive():
+        for _ in self._port.receive():
+            self._heard_ns = now_ns
             self._port.peer_answered()
-        self._port.codec.system_id = self._vehicle.system_id or FIRST_SYSTEM_ID
+        if now_ns - self._heard_ns > PEER_SILENT_NS:
+            self._port.peer_silent()
+        self._port.codec.system_id = self._vehicle.system_id or self._port.codec.system_id
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
             self._port.send(encoders.heartbeat(self.system_status))

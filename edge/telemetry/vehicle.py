@@ -44,7 +44,9 @@ class Vehicle:
     link, and only messages of that system and of component 1 count.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, system_id: int = 0) -> None:
+        """system_id: the only one whose heartbeats count; 0 is the first that is heard."""
+        self._only_system_id = system_id
         self.system_id: int | None = None
         self.autopilot: int | None = None
         self.connected = False
@@ -149,7 +151,8 @@ class Vehicle:
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
         sender = message.get_srcSystem()
-        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or (self.connected and sender != self.system_id):
+        only_id = self.system_id if self.connected else self._only_system_id
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or only_id not in (0, sender):
             return False
         before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
         if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
@@ -164,7 +167,7 @@ class Vehicle:
         self._motion.begin_leg()
         self._newest_boot_ms = -1
         self._gps_healthy_ns = None
-        self._accuracy = self._wheels = None
+        self._accuracy = self._wheels = self._position = None
         self.origin = self.version = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
