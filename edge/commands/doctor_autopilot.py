@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import LinkConfig, TelemetryConfig
 from edge.errors import LookbackError
+from edge.localization import GpsState
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.codec import Message
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
@@ -83,7 +84,8 @@ class Probe:
     system_id: int | None = None
     autopilot: int | None = None
     version: tuple[int, int] | None = None
-    gps_healthy: bool = False
+    gps: GpsState = "unknown"
+    gps_why: str = ""
     speed_known: bool = False
     position_known: bool = False
     parameters: dict[str, float | None] = field(default_factory=dict)
@@ -91,13 +93,13 @@ class Probe:
     def is_complete(self) -> bool:
         """Whether there is nothing more to wait for."""
         known = self.version is not None and self.speed_known and self.position_known
-        return known and self.gps_healthy and None not in self.parameters.values()
+        return known and self.gps == "healthy" and None not in self.parameters.values()
 
     def read_vehicle(self, vehicle: Vehicle, now_ns: int) -> None:
         """Copy what the vehicle has reported so far."""
         self.connected, self.system_id = vehicle.connected, vehicle.system_id
         self.autopilot, self.version = vehicle.autopilot, vehicle.version
-        self.gps_healthy = vehicle.gps_healthy(now_ns)
+        self.gps, self.gps_why = vehicle.gps.state(now_ns), vehicle.gps.why(now_ns)
         self.speed_known = vehicle.speed_mps(now_ns) is not None
         self.position_known = vehicle.position(now_ns) is not None
 
@@ -159,16 +161,20 @@ def probe_autopilot(
                     port.send(message)
                 for message in port.receive():
                     if vehicle.handle(message, now_ns):
+                        protocol.answer(message, now_ns)
                         probe.read_parameter(message)
                 probe.read_vehicle(vehicle, now_ns)
                 if vehicle.version is not None and not probe.parameters:
                     wanted = requirements(config, vehicle.autopilot, vehicle.version)
                     probe.parameters = dict.fromkeys(one.parameter for one in wanted)
                     asked_ns = 0
-                if vehicle.connected and now_ns - asked_ns > ASK_AGAIN_NS:
-                    asked_ns = now_ns
-                    for message in (*protocol.requests(now_ns), *probe.parameter_requests()):
+                if vehicle.connected:
+                    for message in protocol.requests(now_ns):
                         port.send(message)
+                    if now_ns - asked_ns > ASK_AGAIN_NS:
+                        asked_ns = now_ns
+                        for message in probe.parameter_requests():
+                            port.send(message)
             probe.why_closed = port.why_closed
             sleep(TURN_S)
     finally:
@@ -201,8 +207,9 @@ def _judge(config: TelemetryConfig, probe: Probe) -> Iterator[Diagnostic]:
         yield note("autopilot", "it reports no speed", "frames are chosen by time, which fits a map by distance badly")
     if not probe.position_known:
         yield note("autopilot", "it reports no position", "recordings have no positions until it has GPS or an origin")
-    if not probe.gps_healthy:
-        yield note("autopilot", "it has no GPS fix", "recordings for a map or for `lookback calibrate` need GPS")
+    if probe.gps != "healthy":
+        words = f"its GPS is {probe.gps}" + (f": {probe.gps_why}" if probe.gps_why else "")
+        yield note("autopilot", words, "recordings for a map or for `lookback calibrate` need GPS")
     for one in requirements(config, probe.autopilot, probe.version):
         value = probe.parameters.get(one.parameter)
         if value is None:

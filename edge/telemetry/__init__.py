@@ -17,7 +17,10 @@ from edge.telemetry.link import Link, parse_connection
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """state: closed | waiting | up. Degrees (WGS 84), heading clockwise from north; None where not known."""
+    """What is known of the autopilot's link; degrees (WGS 84), heading clockwise from north; None where not known.
+
+    state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
+    """
 
     state: str
     connection: str
@@ -26,7 +29,8 @@ class LinkStatus:
     lon_deg: float | None = None
     heading_deg: float | None = None
     speed_mps: float | None = None
-    gps_healthy: bool = False
+    gps: str = "unknown"
+    gps_why: str = ""
 
 
 def open_link(connection: str) -> Link:

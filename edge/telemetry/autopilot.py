@@ -100,7 +100,8 @@ class AutopilotConnection:
             lon_deg=position.lon_deg if position else None,
             heading_deg=position.heading_deg if position else None,
             speed_mps=self.vehicle.speed_mps(now_ns),
-            gps_healthy=self.vehicle.gps_healthy(now_ns),
+            gps=self.vehicle.gps.state(now_ns),
+            gps_why=self.vehicle.gps.why(now_ns),
         )
 
     @property
@@ -202,9 +203,11 @@ class AutopilotConnection:
 
     def _answer(self, message: Message) -> None:
         now_ns = self._clock_ns()
-        self._send(self._protocol.answer(message, now_ns))
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
-        if is_answer and message.target_component in (0, self._component_id):
+        if is_answer and message.target_component not in (0, self._component_id):
+            return
+        self._send(self._protocol.answer(message, now_ns))
+        if is_answer:
             self._positions.read_acknowledgement(message.command, message.result, now_ns)
 
     def _send_due(self, now_ns: int) -> None:

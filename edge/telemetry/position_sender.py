@@ -15,7 +15,6 @@ from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
-    GPS_SIGMA_M,
     FixConsistency,
     PlaceFix,
     Refusal,
@@ -38,6 +37,7 @@ from edge.telemetry.acknowledgements import (
 )
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
+from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
@@ -128,7 +128,7 @@ class PositionSender:
             return []  # the last exposure was sent already
         refused = self._refusal(fix, now_ns, self.message)
         if refused is not None:
-            self._withhold(fix, refused)
+            self._withhold(fix, refused, now_ns)
             return []
         self._withheld = ""
         messages = self._encode(fix, now_ns, self.message)
@@ -137,8 +137,7 @@ class PositionSender:
         self._sent_stamp_ns = fix.stamp_ns
         if self.message.acknowledged:
             self._unanswered = fix, now_ns, False
-        self._want_sources(VISION_SET)
-        return [*self.sources.due(now_ns), *messages]
+        return [*self._select_sources(VISION_SET, now_ns), *messages]
 
     def withdraw(self) -> None:
         """The vehicle is not on the map any more: what was not answered is not sent again."""
@@ -159,7 +158,7 @@ class PositionSender:
         )
         return Situation(
             now_ns,
-            vehicle.gps_healthy(now_ns),
+            vehicle.gps.state(now_ns),
             vehicle.speed_mps(now_ns),
             position,
             uncertainty_m,
@@ -173,11 +172,14 @@ class PositionSender:
         period_s = self._period_s(message) if period_s is None else period_s
         return refusal(fix, self._situation(fix, now_ns), self._gates, period_s, message.max_age_s)
 
-    def _withhold(self, fix: PlaceFix, refused: Refusal) -> None:
-        if refused.reason == self._withheld:
+    def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
+        why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
+        if refused.reason + why == self._withheld:
             return
-        self._withheld = refused.reason
-        self._record(FixWithheld(fix.place, refused.reason, refused.distance_m, fix.map))
+        self._withheld = refused.reason + why
+        self._record(FixWithheld(fix.place, self._withheld, refused.distance_m, fix.map))
+        if why not in ("", f": {UNSTEADY}"):
+            self._send_text(f"Lookback: {self._withheld}")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
             self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")
 
@@ -238,10 +240,12 @@ class PositionSender:
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
-    def _want_sources(self, number: int) -> None:
+    def _select_sources(self, number: int, now_ns: int) -> list[Message]:
         """For vision_position: ArduPilot's second set of sources without GPS, the first one with it."""
-        if self.message is not None and self.message.name == "vision_position" and self._telemetry.switch_sources:
-            self.sources.wanted = number
+        if self.message is None or self.message.name != "vision_position" or not self._telemetry.switch_sources:
+            return []
+        self.sources.wanted = number
+        return self.sources.due(now_ns)
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
@@ -271,12 +275,17 @@ class PositionSender:
         """To be called often: bound the uncertainty, send again what was not answered, check what was accepted."""
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
-        if self._vehicle.gps_healthy(now_ns):
-            self._uncertainty.bind(GPS_SIGMA_M, self._vehicle.driven_m(now_ns))
-            if not self._gates.with_gps:
-                self._want_sources(GPS_SET)
+        messages: list[Message] = []
+        vehicle = self._vehicle
+        bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
+        if bound_m is not None:
+            self._uncertainty.bind(bound_m, vehicle.driven_m(now_ns))
+        # Whether or not the filter uses GPS: with the second set it does not.
+        if vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
+            messages += self._select_sources(GPS_SET, now_ns)
+        elif self.sources.wanted is not None:
+            messages += self.sources.due(now_ns)
         self._remember_bound(now_ns)
-        messages = self.sources.due(now_ns)
         self._check_jump(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)

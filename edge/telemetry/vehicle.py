@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.geodesy import VehiclePosition
 from edge.localization import DeadReckoning, Displacement
 from edge.telemetry.boot_clock import BootClock
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.gps import Gps
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
-GPS_FRESH_NS = 3_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
@@ -56,13 +56,14 @@ class Vehicle:
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
         self.origin: Origin | None = None
         """None until GPS_GLOBAL_ORIGIN arrived: the autopilot may have none."""
-        self._heard_ns: dict[int, int] = {}
+        self._heard_ns: dict[int, int] = {}  # heartbeats, by system
+        self._message_ns: dict[int, int] = {}  # of this session, by message id
         self._clock = BootClock()
         self._newest_boot_ms = -1
         self._timesync_sent_ns = 0
         self._motion = DeadReckoning()
         self._position: VehiclePosition | None = None
-        self._gps_healthy_ns: int | None = None
+        self.gps = Gps()
         self._accuracy: tuple[int, float] | None = None
         self._wheels: tuple[int, float] | None = None
         self._handlers: dict[int, Callable[[Message, int], None]] = {
@@ -71,7 +72,10 @@ class Vehicle:
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
             mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: self._read_wheels,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: self._read_vfr_hud,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_first_gps,
+            mavlink.MAVLINK_MSG_ID_GPS2_RAW: self._read_second_gps,
+            EkfStatusReport.id: self._read_ekf_status,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._read_sensors,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._read_system_time,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._read_timesync,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._read_estimator,
@@ -87,10 +91,15 @@ class Vehicle:
             return self._read_heartbeat(message, now_ns)
         if not self.connected or message.get_srcSystem() != self.system_id:
             return False
+        self._message_ns[message.get_msgId()] = now_ns
         reader = self._handlers.get(message.get_msgId())
         if reader is not None:
             reader(message, now_ns)
         return True
+
+    def heard_ns(self, message_id: int) -> int | None:
+        """When a message came last in this session, None before the first."""
+        return self._message_ns.get(message_id)
 
     def expire(self, now_ns: int) -> None:
         """The link is down when no heartbeat has come for five seconds."""
@@ -139,10 +148,6 @@ class Vehicle:
             return None
         return self._position
 
-    def gps_healthy(self, now_ns: int) -> bool:
-        """Whether a GPS reported a 3-D fix within the last three seconds."""
-        return self._gps_healthy_ns is not None and now_ns - self._gps_healthy_ns <= GPS_FRESH_NS
-
     def accuracy_m(self, now_ns: int) -> float | None:
         """Horizontal accuracy of its position as the autopilot reports it, None where it does not (ArduPilot)."""
         if self._accuracy is None or now_ns - self._accuracy[0] > ACCURACY_FRESH_NS:
@@ -163,10 +168,11 @@ class Vehicle:
 
     def _start_session(self) -> None:
         self.session += 1
+        self._message_ns.clear()
         self._clock = BootClock()
         self._motion.begin_leg()
         self._newest_boot_ms = -1
-        self._gps_healthy_ns = None
+        self.gps = Gps()
         self._accuracy = self._wheels = self._position = None
         self.origin = self.version = None
 
@@ -221,6 +227,7 @@ class Vehicle:
         self._motion.add_speed(now_ns, message.groundspeed, source=4)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
+        self.gps.read_filter(message.flags, self.autopilot, now_ns)
         if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:
             self._accuracy = now_ns, message.pos_horiz_accuracy
 
@@ -231,9 +238,17 @@ class Vehicle:
     def _read_version(self, message: Message, now_ns: int) -> None:
         self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
-    def _read_gps(self, message: Message, now_ns: int) -> None:
-        if mavlink.GPS_FIX_TYPE_3D_FIX <= message.fix_type <= mavlink.GPS_FIX_TYPE_RTK_FIXED:
-            self._gps_healthy_ns = now_ns
+    def _read_first_gps(self, message: Message, now_ns: int) -> None:
+        self.gps.receivers[0].read(message, now_ns)
+
+    def _read_second_gps(self, message: Message, now_ns: int) -> None:
+        self.gps.receivers[1].read(message, now_ns)
+
+    def _read_ekf_status(self, message: Message, now_ns: int) -> None:
+        self.gps.read_filter(message.flags, self.autopilot, now_ns)
+
+    def _read_sensors(self, message: Message, now_ns: int) -> None:
+        self.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
     def _read_system_time(self, message: Message, now_ns: int) -> None:
         self._read_boot_time(message.time_boot_ms, now_ns)

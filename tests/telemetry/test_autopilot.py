@@ -23,7 +23,7 @@ from sim.vehicle.autopilot import SILENT
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
-STREAMS = {33, 32, 74, 9000, 24, 2, 230}
+STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193}
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
 
@@ -51,7 +51,7 @@ def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig
     position = vehicle.position(rig.now_ns)
     assert position is not None
     assert position.heading_deg == pytest.approx(60.0)
-    assert vehicle.gps_healthy(rig.now_ns)
+    assert vehicle.gps.state(rig.now_ns) == "healthy"
 
 
 def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> None:

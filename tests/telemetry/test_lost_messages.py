@@ -8,12 +8,13 @@ from typing import Any, TypeAlias
 import pytest
 
 from edge.config import GatesConfig
-from edge.journal.records import FixAnswered, FixSent, SourceSetAnswered
+from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 OpenRig: TypeAlias = Callable[..., Any]
+ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
 SELDOM = GatesConfig(min_interval_s=30.0, confirm_m=0.0)
 
 
@@ -214,3 +215,20 @@ def test_a_damaged_memory_is_none(lost_gps: Rig, damage: bytes) -> None:
     lost_gps.port.with_name("events.bound").write_bytes(damage)
     lost_gps.connect()
     assert uncertainty_after(lost_gps, 8.0) is None
+
+
+@pytest.mark.parametrize("silent_s", [6.0, 60.0])
+def test_heartbeats_alone_are_no_permission(lost_gps: Rig, silent_s: float) -> None:
+    """Without speed and GPS nothing is known, so nothing is sent; both are requested until they come."""
+    sent = len(lost_gps.journalled(FixSent))
+    lost_gps.wire.loses = loses(*ODOMETRY, "GPS_RAW_INT", "GPS2_RAW")
+    lost_gps.run(4.0)
+    assert not lost_gps.connection.send_position(lost_gps.fix())
+    lost_gps.run(silent_s)
+    assert lost_gps.connection.state == "up"
+    assert not lost_gps.connection.send_position(lost_gps.fix())
+    assert len(lost_gps.journalled(FixSent)) == sent
+    assert lost_gps.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
+    lost_gps.wire.loses = loses()
+    lost_gps.run(3.0)
+    assert lost_gps.connection.send_position(lost_gps.fix())

@@ -175,7 +175,7 @@ def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(o
     assert rig.autopilot.estimate.error_m < 3.0
     assert len(rig.received("VISION_POSITION_ESTIMATE")) == pytest.approx(30, abs=3)
     rig.autopilot.gps = True
-    rig.run(2.0)
+    rig.run(8.0)
     assert rig.autopilot.inputs.source_set == 1
 
 
