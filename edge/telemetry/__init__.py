@@ -20,6 +20,7 @@ class LinkStatus:
     """What is known of the autopilot's link; degrees (WGS 84), heading clockwise from north; None where not known.
 
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
+    velocity_aid: what measures velocity without GPS, "none" where nothing does.
     """
 
     state: str
@@ -31,6 +32,7 @@ class LinkStatus:
     speed_mps: float | None = None
     gps: str = "unknown"
     gps_why: str = ""
+    velocity_aid: str | None = None
 
 
 def open_link(connection: str) -> Link:

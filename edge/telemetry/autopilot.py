@@ -24,6 +24,7 @@ from edge.telemetry.position_sender import PositionSender
 from edge.telemetry.report_link import ReportLink, StatusTexts
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.velocity_aid import NO_AID, velocity_aid
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
@@ -59,6 +60,7 @@ class AutopilotConnection:
             for number, link in enumerate(config.links, start=1)
         ]
         self._session = 0
+        self._has_warned = False  # in this session, that nothing measures velocity
         self._system_status: int = mavlink.MAV_STATE_ACTIVE
 
     @property
@@ -102,6 +104,7 @@ class AutopilotConnection:
             speed_mps=self.vehicle.speed_mps(now_ns),
             gps=self.vehicle.gps.state(now_ns),
             gps_why=self.vehicle.gps.why(now_ns),
+            velocity_aid=velocity_aid(self.vehicle, self._positions.set_without_gps),
         )
 
     @property
@@ -206,9 +209,17 @@ class AutopilotConnection:
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
         if is_answer and message.target_component not in (0, self._component_id):
             return
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
+            self._check_velocity_aid()
         self._send(self._protocol.answer(message, now_ns))
         if is_answer:
             self._positions.read_acknowledgement(message.command, message.result, now_ns)
+
+    def _check_velocity_aid(self) -> None:
+        aid = velocity_aid(self.vehicle, self._positions.set_without_gps)
+        if aid == NO_AID and self._positions.enabled and not self._has_warned:
+            self._has_warned = True
+            self._warn("Lookback: the autopilot has no velocity aid")
 
     def _send_due(self, now_ns: int) -> None:
         self._send(self._protocol.heartbeat(self._system_status, now_ns))
@@ -217,6 +228,7 @@ class AutopilotConnection:
         if self._session != self.vehicle.session:
             self._session = self.vehicle.session
             self._protocol.new_session()
+            self._has_warned = False
             self._positions.new_session()
         self._send(self._protocol.requests(self._clock_ns()))
         self._send(self._positions.follow_up(now_ns))

@@ -166,6 +166,11 @@ def message_request(system_id: int, message_id: int) -> Message:
     return _command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
 
 
+def parameter_request(system_id: int, name: str) -> Message:
+    """PARAM_REQUEST_READ: request one parameter."""
+    return mavlink.MAVLink_param_request_read_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1)
+
+
 def source_set(system_id: int, number: int) -> Message:
     """COMMAND_LONG 42007: which of ArduPilot's sets of sources (1 to 3) its filter uses."""
     return _command(system_id, SET_EKF_SOURCE_SET, number)

@@ -6,6 +6,8 @@ requests. Streams are requested one by one, since an acknowledgement does not sa
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
@@ -13,6 +15,7 @@ from edge.config import TelemetryConfig
 from edge.telemetry import encoders
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.vehicle import Origin, Vehicle
+from edge.telemetry.velocity_aid import PARAMETERS
 
 HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 500_000_000
@@ -36,6 +39,7 @@ ODOMETRY is read where the autopilot sends it, but not requested: it is long, an
 SILENT_NS = 3_000_000_000
 ANSWER_NS = 1_000_000_000
 AGAIN_LAST_NS = 60_000_000_000
+PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
 """After so many a stream is requested no more: no firmware knows all of them. One may be an answer that came late."""
 FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
@@ -84,6 +88,29 @@ class StreamRequests:
             self._asked = None
 
 
+class ParameterRequests:
+    """Requests parameters one by one, and again while one is missing."""
+
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        self._tries = dict.fromkeys(names, 0)
+        self._due_ns = 0
+
+    def add(self, names: Iterable[str]) -> None:
+        """Request these as well."""
+        for name in names:
+            self._tries.setdefault(name, 0)
+
+    def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
+        """The next request; none where all have come, or have been requested too often."""
+        missing = {name: tries for name, tries in self._tries.items() if name not in vehicle.parameters}
+        name = min(missing, key=missing.__getitem__, default="")
+        if not name or missing[name] >= TRIES_MOST or now_ns < self._due_ns:
+            return []
+        self._tries[name] += 1
+        self._due_ns = now_ns + PARAMETER_NS
+        return [encoders.parameter_request(system_id, name)]
+
+
 class LinkProtocol:
     """Which messages are due on the autopilot's link."""
 
@@ -91,7 +118,8 @@ class LinkProtocol:
         self._origin = Origin(*config.origin) if config.origin else None
         self._vehicle = vehicle
         self._due_ns = dict.fromkeys(("heartbeat", "timesync", "version", "origin"), 0)
-        self._streams = StreamRequests()
+        self._streams, self.parameters = StreamRequests(), ParameterRequests()
+        self._moves = config.emit != "report"
         self._origin_requested = False
 
     def opened(self, now_ns: int) -> None:
@@ -102,6 +130,8 @@ class LinkProtocol:
         """The autopilot is another one, or has rebooted: request everything."""
         self._due_ns.update(version=0, origin=0)
         self._streams = StreamRequests()
+        # What aids the velocity matters only where positions are sent.
+        self.parameters = ParameterRequests(PARAMETERS.get(self._vehicle.autopilot or 0, ()) if self._moves else ())
         self._origin_requested = False
 
     def heartbeat(self, system_status: int, now_ns: int) -> list[Message]:
@@ -116,6 +146,7 @@ class LinkProtocol:
             vehicle.timesync_sent(now_ns)
             messages.append(encoders.timesync_request(now_ns))
         messages += self._streams.due(vehicle, system_id, now_ns)
+        messages += self.parameters.due(vehicle, system_id, now_ns)
         if vehicle.version is None and self._is_due("version", now_ns, AGAIN_NS):
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
         if vehicle.origin is None and self._is_due("origin", now_ns, AGAIN_NS):

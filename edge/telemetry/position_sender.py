@@ -107,6 +107,11 @@ class PositionSender:
                 self._send_text(f"Lookback: {why}")
 
     @property
+    def set_without_gps(self) -> int:
+        """Which of ArduPilot's sets of sources is used without GPS."""
+        return VISION_SET if self.message is not None and self.message.name == "vision_position" else GPS_SET
+
+    @property
     def enabled(self) -> bool:
         """Whether positions are sent at all, when the gates allow."""
         return self.message is not None and not self._disabled

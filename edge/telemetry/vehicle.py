@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 HEADING_UNKNOWN = 65535
+PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +51,10 @@ class Vehicle:
         self._only_system_id = system_id
         self.system_id: int | None = None
         self.autopilot: int | None = None
+        self.kind: int | None = None
+        """MAV_TYPE of the vehicle, None until connected."""
+        self.parameters: dict[str, float] = {}
+        """Those that the autopilot has sent in this session."""
         self.connected = False
         self.session = 0
         """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
@@ -81,6 +87,7 @@ class Vehicle:
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._read_estimator,
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._read_origin,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._read_version,
+            mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._read_parameter,
         }
 
     def handle(self, message: Message, now_ns: int) -> bool:
@@ -161,7 +168,8 @@ class Vehicle:
             return False
         before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
         if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
-            self.connected, self.system_id, self.autopilot = True, sender, message.autopilot
+            self.connected, self.system_id = True, sender
+            self.autopilot, self.kind = message.autopilot, message.type
             self._start_session()
             log.info("link up: system %d, autopilot %d", sender, message.autopilot)
         return self.connected
@@ -169,6 +177,7 @@ class Vehicle:
     def _start_session(self) -> None:
         self.session += 1
         self._message_ns.clear()
+        self.parameters.clear()
         self._clock = BootClock()
         self._motion.begin_leg()
         self._newest_boot_ms = -1
@@ -237,6 +246,14 @@ class Vehicle:
 
     def _read_version(self, message: Message, now_ns: int) -> None:
         self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
+
+    def _read_parameter(self, message: Message, now_ns: int) -> None:
+        value, layout = float(message.param_value), PX4_INTEGERS.get(message.param_type)
+        if self.autopilot == mavlink.MAV_AUTOPILOT_PX4 and layout:
+            # PX4 puts the bytes of an integer where the float goes; ArduPilot converts.
+            value = float(struct.unpack(layout, struct.pack("<f", value))[0])
+        if math.isfinite(value):
+            self.parameters[str(message.param_id).rstrip("\0")] = value
 
     def _read_first_gps(self, message: Message, now_ns: int) -> None:
         self.gps.receivers[0].read(message, now_ns)
