@@ -37,7 +37,7 @@ STREAMS_HZ = {
 ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these.
 """
 SILENT_NS = 3_000_000_000
-ANSWER_NS = 1_000_000_000
+ANSWER_NS = 500_000_000
 AGAIN_LAST_NS = 60_000_000_000
 PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
