@@ -1,11 +1,12 @@
 """Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
 `link` is the serial port or the socket, `codec` (with `signing` and `replay_guard`) turns its bytes into messages, and
-`port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time;
-`link_protocol` has the heartbeats and requests that are due. `position_messages` says which message carries a position
-to which firmware, `encoders` writes all that is sent, `acknowledgements` says what an answer means, and
-`position_sender` joins those. `report_link` is for people. `autopilot` joins all into the one object that the daemon
-polls.
+`port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `gps`
+for its receivers and `velocity_aid` for what measures its velocity without them; `link_protocol` has the heartbeats,
+requests and lines of text that are due. `position_messages` says which message carries a position to which firmware,
+`encoders` writes all that is sent, `acknowledgements` says what an answer means, `source_selection` selects ArduPilot's
+sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `report_link` is for people.
+`autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations

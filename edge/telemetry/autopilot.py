@@ -17,11 +17,11 @@ from edge.localization import PlaceFix
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol, StatusTexts
 from edge.telemetry.port import Port
 from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender
-from edge.telemetry.report_link import ReportLink, StatusTexts
+from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.velocity_aid import NO_AID, velocity_aid

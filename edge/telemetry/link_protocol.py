@@ -1,4 +1,4 @@
-"""The heartbeats and requests that a MAVLink component sends: time, streams, version, origin. No I/O.
+"""What a MAVLink component sends besides positions: heartbeats, requests (time, streams, parameters), lines. No I/O.
 
 Everything is requested again after a reboot of the autopilot and after a silence, since the autopilot does not store
 requests. Streams are requested one by one, since an acknowledgement does not say which stream it is for.
@@ -6,12 +6,14 @@ requests. Streams are requested one by one, since an acknowledgement does not sa
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
+from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.vehicle import Origin, Vehicle
@@ -36,6 +38,9 @@ STREAMS_HZ = {
 
 ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these.
 """
+TEXT_NS = 500_000_000
+PLACE_NS = 5_000_000_000
+QUEUE_LINES = 8
 SILENT_NS = 3_000_000_000
 ANSWER_NS = 500_000_000
 AGAIN_LAST_NS = 60_000_000_000
@@ -176,3 +181,34 @@ class LinkProtocol:
             return False
         self._due_ns[what] = now_ns + period_ns
         return True
+
+
+class StatusTexts:
+    """A queue of lines for the pilot: at most two a second come out, and of many only the newest.
+
+    A slow link carries the pilot's telemetry as well.
+    """
+
+    def __init__(self) -> None:
+        self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
+        self._id = 0
+        self._next_ns = 0
+        self._next_place_ns = 0
+
+    def put(self, text: str, severity: int) -> None:
+        """Queue a line of any length."""
+        self._id = self._id % 65535 + 1
+        self._queue.append(encoders.status_text(text, severity, self._id))
+
+    def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
+        """Queue a line about a place, but not more than one each five seconds: places come by the second."""
+        if now_ns >= self._next_place_ns:
+            self._next_place_ns = now_ns + PLACE_NS
+            self.put(encoders.describe(fix), severity)
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The messages of the next line, if it is time for one."""
+        if not self._queue or now_ns < self._next_ns:
+            return []
+        self._next_ns = now_ns + TEXT_NS
+        return self._queue.popleft()

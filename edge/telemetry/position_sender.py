@@ -33,6 +33,7 @@ from edge.telemetry.acknowledgements import (
     NO_ANSWER,
     VERDICTS,
     Jump,
+    StreamCheck,
     result_name,
 )
 from edge.telemetry.codec import Message
@@ -44,6 +45,7 @@ from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
+REMEMBER_NS = 1_000_000_000
 log = logging.getLogger(__name__)
 
 
@@ -73,6 +75,7 @@ class PositionSender:
         self._disabled = False
         self._reset_counter = 0
         self.sources = SourceSelection(vehicle, record, send_text)
+        self._remember_due_ns = 0
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -83,6 +86,7 @@ class PositionSender:
         self._sent_stamp_ns: int | None = None
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._jump: tuple[PlaceFix, Jump, int] | None = None
+        self._stream = StreamCheck()
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -237,6 +241,9 @@ class PositionSender:
         if message.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
+        moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
+        if moved is not None:
+            self._publish_check(fix, distance_m, moved=moved)
         if distance_m <= fix.sigma_m * self._gates.near_sigmas:
             self._uncertainty.bind(max(fix.sigma_m, distance_m), self._vehicle.driven_m(now_ns))
         elif self._is_new_stream(now_ns):
@@ -298,10 +305,13 @@ class PositionSender:
 
     def _remember_bound(self, now_ns: int) -> None:
         """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
+        if now_ns < self._remember_due_ns:
+            return
+        self._remember_due_ns = now_ns + REMEMBER_NS
         driven_m = self._vehicle.driven_m(now_ns)
         ours_m = self._uncertainty.at(driven_m, None)
         if ours_m is not None:
-            self._remembered.keep_if_due(ours_m, self._vehicle, now_ns)
+            self._remembered.keep(ours_m, self._vehicle, now_ns)
         elif (remembered_m := self._remembered.recall(self._vehicle, now_ns)) is not None:
             self._uncertainty.bind(remembered_m, driven_m)
 
@@ -331,9 +341,14 @@ class PositionSender:
             return
         self._jump = None
         remaining_m = jump.remaining_m(own)
-        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
+        self._publish_check(fix, remaining_m, moved=moved)
         if moved:
             self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
         else:
             self._back_off.failed(now_ns)
-            self._send_text(f"Lookback: fix accepted, position {remaining_m:.0f} m off")
+
+    def _publish_check(self, fix: PlaceFix, remaining_m: float, *, moved: bool) -> None:
+        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
+        if not moved:
+            sent = "fix accepted" if self.message is not None and self.message.acknowledged else "fixes sent"
+            self._send_text(f"Lookback: {sent}, position {remaining_m:.0f} m off")

@@ -17,7 +17,6 @@ import msgspec
 from edge.geodesy import east_north_of
 from edge.telemetry.vehicle import Vehicle
 
-KEPT_EACH_NS = 1_000_000_000
 LONGEST_NS = 600_000_000_000
 SAME_BOOT_NS = 2_000_000_000
 CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
@@ -51,11 +50,8 @@ class RememberedBound:
             with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
                 self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
 
-    def keep_if_due(self, sigma_m: float, vehicle: Vehicle, now_ns: int) -> None:
-        """Replace what is remembered, once a second; nothing where the autopilot has no position, time or speed."""
-        before = self._bound
-        if before is not None and 0 <= now_ns - before.stamp_ns < KEPT_EACH_NS:
-            return
+    def keep(self, sigma_m: float, vehicle: Vehicle, now_ns: int) -> None:
+        """Replace what is remembered; not where the autopilot has no position, time or speed."""
         bound = self._present(sigma_m, vehicle, now_ns)
         if bound is None:
             return
