@@ -186,6 +186,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     connection: str = "serial:/dev/serial0:921600"
     emit: Literal["report", "external_position", "global_position_sensor", "vision_position", "auto"] = "report"
+    system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1
     switch_sources: bool = True

@@ -276,6 +276,9 @@ class Daemon:
 
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
+        if self.monitor.health.able != "on the map":
+            self._autopilot.withdraw_position()
+            return
         time_base = self._autopilot.position_due()
         if time_base is None or self._newest is None or self._picture_fault is not None:
             return
@@ -298,6 +301,7 @@ class Daemon:
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
+        self._autopilot.restore_sources()
         health = self._camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)

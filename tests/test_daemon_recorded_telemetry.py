@@ -16,10 +16,11 @@ import tomli_w
 from edge.journal.journal import records_of
 from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.link_protocol import STREAMS_HZ
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
-STREAMS = {33, 32, 74, 9000, 24, 2, 230}
+STREAMS = set(STREAMS_HZ)
 STAMPED = {"SYSTEM_TIME", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE"}
 VALUES = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
 FRAMES, PERIOD_MS = 80, 150

@@ -10,6 +10,7 @@ Places are given in map coordinates everywhere: `place` is a row of a map, and `
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -128,6 +129,14 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
         """The larger of both: autopilots take one number for every direction."""
         return max(self.sigma_along_m, self.sigma_across_m)
 
+    @property
+    def is_position(self) -> bool:
+        """Whether it has a position on the earth and a finite accuracy: no null, no NaN, nothing out of range."""
+        if self.lat_deg is None or self.lon_deg is None:
+            return False
+        has_sigma = 0 < self.sigma_along_m < math.inf and 0 < self.sigma_across_m < math.inf
+        return has_sigma and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 180
+
 
 class PositionMessageChosen(_Tagged, frozen=True, tag="way"):
     """Which message will carry positions from now on."""
@@ -171,12 +180,19 @@ class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):
 
 
 class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
-    """Whether the autopilot's own position moved after it had accepted one."""
+    """Whether the autopilot's own position moved after it had accepted one, or came nearer in 10 s of a stream."""
 
     place: Place
     moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]
     remaining_m: Annotated[float, unit("m", "how far it still is from where the fix puts it")]
     map: MapName = UNSET
+
+
+class SourceSetAnswered(_Tagged, frozen=True, tag="source_set"):
+    """The autopilot answered a selection of its position sources (command 42007), or did not; repetitions once."""
+
+    number: Annotated[int, unit("", "the set of sources, 1 to 3")]
+    result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
 
 
 class Stopped(_Tagged, frozen=True, tag="stopped"):
@@ -201,6 +217,7 @@ Record = (
     | FixSent
     | FixAnswered
     | FixChecked
+    | SourceSetAnswered
     | Stopped
 )
 

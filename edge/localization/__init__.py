@@ -12,6 +12,7 @@ from edge.localization.dead_reckoning import DeadReckoning, Displacement
 from edge.localization.fix_consistency import FixConsistency
 from edge.localization.integrity import (
     GPS_SIGMA_M,
+    GpsState,
     Refusal,
     Situation,
     Uncertainty,
@@ -25,6 +26,7 @@ __all__ = [
     "DeadReckoning",
     "Displacement",
     "FixConsistency",
+    "GpsState",
     "PlaceFix",
     "Refusal",
     "Situation",

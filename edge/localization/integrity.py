@@ -16,10 +16,12 @@ from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
 
+GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 Reason: TypeAlias = Literal[
     "no position in the map",
     "too old",
     "GPS is healthy",
+    "GPS is unknown",
     "standing",
     "too soon",
     "too few matches in a row",
@@ -40,7 +42,7 @@ class Situation:
     """
 
     now_ns: int
-    gps_healthy: bool
+    gps: GpsState
     speed_mps: float | None
     position: VehiclePosition | None
     uncertainty_m: float | None
@@ -63,9 +65,10 @@ def refusal(
     age_s = (situation.now_ns - fix.stamp_ns) / 1e9
     since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
     rules: tuple[tuple[bool, Reason], ...] = (
-        (fix.lat_deg is None, "no position in the map"),
+        (not fix.is_position, "no position in the map"),
         (not 0 <= age_s <= oldest_s, "too old"),
-        (situation.gps_healthy and not gates.with_gps, "GPS is healthy"),
+        (situation.gps == "healthy" and not gates.with_gps, "GPS is healthy"),
+        (situation.gps == "unknown" and not gates.with_gps, "GPS is unknown"),
         (situation.speed_mps is not None and situation.speed_mps < gates.min_speed_mps, "standing"),
         (since_s < period_s, "too soon"),
         (fix.matches < gates.near_matches, "too few matches in a row"),

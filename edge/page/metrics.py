@@ -38,7 +38,9 @@ class _OneStatus(Collector):
         yield _counter("camera_frames", "Frames by outcome", outcomes, "outcome")
         yield _counter("camera_reopened", "How often a lost camera came back", {"": camera.reopened})
         yield _gauge("link_up", "Whether an autopilot is heard", {}, float(status.link.state == "up"))
-        yield _gauge("gps_healthy", "Whether the autopilot has a 3D fix", {}, float(status.link.gps_healthy))
+        yield _gauge(
+            "gps_healthy", "Whether the autopilot uses a good GPS fix", {}, float(status.link.gps == "healthy")
+        )
         yield _gauge(
             "journal_lines_lost", "Lines that could not be written since the last one that was", {}, status.journal_lost
         )

@@ -239,7 +239,7 @@ def _read_projection(
 
 def _check_places(file: Path, places: NDArray[np.void]) -> None:
     """What is known of a place must be possible, whatever its checksum says: positions are computed with it."""
-    limits = {"lat_deg": 90.0, "lon_deg": 360.0, "heading_deg": 720.0, "route_m": 1e9}
+    limits = {"lat_deg": 90.0, "lon_deg": 360.0, "alt_m": 1e5, "heading_deg": 720.0, "route_m": 1e9}
     for name, most in limits.items():
         bad = np.flatnonzero(np.abs(places[name]) > most)  # of NaN, which is not known, this is False
         if bad.size:

@@ -1,11 +1,12 @@
 """Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
 `link` is the serial port or the socket, `codec` (with `signing` and `replay_guard`) turns its bytes into messages, and
-`port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time;
-`link_protocol` has the heartbeats and requests that are due. `position_messages` says which message carries a position
-to which firmware, `encoders` writes all that is sent, `acknowledgements` says what an answer means, and
-`position_sender` joins those. `report_link` is for people. `autopilot` joins all into the one object that the daemon
-polls.
+`port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `gps`
+for its receivers and `velocity_aid` for what measures its velocity without them; `link_protocol` has the heartbeats,
+requests and lines of text that are due. `position_messages` says which message carries a position to which firmware,
+`encoders` writes all that is sent, `acknowledgements` says what an answer means, `source_selection` selects ArduPilot's
+sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `report_link` is for people.
+`autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ from edge.telemetry.link import Link, parse_connection
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """state: closed | waiting | up. Degrees (WGS 84), heading clockwise from north; None where not known."""
+    """What is known of the autopilot's link; degrees (WGS 84), heading clockwise from north; None where not known.
+
+    state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
+    velocity_aid: what measures velocity without GPS, "none" where nothing does.
+    """
 
     state: str
     connection: str
@@ -26,7 +31,9 @@ class LinkStatus:
     lon_deg: float | None = None
     heading_deg: float | None = None
     speed_mps: float | None = None
-    gps_healthy: bool = False
+    gps: str = "unknown"
+    gps_why: str = ""
+    velocity_aid: str | None = None
 
 
 def open_link(connection: str) -> Link:

@@ -17,15 +17,17 @@ from edge.localization import PlaceFix
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol, StatusTexts
 from edge.telemetry.port import Port
 from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender
-from edge.telemetry.report_link import ReportLink, StatusTexts
+from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.velocity_aid import NO_AID, velocity_aid
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
+RESTORE_TRIES = 3
 log = logging.getLogger(__name__)
 
 
@@ -47,7 +49,7 @@ class AutopilotConnection:
         self._record = record
         self._component_id = config.component_id
         self._connection, self._emit = config.connection, config.emit
-        self.vehicle = Vehicle()
+        self.vehicle = Vehicle(config.system_id)
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._protocol = LinkProtocol(config, self.vehicle)
@@ -58,6 +60,7 @@ class AutopilotConnection:
             for number, link in enumerate(config.links, start=1)
         ]
         self._session = 0
+        self._has_warned = False  # in this session, that nothing measures velocity
         self._system_status: int = mavlink.MAV_STATE_ACTIVE
 
     @property
@@ -99,7 +102,9 @@ class AutopilotConnection:
             lon_deg=position.lon_deg if position else None,
             heading_deg=position.heading_deg if position else None,
             speed_mps=self.vehicle.speed_mps(now_ns),
-            gps_healthy=self.vehicle.gps_healthy(now_ns),
+            gps=self.vehicle.gps.state(now_ns),
+            gps_why=self.vehicle.gps.why(now_ns),
+            velocity_aid=velocity_aid(self.vehicle, self._positions.set_without_gps),
         )
 
     @property
@@ -165,8 +170,23 @@ class AutopilotConnection:
                     port.send(message)
         time.sleep(DRAIN_S)
 
+    def withdraw_position(self) -> None:
+        """Send no position again that the autopilot has not answered: the vehicle is not on the map any more."""
+        self._positions.withdraw()
+
+    def restore_sources(self) -> None:
+        """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer."""
+        for _ in range(RESTORE_TRIES):
+            messages = self._positions.sources.restore(self._clock_ns()) if self.state == "up" else []
+            if not messages:
+                break
+            self._send(messages)
+            time.sleep(DRAIN_S)
+            self._receive(self._clock_ns())
+
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
+        self.restore_sources()
         self._port.close()
         for link in self._report_links:
             link.close()
@@ -177,22 +197,29 @@ class AutopilotConnection:
     def _receive(self, now_ns: int) -> None:
         for message in self._port.receive():
             if self.vehicle.handle(message, now_ns):
+                self._port.codec.system_id = self.vehicle.system_id or self._port.codec.system_id
+                self._set_state("up")
                 self._answer(message)
         self.vehicle.expire(now_ns)
-        if self.vehicle.connected and self.vehicle.system_id:
-            self._port.codec.system_id = self.vehicle.system_id
-        if self._port.is_open:
-            self._set_state("up" if self.vehicle.connected else "waiting")
+        if self._port.is_open and not self.vehicle.connected:
+            self._set_state("waiting")
 
     def _answer(self, message: Message) -> None:
         now_ns = self._clock_ns()
+        is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
+        if is_answer and message.target_component not in (0, self._component_id):
+            return
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
+            self._check_velocity_aid()
         self._send(self._protocol.answer(message, now_ns))
-        ours = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and (
-            message.command == encoders.EXTERNAL_POSITION_ESTIMATE
-            and message.target_component in (0, self._component_id)
-        )
-        if ours:
-            self._positions.read_acknowledgement(message.result, now_ns)
+        if is_answer:
+            self._positions.read_acknowledgement(message.command, message.result, now_ns)
+
+    def _check_velocity_aid(self) -> None:
+        aid = velocity_aid(self.vehicle, self._positions.set_without_gps)
+        if aid == NO_AID and self._positions.enabled and not self._has_warned:
+            self._has_warned = True
+            self._warn("Lookback: the autopilot has no velocity aid")
 
     def _send_due(self, now_ns: int) -> None:
         self._send(self._protocol.heartbeat(self._system_status, now_ns))
@@ -201,6 +228,7 @@ class AutopilotConnection:
         if self._session != self.vehicle.session:
             self._session = self.vehicle.session
             self._protocol.new_session()
+            self._has_warned = False
             self._positions.new_session()
         self._send(self._protocol.requests(self._clock_ns()))
         self._send(self._positions.follow_up(now_ns))
@@ -222,6 +250,8 @@ class AutopilotConnection:
         self.state = state
         if state == "up":
             self._port.peer_answered()
+        else:
+            self._port.peer_silent()
         log.info("link %s %s", state, why)
         self._record(LinkChanged(state, why))
 
@@ -232,5 +262,5 @@ def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: 
     where = "[[telemetry.links]] connection" if number else "[telemetry] connection"
     if link.signing_key:
         signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number, clock_ns=clock_ns)
-    codec = MavlinkCodec(FIRST_SYSTEM_ID, config.component_id, signer)
+    codec = MavlinkCodec(config.system_id or FIRST_SYSTEM_ID, config.component_id, signer)
     return Port(parse_connection(link.connection, where), codec, clock_ns)

@@ -5,7 +5,10 @@ Not `mavutil`: it imports GPL modules, swallows write errors and opens ports tha
 
 from __future__ import annotations
 
+import struct
 from typing import Any, TypeAlias
+
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.signing import MavlinkCodecState, Signer
 
@@ -13,6 +16,31 @@ from edge.telemetry.signing import MavlinkCodecState, Signer
 Message: TypeAlias = Any
 
 TRIM_BYTES = 16_384
+
+
+class EkfStatusReport(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
+    """EKF_STATUS_REPORT of ArduPilot's dialect, which costs 6 MB of memory as a whole."""
+
+    id, msgname, crc_extra = 193, "EKF_STATUS_REPORT", 71
+    fieldnames = (
+        "flags",
+        *(f"{of}_variance" for of in ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")),
+    )
+    ordered_fieldnames = (*fieldnames[1:], "flags")
+    orders, lengths, array_lengths = (5, 0, 1, 2, 3, 4), (1,) * 6, (0,) * 6
+    unpacker = struct.Struct("<fffffH")
+    instance_field, instance_offset = None, -1
+
+    def __init__(self, flags: int, *variances: float) -> None:
+        super().__init__(self.id, self.msgname)
+        self._fieldnames, self.flags, self.variances = ("flags",), flags, variances or (0.0,) * 5
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """The message as a frame."""
+        return bytes(self._pack(mav, self.crc_extra, self.unpacker.pack(*self.variances, self.flags), force_mavlink1))
+
+
+mavlink.mavlink_map[EkfStatusReport.id] = EkfStatusReport
 
 
 class MavlinkCodec:

@@ -49,7 +49,7 @@ def external_position(fix: PlaceFix, sending: Sending) -> Message:
     param1 does not wrap, although MAVLink allows it: ArduPilot then stamps every later fix 500 ms late. z is NaN,
     since 0 is denied by ArduPilot and resets PX4's altitude. ValueError without a position or a finite sigma.
     """
-    lat_deg, lon_deg = _position(fix)
+    lat_deg, lon_deg = _position(fix, sending)
     return mavlink.MAVLink_command_int_message(
         target_system=sending.system_id,
         target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
@@ -72,7 +72,7 @@ def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
 
     PX4 1.18 ignores both times, so the fix must have been moved on to the moment of sending. ValueError as above.
     """
-    lat_deg, lon_deg = _position(fix)
+    lat_deg, lon_deg = _position(fix, sending)
     return mavlink.MAVLink_global_position_sensor_message(
         target_system=sending.system_id,
         target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
@@ -97,7 +97,7 @@ def vision_position(fix: PlaceFix, sending: Sending) -> Message:
     NaN would spread to north and east. The heading is that of the route, with a variance that says not to use it.
     ValueError as above, and without an origin.
     """
-    lat_deg, lon_deg = _position(fix)
+    lat_deg, lon_deg = _position(fix, sending)
     if sending.origin is None:
         raise ValueError("a local position needs the origin of the autopilot's filter")
     origin = sending.origin
@@ -119,9 +119,11 @@ def vision_position(fix: PlaceFix, sending: Sending) -> Message:
     )
 
 
-def _position(fix: PlaceFix) -> tuple[float, float]:
-    if fix.lat_deg is None or fix.lon_deg is None or not math.isfinite(fix.sigma_m):
+def _position(fix: PlaceFix, sending: Sending) -> tuple[float, float]:
+    if not fix.is_position or fix.lat_deg is None or fix.lon_deg is None:
         raise ValueError("a position estimate needs a latitude, a longitude and a finite sigma")
+    if not all(map(math.isfinite, (sending.boot_s, sending.age_s, sending.down_m))):
+        raise ValueError("a position estimate needs finite times and a finite height")
     return fix.lat_deg, fix.lon_deg
 
 
@@ -162,6 +164,11 @@ def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:
 def message_request(system_id: int, message_id: int) -> Message:
     """COMMAND_LONG 512: request a message once."""
     return _command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
+
+
+def parameter_request(system_id: int, name: str) -> Message:
+    """PARAM_REQUEST_READ: request one parameter."""
+    return mavlink.MAVLink_param_request_read_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1)
 
 
 def source_set(system_id: int, number: int) -> Message:

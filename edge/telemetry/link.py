@@ -2,7 +2,7 @@
 
 serial:DEVICE:BAUD   a serial port, or anything that looks like one (USB, a pseudo-terminal)
 udp:HOST:PORT        sends to that peer, and receives only from it
-udpin:HOST:PORT      listens on that port, and sends to the peer that was received last
+udpin:HOST:PORT      listens on that port, and sends to the peer that was received last, or to the one that is kept
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import serial
 from edge.errors import ConfigError, LinkLost
 
 READ_SIZE = 65536
+MOST_FROM_OTHERS = 1000  # datagrams that one call drops
 
 
 class Link(Protocol):
     """A byte link to a MAVLink peer. Each method but close() raises LinkLost when the port is gone."""
 
     def receive(self) -> bytes:
-        """What has arrived since the last call, b"" if nothing; never blocks."""
+        """Some of what has arrived, of one sender; b"" once there is no more. Never blocks."""
 
     def send(self, data: bytes) -> bool:
         """Send one whole message, or drop it and return False when the port cannot take it now; never blocks."""
@@ -148,20 +149,24 @@ class UdpLink:
             self._socket.close()
             raise LinkLost(f"{self._name}: cannot open it: {error.strerror}") from None
         self._listen = listen
+        self.keeps_peer = False
+        """Whether a listening socket ignores all but the peer that was received last."""
 
     def receive(self) -> bytes:
-        """See Link. All datagrams that have arrived, joined."""
-        parts: list[bytes] = []
-        while True:
+        """See Link. One datagram; without waiting for those of others to end."""
+        for _ in range(MOST_FROM_OTHERS):
             try:
                 data, sender = self._socket.recvfrom(READ_SIZE)
             except (BlockingIOError, ConnectionRefusedError):  # refused: the peer's answer to an earlier send
-                return b"".join(parts)
+                return b""
             except OSError as error:
                 raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
+            if self.keeps_peer and sender != self._peer:
+                continue
             if self._listen:
                 self._peer = sender
-            parts.append(data)
+            return data
+        return b""
 
     def send(self, data: bytes) -> bool:
         """See Link. False while a listening socket has received nothing, or the peer is not running."""

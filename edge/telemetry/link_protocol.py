@@ -1,32 +1,119 @@
-"""The heartbeats and requests that a MAVLink component sends: time, streams, version, origin. No I/O.
+"""What a MAVLink component sends besides positions: heartbeats, requests (time, streams, parameters), lines. No I/O.
 
 Everything is requested again after a reboot of the autopilot and after a silence, since the autopilot does not store
-requests.
+requests. Streams are requested one by one, since an acknowledgement does not say which stream it is for.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable
+
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.backoff import BackOff
 from edge.config import TelemetryConfig
+from edge.localization import PlaceFix
 from edge.telemetry import encoders
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.vehicle import Origin, Vehicle
+from edge.telemetry.velocity_aid import PARAMETERS
 
 HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 500_000_000
 AGAIN_NS = 5_000_000_000
 STREAMS_HZ = {
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 4.0,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: 5.0,
+    EkfStatusReport.id: 2.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: 4.0,
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: 5.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
 }
-"""ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these."""
+"""In the order in which they are requested.
+
+ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these.
+"""
+TEXT_NS = 500_000_000
+PLACE_NS = 5_000_000_000
+QUEUE_LINES = 8
+SILENT_NS = 3_000_000_000
+ANSWER_NS = 500_000_000
+AGAIN_LAST_NS = 60_000_000_000
+PARAMETER_NS, TRIES_MOST = 200_000_000, 5
+REFUSALS_MOST = 2
+"""After so many a stream is requested no more: no firmware knows all of them. One may be an answer that came late."""
 FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
+
+
+class Stream:
+    """One message that the autopilot is to send at a rate."""
+
+    def __init__(self, message_id: int) -> None:
+        self.message_id = message_id
+        self.back_off = BackOff(AGAIN_NS, AGAIN_LAST_NS)
+        self.was_requested = False
+        self.refusals = 0
+
+    def is_due(self, heard_ns: int | None, now_ns: int) -> bool:
+        """Whether to request it: once, and again while it is silent. heard_ns: when it came last."""
+        if heard_ns is not None and now_ns - heard_ns <= SILENT_NS:
+            self.back_off.reset()
+            return not self.was_requested
+        return self.refusals < REFUSALS_MOST and self.back_off.is_over(now_ns)
+
+
+class StreamRequests:
+    """Requests the streams of one session, one at a time."""
+
+    def __init__(self) -> None:
+        self._streams = [Stream(message_id) for message_id in STREAMS_HZ]
+        self._asked: tuple[Stream, int] | None = None
+
+    def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
+        """The next request, unless one is waiting for its answer."""
+        if self._asked is not None and now_ns - self._asked[1] <= ANSWER_NS:
+            return []
+        due = next((one for one in self._streams if one.is_due(vehicle.heard_ns(one.message_id), now_ns)), None)
+        if due is None:
+            return []
+        self._asked = due, now_ns
+        due.was_requested = True
+        due.back_off.failed(now_ns)
+        return [encoders.stream_request(system_id, due.message_id, STREAMS_HZ[due.message_id])]
+
+    def read_acknowledgement(self, result: int) -> None:
+        """COMMAND_ACK of a stream request: any refusal counts, since firmware differs in how it refuses."""
+        if self._asked is not None:
+            self._asked[0].refusals += result != mavlink.MAV_RESULT_ACCEPTED
+            self._asked = None
+
+
+class ParameterRequests:
+    """Requests parameters one by one, and again while one is missing."""
+
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        self._tries = dict.fromkeys(names, 0)
+        self._due_ns = 0
+
+    def add(self, names: Iterable[str]) -> None:
+        """Request these as well."""
+        for name in names:
+            self._tries.setdefault(name, 0)
+
+    def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
+        """The next request; none where all have come, or have been requested too often."""
+        missing = {name: tries for name, tries in self._tries.items() if name not in vehicle.parameters}
+        name = min(missing, key=missing.__getitem__, default="")
+        if not name or missing[name] >= TRIES_MOST or now_ns < self._due_ns:
+            return []
+        self._tries[name] += 1
+        self._due_ns = now_ns + PARAMETER_NS
+        return [encoders.parameter_request(system_id, name)]
 
 
 class LinkProtocol:
@@ -35,7 +122,9 @@ class LinkProtocol:
     def __init__(self, config: TelemetryConfig, vehicle: Vehicle) -> None:
         self._origin = Origin(*config.origin) if config.origin else None
         self._vehicle = vehicle
-        self._due_ns = dict.fromkeys(("heartbeat", "timesync", "streams", "version", "origin"), 0)
+        self._due_ns = dict.fromkeys(("heartbeat", "timesync", "version", "origin"), 0)
+        self._streams, self.parameters = StreamRequests(), ParameterRequests()
+        self._moves = config.emit != "report"
         self._origin_requested = False
 
     def opened(self, now_ns: int) -> None:
@@ -44,7 +133,10 @@ class LinkProtocol:
 
     def new_session(self) -> None:
         """The autopilot is another one, or has rebooted: request everything."""
-        self._due_ns.update(streams=0, version=0, origin=0)
+        self._due_ns.update(version=0, origin=0)
+        self._streams = StreamRequests()
+        # What aids the velocity matters only where positions are sent.
+        self.parameters = ParameterRequests(PARAMETERS.get(self._vehicle.autopilot or 0, ()) if self._moves else ())
         self._origin_requested = False
 
     def heartbeat(self, system_status: int, now_ns: int) -> list[Message]:
@@ -58,9 +150,8 @@ class LinkProtocol:
         if self._is_due("timesync", now_ns, TIMESYNC_NS):
             vehicle.timesync_sent(now_ns)
             messages.append(encoders.timesync_request(now_ns))
-        silent = vehicle.speed_mps(now_ns) is None or self._due_ns["streams"] == 0
-        if silent and self._is_due("streams", now_ns, AGAIN_NS):
-            messages += [encoders.stream_request(system_id, message_id, hz) for message_id, hz in STREAMS_HZ.items()]
+        messages += self._streams.due(vehicle, system_id, now_ns)
+        messages += self.parameters.due(vehicle, system_id, now_ns)
         if vehicle.version is None and self._is_due("version", now_ns, AGAIN_NS):
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
         if vehicle.origin is None and self._is_due("origin", now_ns, AGAIN_NS):
@@ -68,7 +159,11 @@ class LinkProtocol:
         return messages
 
     def answer(self, message: Message, now_ns: int) -> list[Message]:
-        """The answers to a message of the autopilot."""
+        """The answers to a message of the autopilot that is for us."""
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+            if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+                self._streams.read_acknowledgement(message.result)
+            return []
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
             return [encoders.timesync_answer(message, now_ns)]
         return []
@@ -86,3 +181,34 @@ class LinkProtocol:
             return False
         self._due_ns[what] = now_ns + period_ns
         return True
+
+
+class StatusTexts:
+    """A queue of lines for the pilot: at most two a second come out, and of many only the newest.
+
+    A slow link carries the pilot's telemetry as well.
+    """
+
+    def __init__(self) -> None:
+        self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
+        self._id = 0
+        self._next_ns = 0
+        self._next_place_ns = 0
+
+    def put(self, text: str, severity: int) -> None:
+        """Queue a line of any length."""
+        self._id = self._id % 65535 + 1
+        self._queue.append(encoders.status_text(text, severity, self._id))
+
+    def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
+        """Queue a line about a place, but not more than one each five seconds: places come by the second."""
+        if now_ns >= self._next_place_ns:
+            self._next_place_ns = now_ns + PLACE_NS
+            self.put(encoders.describe(fix), severity)
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The messages of the next line, if it is time for one."""
+        if not self._queue or now_ns < self._next_ns:
+            return []
+        self._next_ns = now_ns + TEXT_NS
+        return self._queue.popleft()

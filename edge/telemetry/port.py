@@ -9,18 +9,21 @@ import dataclasses
 import logging
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from edge.backoff import BackOff
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.link import Connection, Link
+from edge.telemetry.link import Connection, Link, UdpLink
 
 RETRY_FIRST_NS = 500_000_000
 RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}
 """Trying a device costs nothing; looking up the name of a host is a packet on the network."""
 SIGNED_SILENCE_NS = 3_000_000_000
 """With signing, receive first: the peer's timestamp may be ahead of our clock, and it drops what is older."""
+
+MOST_READS = 1000
+"""In one call: a flood must not keep the daemon from everything else."""
 
 LookUp = Callable[[str], str]
 log = logging.getLogger(__name__)
@@ -112,15 +115,17 @@ class Port:
             return None
         return dataclasses.replace(connection, target=address).open()
 
-    def receive(self) -> list[Message]:
+    def receive(self) -> Iterator[Message]:
         """The messages that have arrived since the last call."""
-        if self._link is None:
-            return []
-        try:
-            return self.codec.decode(self._link.receive())
-        except LinkLost as error:
-            self._lose(str(error))
-            return []
+        for _ in range(MOST_READS):
+            try:
+                data = self._link.receive() if self._link is not None else b""
+            except LinkLost as error:
+                self._lose(str(error))
+                return
+            if not data:
+                return
+            yield from self.codec.decode(data)
 
     def send(self, message: Message) -> bool:
         """Send one message; False when it was dropped: no port, no room, or signing and still listening."""
@@ -133,9 +138,21 @@ class Port:
             return False
 
     def peer_answered(self) -> None:
-        """A peer has answered: the next loss starts with short pauses again, and is logged again."""
+        """The sender of the message that `receive` gave last is the peer, and others are ignored until it is silent.
+
+        The next loss starts with short pauses again, and is logged again.
+        """
         self._logged = ""
         self._back_off.reset()
+        self._keep_peer(keep=True)
+
+    def peer_silent(self) -> None:
+        """The peer has gone; whoever sends next may be the new one."""
+        self._keep_peer(keep=False)
+
+    def _keep_peer(self, *, keep: bool) -> None:
+        if isinstance(self._link, UdpLink):
+            self._link.keeps_peer = keep
 
     def close(self) -> None:
         """Release the port; more than once is harmless, and `open_if_due` would open it again."""

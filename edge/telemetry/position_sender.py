@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
-    GPS_SIGMA_M,
     FixConsistency,
     PlaceFix,
     Refusal,
@@ -30,16 +30,22 @@ from edge.telemetry.acknowledgements import (
     BACK_OFF_FIRST_NS,
     BACK_OFF_LAST_NS,
     MOVED_NS,
+    NO_ANSWER,
     VERDICTS,
     Jump,
+    StreamCheck,
     result_name,
 )
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
+from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
+from edge.telemetry.remembered_bound import RememberedBound
+from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
+REMEMBER_NS = 1_000_000_000
 log = logging.getLogger(__name__)
 
 
@@ -62,10 +68,14 @@ class PositionSender:
         self.message: PositionMessage | None = None
         self.why = ""
         self._uncertainty = Uncertainty(gates.drift_percent)
+        self._remembered = RememberedBound(
+            Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None, gates.drift_percent
+        )
         self._consistency = FixConsistency(gates)
         self._disabled = False
         self._reset_counter = 0
-        self._source_set = 1
+        self.sources = SourceSelection(vehicle, record, send_text)
+        self._remember_due_ns = 0
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -76,12 +86,13 @@ class PositionSender:
         self._sent_stamp_ns: int | None = None
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._jump: tuple[PlaceFix, Jump, int] | None = None
+        self._stream = StreamCheck()
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
         self._start_over()
         self._disabled = False
-        self._source_set = 1
+        self.sources.new_session()
         self._uncertainty.reset()
         self._consistency.reset()
         self._choose()
@@ -98,6 +109,11 @@ class PositionSender:
             self._record(PositionMessageChosen(message.name if message else "report", why))
             if emit == "auto" and self._vehicle.version is not None:
                 self._send_text(f"Lookback: {why}")
+
+    @property
+    def set_without_gps(self) -> int:
+        """Which of ArduPilot's sets of sources is used without GPS."""
+        return VISION_SET if self.message is not None and self.message.name == "vision_position" else GPS_SET
 
     @property
     def enabled(self) -> bool:
@@ -121,7 +137,7 @@ class PositionSender:
             return []  # the last exposure was sent already
         refused = self._refusal(fix, now_ns, self.message)
         if refused is not None:
-            self._withhold(fix, refused)
+            self._withhold(fix, refused, now_ns)
             return []
         self._withheld = ""
         messages = self._encode(fix, now_ns, self.message)
@@ -130,7 +146,13 @@ class PositionSender:
         self._sent_stamp_ns = fix.stamp_ns
         if self.message.acknowledged:
             self._unanswered = fix, now_ns, False
-        return [*self._select_sources(2), *messages]
+        return [*self._select_sources(VISION_SET, now_ns), *messages]
+
+    def withdraw(self) -> None:
+        """The vehicle is not on the map any more: what was not answered is not sent again."""
+        if self._unanswered is not None:
+            fix, sent_ns, _ = self._unanswered
+            self._unanswered = fix, sent_ns, True
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -145,7 +167,7 @@ class PositionSender:
         )
         return Situation(
             now_ns,
-            vehicle.gps_healthy(now_ns),
+            vehicle.gps.state(now_ns),
             vehicle.speed_mps(now_ns),
             position,
             uncertainty_m,
@@ -153,14 +175,20 @@ class PositionSender:
             confirmed,
         )
 
-    def _refusal(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> Refusal | None:
-        return refusal(fix, self._situation(fix, now_ns), self._gates, self._period_s(message), message.max_age_s)
+    def _refusal(
+        self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
+    ) -> Refusal | None:
+        period_s = self._period_s(message) if period_s is None else period_s
+        return refusal(fix, self._situation(fix, now_ns), self._gates, period_s, message.max_age_s)
 
-    def _withhold(self, fix: PlaceFix, refused: Refusal) -> None:
-        if refused.reason == self._withheld:
+    def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
+        why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
+        if refused.reason + why == self._withheld:
             return
-        self._withheld = refused.reason
-        self._record(FixWithheld(fix.place, refused.reason, refused.distance_m, fix.map))
+        self._withheld = refused.reason + why
+        self._record(FixWithheld(fix.place, self._withheld, refused.distance_m, fix.map))
+        if why not in ("", f": {UNSTEADY}"):
+            self._send_text(f"Lookback: {self._withheld}")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
             self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")
 
@@ -213,6 +241,9 @@ class PositionSender:
         if message.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
+        moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
+        if moved is not None:
+            self._publish_check(fix, distance_m, moved=moved)
         if distance_m <= fix.sigma_m * self._gates.near_sigmas:
             self._uncertainty.bind(max(fix.sigma_m, distance_m), self._vehicle.driven_m(now_ns))
         elif self._is_new_stream(now_ns):
@@ -221,18 +252,18 @@ class PositionSender:
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
-    def _select_sources(self, number: int) -> list[Message]:
-        """For vision_position: select ArduPilot's second set of sources without GPS, the first one with it."""
+    def _select_sources(self, number: int, now_ns: int) -> list[Message]:
+        """For vision_position: ArduPilot's second set of sources without GPS, the first one with it."""
         if self.message is None or self.message.name != "vision_position" or not self._telemetry.switch_sources:
             return []
-        if number == self._source_set:
-            return []
-        self._source_set = number
-        return [encoders.source_set(self._vehicle.system_id or 1, number)]
+        self.sources.wanted = number
+        return self.sources.due(now_ns)
 
-    def read_acknowledgement(self, result: int, now_ns: int) -> None:
-        """COMMAND_ACK of 43003 that was addressed to us."""
-        if self._unanswered is None:
+    def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
+        """COMMAND_ACK that was addressed to us."""
+        if command == encoders.SET_EKF_SOURCE_SET:
+            self.sources.read_acknowledgement(result, now_ns)
+        if command != encoders.EXTERNAL_POSITION_ESTIMATE or self._unanswered is None:
             return
         verdict = VERDICTS.get(result, "not now")
         if verdict == "wait":
@@ -257,25 +288,44 @@ class PositionSender:
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
         messages: list[Message] = []
-        if self._vehicle.gps_healthy(now_ns):
-            self._uncertainty.bind(GPS_SIGMA_M, self._vehicle.driven_m(now_ns))
-            if not self._gates.with_gps:
-                messages += self._select_sources(1)
+        vehicle = self._vehicle
+        bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
+        if bound_m is not None:
+            self._uncertainty.bind(bound_m, vehicle.driven_m(now_ns))
+        # Whether or not the filter uses GPS: with the second set it does not.
+        if vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
+            messages += self._select_sources(GPS_SET, now_ns)
+        elif self.sources.wanted is not None:
+            messages += self.sources.due(now_ns)
+        self._remember_bound(now_ns)
         self._check_jump(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
         return messages
 
+    def _remember_bound(self, now_ns: int) -> None:
+        """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
+        if now_ns < self._remember_due_ns:
+            return
+        self._remember_due_ns = now_ns + REMEMBER_NS
+        driven_m = self._vehicle.driven_m(now_ns)
+        ours_m = self._uncertainty.at(driven_m, None)
+        if ours_m is not None:
+            self._remembered.keep(ours_m, self._vehicle, now_ns)
+        elif (remembered_m := self._remembered.recall(self._vehicle, now_ns)) is not None:
+            self._uncertainty.bind(remembered_m, driven_m)
+
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
         self._unanswered = None
         if self.message is None:
             return []
-        is_recent = (now_ns - fix.stamp_ns) / 1e9 <= self.message.max_age_s
-        messages = self._encode(fix, now_ns, self.message, again=True) if not second and is_recent else []
+        # The position may have become stale, the vehicle may stand, or GPS may be back.
+        refused = self._refusal(fix, now_ns, self.message, period_s=0.0)
+        messages = self._encode(fix, now_ns, self.message, again=True) if not second and refused is None else []
         if messages:
             self._unanswered = fix, now_ns, True
         else:
-            self._record(FixAnswered(fix.place, "NO_ANSWER", fix.map))
+            self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
         return messages
 
     def _check_jump(self, now_ns: int) -> None:
@@ -291,9 +341,14 @@ class PositionSender:
             return
         self._jump = None
         remaining_m = jump.remaining_m(own)
-        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
+        self._publish_check(fix, remaining_m, moved=moved)
         if moved:
             self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
         else:
             self._back_off.failed(now_ns)
-            self._send_text(f"Lookback: fix accepted, position {remaining_m:.0f} m off")
+
+    def _publish_check(self, fix: PlaceFix, remaining_m: float, *, moved: bool) -> None:
+        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
+        if not moved:
+            sent = "fix accepted" if self.message is not None and self.message.acknowledged else "fixes sent"
+            self._send_text(f"Lookback: {sent}, position {remaining_m:.0f} m off")

@@ -1,8 +1,7 @@
-"""Events for people: lines of text and values to plot, and links that carry nothing else."""
+"""Links that carry events for people, and nothing else: lines of text and values to plot."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -11,44 +10,11 @@ from edge.journal.records import LinkChanged, Record
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, HEARTBEAT_NS
+from edge.telemetry.link_protocol import HEARTBEAT_NS, StatusTexts
 from edge.telemetry.port import Port
 from edge.telemetry.vehicle import Vehicle
 
-TEXT_NS = 500_000_000
-PLACE_NS = 5_000_000_000
-QUEUE_LINES = 8
-
-
-class StatusTexts:
-    """A queue of lines for the pilot: at most two a second come out, and of many only the newest.
-
-    A slow link carries the pilot's telemetry as well.
-    """
-
-    def __init__(self) -> None:
-        self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
-        self._id = 0
-        self._next_ns = 0
-        self._next_place_ns = 0
-
-    def put(self, text: str, severity: int) -> None:
-        """Queue a line of any length."""
-        self._id = self._id % 65535 + 1
-        self._queue.append(encoders.status_text(text, severity, self._id))
-
-    def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
-        """Queue a line about a place, but not more than one each five seconds: places come by the second."""
-        if now_ns >= self._next_place_ns:
-            self._next_place_ns = now_ns + PLACE_NS
-            self.put(encoders.describe(fix), severity)
-
-    def due(self, now_ns: int) -> list[Message]:
-        """The messages of the next line, if it is time for one."""
-        if not self._queue or now_ns < self._next_ns:
-            return []
-        self._next_ns = now_ns + TEXT_NS
-        return self._queue.popleft()
+PEER_SILENT_NS = 5_000_000_000
 
 
 class ReportLink:
@@ -67,7 +33,7 @@ class ReportLink:
         self._clock_ns = clock_ns
         self._record = record
         self._texts = StatusTexts()
-        self._heartbeat_ns = 0
+        self._heartbeat_ns = self._heard_ns = 0
         self._was_open: bool | None = None
         self.system_status: int = mavlink.MAV_STATE_ACTIVE
         """MAV_STATE for our heartbeat."""
@@ -76,9 +42,12 @@ class ReportLink:
         """One turn. What arrives is read, so that the buffers stay empty, and ignored."""
         now_ns = self._clock_ns()
         self._port.open_if_due(now_ns)
-        if self._port.receive():
+        for _ in self._port.receive():
+            self._heard_ns = now_ns
             self._port.peer_answered()
-        self._port.codec.system_id = self._vehicle.system_id or FIRST_SYSTEM_ID
+        if now_ns - self._heard_ns > PEER_SILENT_NS:
+            self._port.peer_silent()
+        self._port.codec.system_id = self._vehicle.system_id or self._port.codec.system_id
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
             self._port.send(encoders.heartbeat(self.system_status))

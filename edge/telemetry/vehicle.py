@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,15 +16,16 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.geodesy import VehiclePosition
 from edge.localization import DeadReckoning, Displacement
 from edge.telemetry.boot_clock import BootClock
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.gps import Gps
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
-GPS_FRESH_NS = 3_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 HEADING_UNKNOWN = 65535
+PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
 
@@ -44,9 +46,15 @@ class Vehicle:
     link, and only messages of that system and of component 1 count.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, system_id: int = 0) -> None:
+        """system_id: the only one whose heartbeats count; 0 is the first that is heard."""
+        self._only_system_id = system_id
         self.system_id: int | None = None
         self.autopilot: int | None = None
+        self.kind: int | None = None
+        """MAV_TYPE of the vehicle, None until connected."""
+        self.parameters: dict[str, float] = {}
+        """Those that the autopilot has sent in this session."""
         self.connected = False
         self.session = 0
         """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
@@ -54,13 +62,14 @@ class Vehicle:
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
         self.origin: Origin | None = None
         """None until GPS_GLOBAL_ORIGIN arrived: the autopilot may have none."""
-        self._heard_ns: dict[int, int] = {}
+        self._heard_ns: dict[int, int] = {}  # heartbeats, by system
+        self._message_ns: dict[int, int] = {}  # of this session, by message id
         self._clock = BootClock()
         self._newest_boot_ms = -1
         self._timesync_sent_ns = 0
         self._motion = DeadReckoning()
         self._position: VehiclePosition | None = None
-        self._gps_healthy_ns: int | None = None
+        self.gps = Gps()
         self._accuracy: tuple[int, float] | None = None
         self._wheels: tuple[int, float] | None = None
         self._handlers: dict[int, Callable[[Message, int], None]] = {
@@ -69,12 +78,16 @@ class Vehicle:
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
             mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: self._read_wheels,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: self._read_vfr_hud,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_first_gps,
+            mavlink.MAVLINK_MSG_ID_GPS2_RAW: self._read_second_gps,
+            EkfStatusReport.id: self._read_ekf_status,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._read_sensors,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._read_system_time,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._read_timesync,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._read_estimator,
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._read_origin,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._read_version,
+            mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._read_parameter,
         }
 
     def handle(self, message: Message, now_ns: int) -> bool:
@@ -85,10 +98,15 @@ class Vehicle:
             return self._read_heartbeat(message, now_ns)
         if not self.connected or message.get_srcSystem() != self.system_id:
             return False
+        self._message_ns[message.get_msgId()] = now_ns
         reader = self._handlers.get(message.get_msgId())
         if reader is not None:
             reader(message, now_ns)
         return True
+
+    def heard_ns(self, message_id: int) -> int | None:
+        """When a message came last in this session, None before the first."""
+        return self._message_ns.get(message_id)
 
     def expire(self, now_ns: int) -> None:
         """The link is down when no heartbeat has come for five seconds."""
@@ -137,10 +155,6 @@ class Vehicle:
             return None
         return self._position
 
-    def gps_healthy(self, now_ns: int) -> bool:
-        """Whether a GPS reported a 3-D fix within the last three seconds."""
-        return self._gps_healthy_ns is not None and now_ns - self._gps_healthy_ns <= GPS_FRESH_NS
-
     def accuracy_m(self, now_ns: int) -> float | None:
         """Horizontal accuracy of its position as the autopilot reports it, None where it does not (ArduPilot)."""
         if self._accuracy is None or now_ns - self._accuracy[0] > ACCURACY_FRESH_NS:
@@ -149,22 +163,26 @@ class Vehicle:
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
         sender = message.get_srcSystem()
-        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or (self.connected and sender != self.system_id):
+        only_id = self.system_id if self.connected else self._only_system_id
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or only_id not in (0, sender):
             return False
         before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
         if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
-            self.connected, self.system_id, self.autopilot = True, sender, message.autopilot
+            self.connected, self.system_id = True, sender
+            self.autopilot, self.kind = message.autopilot, message.type
             self._start_session()
             log.info("link up: system %d, autopilot %d", sender, message.autopilot)
         return self.connected
 
     def _start_session(self) -> None:
         self.session += 1
+        self._message_ns.clear()
+        self.parameters.clear()
         self._clock = BootClock()
         self._motion.begin_leg()
         self._newest_boot_ms = -1
-        self._gps_healthy_ns = None
-        self._accuracy = self._wheels = None
+        self.gps = Gps()
+        self._accuracy = self._wheels = self._position = None
         self.origin = self.version = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
@@ -218,6 +236,7 @@ class Vehicle:
         self._motion.add_speed(now_ns, message.groundspeed, source=4)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
+        self.gps.read_filter(message.flags, self.autopilot, now_ns)
         if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:
             self._accuracy = now_ns, message.pos_horiz_accuracy
 
@@ -228,9 +247,25 @@ class Vehicle:
     def _read_version(self, message: Message, now_ns: int) -> None:
         self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
-    def _read_gps(self, message: Message, now_ns: int) -> None:
-        if mavlink.GPS_FIX_TYPE_3D_FIX <= message.fix_type <= mavlink.GPS_FIX_TYPE_RTK_FIXED:
-            self._gps_healthy_ns = now_ns
+    def _read_parameter(self, message: Message, now_ns: int) -> None:
+        value, layout = float(message.param_value), PX4_INTEGERS.get(message.param_type)
+        if self.autopilot == mavlink.MAV_AUTOPILOT_PX4 and layout:
+            # PX4 puts the bytes of an integer where the float goes; ArduPilot converts.
+            value = float(struct.unpack(layout, struct.pack("<f", value))[0])
+        if math.isfinite(value):
+            self.parameters[str(message.param_id).rstrip("\0")] = value
+
+    def _read_first_gps(self, message: Message, now_ns: int) -> None:
+        self.gps.receivers[0].read(message, now_ns)
+
+    def _read_second_gps(self, message: Message, now_ns: int) -> None:
+        self.gps.receivers[1].read(message, now_ns)
+
+    def _read_ekf_status(self, message: Message, now_ns: int) -> None:
+        self.gps.read_filter(message.flags, self.autopilot, now_ns)
+
+    def _read_sensors(self, message: Message, now_ns: int) -> None:
+        self.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
     def _read_system_time(self, message: Message, now_ns: int) -> None:
         self._read_boot_time(message.time_boot_ms, now_ns)

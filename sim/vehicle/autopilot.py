@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import LinkLost
-from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from sim import Pose
@@ -183,8 +183,10 @@ class SimulatedAutopilot:
         return SILENT if is_fix and not self._firmware.acknowledges else result
 
     def _offers(self, message_id: int) -> bool:
-        accuracy = message_id == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
-        return message_id in ENCODERS and (self._firmware.reports_accuracy or not accuracy)
+        of_the_other = (
+            EkfStatusReport.id if self._firmware.reports_accuracy else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+        )
+        return message_id in ENCODERS and message_id != of_the_other
 
     def _set_interval(self, message_id: int, period_s: float) -> int:
         if not self._offers(message_id):

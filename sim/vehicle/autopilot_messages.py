@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import pymap3d
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import EkfStatusReport, Message
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.vehicle.firmware import Firmware
+
+RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
 
 
 @dataclass(frozen=True)
@@ -144,8 +146,19 @@ def _odometry(state: Snapshot) -> Message:
     )
 
 
+def _filter_flags(state: Snapshot) -> int:
+    """As recorded: velocity and relative position always, absolute position with GPS."""
+    return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.gps else 0)
+
+
+def _ekf_status(state: Snapshot) -> Message:
+    return EkfStatusReport(_filter_flags(state))
+
+
 def _estimator_status(state: Snapshot) -> Message:
-    return mavlink.MAVLink_estimator_status_message(state.boot_ns // 1000, 0, 0, 0, 0, 0, 0, 0, state.sigma_m, 1.0)
+    return mavlink.MAVLink_estimator_status_message(
+        state.boot_ns // 1000, _filter_flags(state), 0, 0, 0, 0, 0, 0, state.sigma_m, 1.0
+    )
 
 
 def _origin(state: Snapshot) -> Message | None:
@@ -173,7 +186,8 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: _wheel_distance,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
+    EkfStatusReport.id: _ekf_status,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
-"""By message id; ESTIMATOR_STATUS only for firmware that reports its accuracy."""
+"""By message id; ESTIMATOR_STATUS only for firmware that reports its accuracy, EKF_STATUS_REPORT only for the other."""

@@ -21,6 +21,8 @@ from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
 
+WHEELS = {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 1.0, "WENC_POS_Y": -0.2, "WENC_RADIUS": 0.1, "WENC_CPR": 3200.0}
+
 
 class Parameters:
     """The part of an autopilot that the simulated one has not: it answers PARAM_REQUEST_READ, of what it has."""
@@ -92,12 +94,16 @@ def told(findings: list[Diagnostic], what: str, level: str) -> str:
 
 def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path) -> None:
     real = mavlink.MAV_PARAM_TYPE_REAL32
-    connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (7.0, real)})
+    values = {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 7.0, "EK3_SRC1_POSXY": 3.0, **WHEELS}
+    connection = fly({name: (value, real) for name, value in values.items()})
     config = write_config(telemetry={"connection": connection, "emit": "external_position"})
     findings = list(examine(config, 20.0, tmp_path / "dev"))
     assert [one for one in findings if one.level == "bad"] == []
     assert "ArduPilot 4." in told(findings, "autopilot", "good")
     assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
+    assert "EK3_SRC1_POSXY = 3, GPS" in told(findings, "parameter", "good")
+    assert "WENC_POS_Y = -0.2" in told(findings, "parameter", "good")
+    assert "velocity without GPS: wheel encoders" in told(findings, "autopilot", "good")
     assert "80 places, all checksums match" in told(findings, "map", "good")
     assert "160 x 120 pixels" in told(findings, "camera", "good")
     assert "two regions take" in told(findings, "model", "good")
@@ -113,6 +119,56 @@ def test_a_wrong_parameter_says_why_and_what_to_set(
     words = told(findings, "parameter", "bad")
     assert "AHRS_OPTIONS = 0: else a rover" in words
     assert "set its bits 3" in words
+
+
+@pytest.mark.parametrize(
+    ("emit", "values", "words"),
+    [
+        (
+            "external_position",
+            {"EK3_SRC1_POSXY": 0.0, **WHEELS},
+            "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it -> set it to 3",
+        ),
+        (
+            "external_position",
+            {**WHEELS, "WENC_POS_Y": 0.0},
+            "WENC_POS_Y = 0: wheel encoders give no speed with 0 -> measure it",
+        ),
+        (
+            "external_position",
+            {"EK3_SRC1_VELXY": 3.0},
+            "no velocity aid: without GPS the autopilot cannot hold its position between fixes -> fit wheel encoders",
+        ),
+        (
+            "external_position",
+            {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 0.0},
+            "no velocity aid: without GPS the autopilot cannot hold its position between fixes",
+        ),
+        ("vision_position", {"EK3_SRC2_VELXY": 0.0}, "no velocity aid"),
+        (
+            "vision_position",
+            {"ARMING_CHECK": 1.0},
+            'the vehicle can be armed only at a recognized place, else "VisOdom: not healthy" -> set it to 785918',
+        ),
+    ],
+)
+def test_sources_that_do_not_fit_are_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path, emit: str, values: Any, words: str
+) -> None:
+    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()})
+    config = write_config(telemetry={"connection": connection, "emit": emit})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert words in f"{told(findings, 'parameter', 'bad')} | {told(findings, 'autopilot', 'bad')}"
+
+
+def test_a_px4_that_nothing_but_gps_gives_a_velocity(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    connection = fly({"EKF2_EV_CTRL": (0.0, mavlink.MAV_PARAM_TYPE_INT32)}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "auto"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert "no velocity aid" in told(findings, "autopilot", "bad")
+    assert "px4_velocity_aid.params" in told(findings, "autopilot", "bad")
 
 
 def test_integers_of_px4_come_as_bytes(

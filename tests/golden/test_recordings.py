@@ -56,3 +56,14 @@ def test_the_goldens_have_all_kinds_of_answers_in_them() -> None:
     assert {"COMMAND_INT", "GLOBAL_POSITION_SENSOR", "VISION_POSITION_ESTIMATE"} <= {
         line["mavpackettype"] for line in lines("run", SENT)
     }
+
+
+@pytest.mark.parametrize("folder", cases("run"), ids=lambda folder: str(folder.name))
+def test_no_position_is_sent_after_the_state_says_off_the_map(folder: Path) -> None:
+    state, sent = "", 0
+    for line in map(json.loads, (folder / JOURNAL).read_text().splitlines()):
+        state = line["state"] if line["event"] == "state" else state
+        if line["event"] == "fix_sent":
+            sent += 1
+            assert state == "on the map"
+    assert sent

@@ -28,6 +28,7 @@ from edge.journal.records import (
     PlaceFix,
     PositionMessageChosen,
     Record,
+    SourceSetAnswered,
     StateChanged,
     Stopped,
     UnknownRecord,
@@ -157,6 +158,7 @@ EVERY_KIND: tuple[Record, ...] = (
     FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
+    SourceSetAnswered(2, "ACCEPTED"),
     Stopped(120, 7, {"network": 8.5}, {"delivered": 130, "overwritten": 10, "bad": 0}),
 )
 

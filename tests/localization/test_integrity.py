@@ -19,7 +19,7 @@ METRE_DEG = 1 / 111_320
 GATES = GatesConfig()
 FIX = PlaceFix(NOW_NS - S, 7, 0.0, 10.0, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street", matches=5)
 OWN = VehiclePosition(NOW_NS - S, 0.0, 10.0, 20.0, 0.0, 10.0)
-MOVING = Situation(NOW_NS, False, 10.0, OWN, 4.0, None)  # combined deviation 5 m
+MOVING = Situation(NOW_NS, "not healthy", 10.0, OWN, 4.0, None)  # combined deviation 5 m
 
 
 def north(meters: float) -> PlaceFix:
@@ -38,7 +38,8 @@ def test_a_good_fix_passes() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"gps_healthy": True}, "GPS is healthy"),
+        ({"gps": "healthy"}, "GPS is healthy"),
+        ({"gps": "unknown"}, "GPS is unknown"),
         ({"speed_mps": 0.2}, "standing"),
         ({"last_sent_ns": NOW_NS - S // 2}, "too soon"),
         ({"now_ns": NOW_NS + 5 * S}, "too old"),
@@ -50,7 +51,7 @@ def test_situations_in_which_nothing_goes(changes: dict[str, Any], reason: str) 
 
 
 def test_gps_does_not_matter_to_who_asked_for_fixes_with_it() -> None:
-    assert judged(gates=GatesConfig(with_gps=True), gps_healthy=True) is None
+    assert judged(gates=GatesConfig(with_gps=True), gps="healthy") is None
 
 
 def test_a_map_without_positions_and_a_first_match() -> None:

@@ -177,6 +177,7 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
     [
         ("lat_deg", 91.0, "place 1 has lat_deg 91"),
         ("lon_deg", np.inf, "place 1 has lon_deg inf"),
+        ("alt_m", np.inf, "place 1 has alt_m inf"),
         ("heading_deg", -np.inf, "place 1 has heading_deg -inf"),
         ("route_m", 1e300, "place 1 has route_m 1e"),
         ("lat_deg", np.nan, "place 1 has half a position"),

@@ -12,6 +12,7 @@ from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.journal import Journal, R, records_of
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -19,6 +20,35 @@ from sim.vehicle.pty_link import PtyLink, open_pty
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
 LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, confirm_m=0.0)
+
+
+class LossyLink:
+    """The autopilot's end of the wire, which loses the messages that `loses` names, in both directions."""
+
+    def __init__(self) -> None:
+        self.link: PtyLink | None = None
+        self.loses: Callable[[Any], bool] = lambda message: False
+        self._in, self._out = MavlinkCodec(1, 1), MavlinkCodec(1, 191)
+
+    def receive(self) -> bytes:
+        return self._kept(self._in, self._link.receive())
+
+    def send(self, data: bytes) -> bool:
+        return self._link.send(self._kept(self._out, data))
+
+    def fileno(self) -> int:
+        return self._link.fileno()
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _kept(self, codec: MavlinkCodec, data: bytes) -> bytes:
+        return b"".join(bytes(one.get_msgbuf()) for one in codec.decode(data) if not self.loses(one))
+
+    @property
+    def _link(self) -> PtyLink:
+        assert self.link is not None
+        return self.link
 
 
 class Rig:
@@ -32,18 +62,37 @@ class Rig:
         self.journal = Journal(folder / "events.jsonl")
         self.options = autopilot
         self.pty: PtyLink | None = None
+        self.wire = LossyLink()
         self.plug()
-        options = {"connection": f"serial:{self.port}:921600", "emit": emit, **(config or {})}
-        self.connection = AutopilotConnection(
-            TelemetryConfig(**options), lambda: self.now_ns, self.journal.write, gates
-        )
+        options = {
+            "connection": f"serial:{self.port}:921600",
+            "emit": emit,
+            "journal": str(folder / "events.jsonl"),
+            **(config or {}),
+        }
+        self._config, self._gates = TelemetryConfig(**options), gates
+        self.connect()
+
+    def connect(self) -> None:
+        """Start our end; the autopilot goes on as it is."""
+        self.connection = AutopilotConnection(self._config, lambda: self.now_ns, self.journal.write, self._gates)
+
+    def crash(self) -> None:
+        """Our end is gone without a word, as after kill -9; its port is free again."""
+        self.unplug()
+        self.connection.poll()
+        self.open_port()
 
     def plug(self) -> None:
-        self.pty = open_pty()
+        self.open_port()
+        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
+        self.autopilot = SimulatedAutopilot(self.wire, pose_at, lambda: self.now_ns, **self.options)
+
+    def open_port(self) -> None:
+        """A port under the same name; the autopilot's end of it."""
+        self.pty = self.wire.link = open_pty()
         self.port.unlink(missing_ok=True)
         self.port.symlink_to(self.pty.device)
-        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
-        self.autopilot = SimulatedAutopilot(self.pty, pose_at, lambda: self.now_ns, **self.options)
 
     def unplug(self) -> None:
         assert self.pty is not None

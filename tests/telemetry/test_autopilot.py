@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import socket
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
@@ -11,13 +15,15 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import TelemetryConfig
 from edge.errors import ConfigError
 from edge.journal.records import FixAnswered, LinkChanged
+from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0
-STREAMS = {33, 32, 74, 9000, 24, 2, 230}
+START_NS = 1_000_000_000_000
+STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193}
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
 
@@ -45,7 +51,7 @@ def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig
     position = vehicle.position(rig.now_ns)
     assert position is not None
     assert position.heading_deg == pytest.approx(60.0)
-    assert vehicle.gps_healthy(rig.now_ns)
+    assert vehicle.gps.state(rig.now_ns) == "healthy"
 
 
 def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> None:
@@ -53,6 +59,44 @@ def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> 
     rig.run(4.0)
     assert rig.connection.vehicle.system_id == 7
     assert rig.received("HEARTBEAT")[-1].get_srcSystem() == 7
+
+
+def test_only_the_configured_system_is_the_vehicle(open_rig: Callable[..., Rig]) -> None:
+    rig = open_rig(system_id=7, config={"system_id": 3})
+    rig.run(6.0)
+    assert rig.connection.state == "waiting"
+    assert rig.received("HEARTBEAT")[-1].get_srcSystem() == 3
+    rig.connection.close()
+    other = open_rig(system_id=3, config={"system_id": 3})
+    other.run(4.0)
+    assert other.connection.state == "up"
+
+
+def test_a_stranger_on_the_network_does_not_become_the_peer(tmp_path: Path) -> None:
+    """Its datagrams come between those of the autopilot, which alone makes the link."""
+    now_ns = START_NS
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config = TelemetryConfig(connection=f"udpin:127.0.0.1:{port}", journal=str(tmp_path / "events.jsonl"))
+    connection = AutopilotConnection(config, lambda: now_ns)
+    connection.poll()
+    vehicle, stranger = (open_link(f"udp:127.0.0.1:{port}") for _ in range(2))
+    beat = MavlinkCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(10, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 4, 3))
+    for _ in range(4):
+        now_ns += 1_000_000_000
+        vehicle.send(beat)
+        stranger.send(b"hello")
+        connection.poll()
+    assert connection.state == "up"
+    now_ns += 1_000_000_000
+    while stranger.receive():
+        pass
+    connection.poll()
+    assert vehicle.receive()
+    assert not stranger.receive()
+    for link in (connection, vehicle, stranger):
+        link.close()
 
 
 def test_report_sends_text_and_no_position(rig: Rig) -> None:
@@ -83,7 +127,16 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
 
 
 @external
-@pytest.mark.parametrize("fix", [{"lat_deg": None, "lon_deg": None}, {"age_s": 6.0}, {"age_s": -0.2}])
+@pytest.mark.parametrize(
+    "fix",
+    [
+        {"lat_deg": None, "lon_deg": None},
+        {"lon_deg": math.nan},
+        {"sigma_across_m": math.nan},
+        {"age_s": 6.0},
+        {"age_s": -0.2},
+    ],
+)
 def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, fix: dict[str, Any]) -> None:
     rig.run(4.0)
     assert not rig.connection.send_position(rig.fix(**fix))

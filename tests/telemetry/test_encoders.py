@@ -45,7 +45,18 @@ def test_external_position() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"lat_deg": None}, {"lon_deg": None}, {"sigma_along_m": math.inf}, {"sigma_along_m": math.nan}]
+    "change",
+    [
+        {"lat_deg": None},
+        {"lon_deg": None},
+        {"lat_deg": math.nan},
+        {"lon_deg": math.inf},
+        {"lat_deg": 90.1},
+        {"sigma_along_m": math.inf},
+        {"sigma_along_m": math.nan},
+        {"sigma_across_m": math.nan},
+        {"sigma_along_m": 0.0},
+    ],
 )
 @pytest.mark.parametrize(
     "encode", [encoders.external_position, encoders.global_position_sensor, encoders.vision_position]
@@ -53,6 +64,12 @@ def test_external_position() -> None:
 def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="finite sigma"):
         encode(replace(FIX, **change), SENDING)
+
+
+@pytest.mark.parametrize("field", ["boot_s", "age_s", "down_m"])
+def test_a_position_without_its_time_or_height_is_not_sent(field: str) -> None:
+    with pytest.raises(ValueError, match="finite times"):
+        encoders.vision_position(FIX, replace_sending(**{field: math.nan}))
 
 
 def test_a_fix_fits_into_one_status_text() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry import open_link
-from edge.telemetry.link import Link, parse_connection
+from edge.telemetry.link import Link, UdpLink, parse_connection
 from sim.vehicle.pty_link import open_pty
 
 
@@ -134,6 +134,25 @@ def test_udp_both_ways_and_a_listener_answers_whoever_spoke_last() -> None:
         assert receive(caller, 3) == b"you"
     assert callers[0].receive() == b""
     for link in (listener, *callers):
+        link.close()
+
+
+def test_a_kept_peer_is_not_replaced_by_whoever_sends_next() -> None:
+    port = free_port()
+    listener = UdpLink("127.0.0.1", port, listen=True)
+    peer, stranger = (open_link(f"udp:127.0.0.1:{port}") for _ in range(2))
+    assert peer.send(b"hello")
+    assert receive(listener, 5) == b"hello"
+    listener.keeps_peer = True
+    assert stranger.send(b"me")
+    assert peer.send(b"again")
+    assert receive(listener, 5) == b"again"
+    assert listener.send(b"you")
+    assert receive(peer, 3) == b"you"
+    listener.keeps_peer = False
+    assert stranger.send(b"me")
+    assert receive(listener, 2) == b"me"
+    for link in (listener, peer, stranger):
         link.close()
 
 

@@ -165,6 +165,20 @@ def test_px4_is_told_five_times_a_second_and_follows(open_rig: OpenRig) -> None:
     assert len(rig.journalled(FixSent)) <= 11, "one a second is recorded"
 
 
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) -> None:
+    """An autopilot without the parameters for it reads the message and does nothing."""
+    rig = open_rig(emit="global_position_sensor", gates=OFTEN, firmware="px4-1.17" if ignored else "px4")
+    rig.run(5.0)
+    rig.autopilot.gps = False
+    rig.run(2.0)
+    offer_for(rig, 15.0, lat_deg=rig.fix().lat_deg + 25 / 111_000)
+    texts = [message.text for message in rig.received("STATUSTEXT") if "fixes sent, position" in message.text]
+    assert len(texts) == ignored
+    (checked,) = rig.journalled(FixChecked)
+    assert checked.moved is not ignored
+
+
 def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:
     rig = open_rig(emit="vision_position", gates=GatesConfig(), drift_percent=10.0)
     rig.run(6.0)
@@ -175,7 +189,7 @@ def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(o
     assert rig.autopilot.estimate.error_m < 3.0
     assert len(rig.received("VISION_POSITION_ESTIMATE")) == pytest.approx(30, abs=3)
     rig.autopilot.gps = True
-    rig.run(2.0)
+    rig.run(8.0)
     assert rig.autopilot.inputs.source_set == 1
 
 

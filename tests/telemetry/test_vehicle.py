@@ -69,9 +69,9 @@ def test_gps_is_healthy_until_it_is_switched_off(read_tlog: ReadTlog) -> None:
     start_ns, healthy = 0, {}
     for now_ns, _ in replay(read_tlog("px4-1.18-agp"), vehicle):
         start_ns = start_ns or now_ns
-        healthy[(now_ns - start_ns) // S] = vehicle.gps_healthy(now_ns)
-    assert all(healthy[second] for second in range(3, 36))  # switched off at 36.4 s
-    assert not any(healthy[second] for second in range(40, 119))
+        healthy[(now_ns - start_ns) // S] = vehicle.gps.state(now_ns)
+    assert {healthy[second] for second in range(3, 36)} == {"healthy"}  # switched off at 36.4 s
+    assert {healthy[second] for second in range(40, 119)} == {"not healthy"}
 
 
 def test_noise_never_brings_the_link_up(read_tlog: ReadTlog) -> None:

@@ -1,0 +1,152 @@
+"""GPS in three states, from its receivers (GPS_RAW_INT, GPS2_RAW) and from the flags of the autopilot's own filter.
+
+healthy      a receiver has reported a 3-D fix of good accuracy for RETURN_NS, and the filter uses it
+not healthy  no receiver has reported one for LOST_NS, and all that were heard still report
+unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use
+
+Only "not healthy" permits positions. GPS that comes and goes is therefore never healthy, and permits between its fixes.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.geodesy import VehiclePosition, east_north_of
+from edge.localization import GPS_SIGMA_M, GpsState
+from edge.telemetry.codec import Message
+
+FRESH_NS = 3_000_000_000
+LOST_NS = 1_000_000_000
+RETURN_NS = 5_000_000_000
+UNUSED_NS = 3_000_000_000  # the filter gives GPS up a little before its receiver does
+ABSENT_NS = 10_000_000_000
+FIXES = range(mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_PPP + 1)  # DGPS, RTK and static as well
+GOOD_M, BAD_M = 10.0, 25.0
+"""Reported accuracy from which a fix becomes good, and beyond which it stays so no longer."""
+APART_SIGMAS, APART_M, LATENCY_S = 3.0, 10.0, 0.3
+"""How far the filter's position may be from that of a receiver that it uses."""
+UNSTEADY = "its fix has just come or gone"
+GLITCHES = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: 1 << 15,  # EKF_GPS_GLITCHING, in EKF_STATUS_REPORT
+    mavlink.MAV_AUTOPILOT_PX4: mavlink.ESTIMATOR_GPS_GLITCH,
+}
+
+
+class Receiver:
+    """One receiver, by its messages; name: of the message."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.heard_ns: int | None = None
+        self.sigma_m = GPS_SIGMA_M
+        self.at = (0.0, 0.0)
+        """Latitude and longitude in degrees (WGS 84)."""
+        self._good_ns: int | None = None  # since when it has been
+        self._bad_ns: int | None = None
+        self._is_healthy = self._had_outage = False
+
+    def read(self, message: Message, now_ns: int) -> None:
+        """GPS_RAW_INT or GPS2_RAW."""
+        self.state(now_ns)  # notices a silence before this message, which is an outage
+        if self.is_silent(now_ns):
+            self._good_ns = self._bad_ns = None
+        self.heard_ns = now_ns
+        accuracy_m = message.h_acc / 1000  # 0 where it is not reported
+        is_good = message.fix_type in FIXES and accuracy_m <= (BAD_M if self._is_healthy else GOOD_M)
+        if is_good and (message.lat or message.lon):
+            self.at = message.lat / 1e7, message.lon / 1e7
+            self.sigma_m = max(GPS_SIGMA_M, accuracy_m)
+            self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
+        else:
+            self._good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Whether it has not been heard for three seconds, or never."""
+        return self.heard_ns is None or now_ns - self.heard_ns > FRESH_NS
+
+    def state(self, now_ns: int) -> GpsState:
+        """By this receiver alone."""
+        if self.heard_ns is None:
+            return "unknown"
+        is_silent = self.is_silent(now_ns)
+        if is_silent or (self._bad_ns is not None and now_ns - self._bad_ns >= LOST_NS):
+            self._is_healthy, self._had_outage = False, True
+            return "unknown" if is_silent else "not healthy"
+        if self._good_ns is not None and (not self._had_outage or now_ns - self._good_ns >= RETURN_NS):
+            self._is_healthy = True
+        return "healthy" if self._is_healthy else "unknown"
+
+
+class Gps:
+    """All receivers of one vehicle, in one session, and whether its filter uses them."""
+
+    def __init__(self) -> None:
+        self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
+        self._flags_ns: int | None = None
+        self._unused_ns: int | None = None  # since when the filter has not used it
+        self._absent: tuple[int, int] | None = None  # since when SYS_STATUS says so, and when it did last
+
+    def read_filter(self, flags: int, autopilot: int | None, now_ns: int) -> None:
+        """The flags of EKF_STATUS_REPORT (ArduPilot) or ESTIMATOR_STATUS (PX4)."""
+        is_used = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)
+        self._flags_ns = now_ns
+        self._unused_ns = None if is_used else self._unused_ns or now_ns
+
+    def read_sensors(self, present: int, now_ns: int) -> None:
+        """The sensors that SYS_STATUS says are present: PX4 sends no GPS message where it has never had a receiver."""
+        if present & mavlink.MAV_SYS_STATUS_SENSOR_GPS:
+            self._absent = None
+        else:
+            self._absent = (self._absent or (now_ns, now_ns))[0], now_ns
+
+    def receiver_state(self, now_ns: int) -> GpsState:
+        """By the receivers alone, whether or not the filter uses them."""
+        first, second = (one.state(now_ns) for one in self.receivers)
+        if "healthy" in (first, second):
+            return "healthy"
+        if self.receivers[0].heard_ns is None and self._is_absent(now_ns):
+            first = "not healthy"
+        if self.receivers[1].heard_ns is None:
+            second = "not healthy"
+        return "unknown" if "unknown" in (first, second) else "not healthy"
+
+    def state(self, now_ns: int) -> GpsState:
+        """By the receivers and the filter."""
+        state = self.receiver_state(now_ns)
+        is_unused = self._hears_filter(now_ns) and self._unused_ns and now_ns - self._unused_ns >= UNUSED_NS
+        return "unknown" if state == "healthy" and is_unused else state
+
+    def why(self, now_ns: int) -> str:
+        """Why the state is unknown, for people; "" where it is not."""
+        if self.state(now_ns) != "unknown":
+            return ""
+        if self.receiver_state(now_ns) == "healthy":
+            return "the autopilot does not use it"
+        silent = [one.name for one in self.receivers if one.state(now_ns) == "unknown" and one.is_silent(now_ns)]
+        return f"no {silent[0]}" if silent else UNSTEADY
+
+    def bound_m(self, own: VehiclePosition | None, now_ns: int) -> float | None:
+        """One standard deviation of the autopilot's own position by GPS; None where GPS does not bound it."""
+        if own is None or not self._hears_filter(now_ns) or self._unused_ns:
+            return None
+        sigmas_m = [one.sigma_m for one in self.receivers if one.state(now_ns) == "healthy" and _is_near(one, own)]
+        return max(sigmas_m, default=None)
+
+    def _hears_filter(self, now_ns: int) -> bool:
+        return self._flags_ns is not None and now_ns - self._flags_ns <= FRESH_NS
+
+    def _is_absent(self, now_ns: int) -> bool:
+        if self._absent is None:
+            return False
+        since_ns, last_ns = self._absent
+        return last_ns - since_ns >= ABSENT_NS and now_ns - last_ns <= FRESH_NS
+
+
+def _is_near(receiver: Receiver, own: VehiclePosition) -> bool:
+    """Whether the autopilot's position is that of the receiver, as far as both are accurate."""
+    apart_ns = (receiver.heard_ns or 0) - own.stamp_ns
+    east_m, north_m = east_north_of(*receiver.at, (own.lat_deg, own.lon_deg))
+    apart_m = math.hypot(east_m - own.east_mps * apart_ns / 1e9, north_m - own.north_mps * apart_ns / 1e9)
+    return apart_m <= max(APART_M, APART_SIGMAS * receiver.sigma_m) + LATENCY_S * own.speed_mps

@@ -1,0 +1,94 @@
+"""How far the autopilot's position can be wrong, remembered over a restart of this program and over a silent link.
+
+What bounded the position (GPS or a fix) still does while the autopilot has not rebooted, which its boot time tells.
+Meanwhile the vehicle may have driven unheard: at most as fast as before or now, or as its own position has moved.
+The file is replaced without a flush to the disk: it has to outlive this program, not this computer's power.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from pathlib import Path
+
+import msgspec
+
+from edge.geodesy import east_north_of
+from edge.telemetry.vehicle import Vehicle
+
+LONGEST_NS = 600_000_000_000
+SAME_BOOT_NS = 2_000_000_000
+CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
+FASTER = 1.5  # than the speeds before and after: what may have been driven in between
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+log = logging.getLogger(__name__)
+
+
+class Bound(msgspec.Struct, frozen=True):
+    """One standard deviation of the autopilot's position at `stamp_ns` of CLOCK_MONOTONIC, in this boot of ours."""
+
+    computer_boot: str
+    system_id: int
+    autopilot_booted_ns: int
+    stamp_ns: int
+    sigma_m: float
+    speed_mps: float
+    lat_deg: float
+    lon_deg: float
+
+
+class RememberedBound:
+    """The newest bound, in a file."""
+
+    def __init__(self, path: Path | None, drift_percent: float) -> None:
+        """path: None keeps it over a silent link only. drift_percent: of the distance driven unheard."""
+        self._path, self._drift = path, drift_percent / 100
+        self._computer_boot = BOOT_ID.read_text(encoding="ascii").strip()
+        self._bound: Bound | None = None
+        if path is not None:
+            with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
+                self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
+
+    def keep(self, sigma_m: float, vehicle: Vehicle, now_ns: int) -> None:
+        """Replace what is remembered; not where the autopilot has no position, time or speed."""
+        bound = self._present(sigma_m, vehicle, now_ns)
+        if bound is None:
+            return
+        self._bound = bound
+        if self._path is not None:
+            new = self._path.with_name(f"{self._path.name}.new")
+            with contextlib.suppress(OSError):  # a full disk costs the memory, not the flight
+                new.write_bytes(msgspec.json.encode(bound))
+                new.replace(self._path)
+
+    def recall(self, vehicle: Vehicle, now_ns: int) -> float | None:
+        """The standard deviation now; None where the autopilot has rebooted, or too long ago, or not known yet."""
+        before, now = self._bound, self._present(0.0, vehicle, now_ns)
+        if before is None or now is None or not self._is_same_boot(before, now):
+            return None
+        gap_s = (now_ns - before.stamp_ns) / 1e9
+        moved_m = math.hypot(*east_north_of(now.lat_deg, now.lon_deg, (before.lat_deg, before.lon_deg)))
+        driven_m = max(FASTER * max(before.speed_mps, now.speed_mps) * gap_s, moved_m)
+        sigma_m = math.hypot(before.sigma_m, self._drift * driven_m)
+        log.info("the autopilot has not rebooted: %.1f s ago its position was known to %.1f m", gap_s, before.sigma_m)
+        return sigma_m
+
+    def _is_same_boot(self, before: Bound, now: Bound) -> bool:
+        """Whether both are of one boot of the autopilot and of this computer; False where that is not certain."""
+        gap_ns = now.stamp_ns - before.stamp_ns
+        if (before.computer_boot, before.system_id) != (
+            now.computer_boot,
+            now.system_id,
+        ) or not 0 <= gap_ns <= LONGEST_NS:
+            return False
+        apart_ns = abs(now.autopilot_booted_ns - before.autopilot_booted_ns)
+        return apart_ns <= SAME_BOOT_NS + CLOCK_RATE * gap_ns and now.autopilot_booted_ns < before.stamp_ns
+
+    def _present(self, sigma_m: float, vehicle: Vehicle, now_ns: int) -> Bound | None:
+        boot_s, position, speed_mps = vehicle.boot_time_s(now_ns), vehicle.position(now_ns), vehicle.speed_mps(now_ns)
+        if boot_s is None or position is None or speed_mps is None or vehicle.system_id is None:
+            return None
+        booted_ns = now_ns - round(boot_s * 1e9)
+        own = position.lat_deg, position.lon_deg
+        return Bound(self._computer_boot, vehicle.system_id, booted_ns, now_ns, sigma_m, speed_mps, *own)

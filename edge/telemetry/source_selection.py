@@ -1,0 +1,96 @@
+"""ArduPilot's set of position sources, selected by command 42007 until the autopilot acknowledges it. No I/O.
+
+With `vision_position` set 2 is selected when a position is sent without GPS, and set 1 when GPS is healthy again. A
+command is sent again while it is not answered, and in every session: the autopilot may have rebooted, or another
+program may have crashed with set 2 selected.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from edge.backoff import BackOff
+from edge.journal.records import Record, SourceSetAnswered
+from edge.telemetry import encoders
+from edge.telemetry.acknowledgements import (
+    ANSWER_NS,
+    BACK_OFF_FIRST_NS,
+    BACK_OFF_LAST_NS,
+    NO_ANSWER,
+    VERDICTS,
+    result_name,
+)
+from edge.telemetry.codec import Message
+from edge.telemetry.vehicle import Vehicle
+
+GPS_SET, VISION_SET = 1, 2
+log = logging.getLogger(__name__)
+
+
+class SourceSelection:
+    """One command at a time, since an acknowledgement does not say which set it is for."""
+
+    def __init__(
+        self, vehicle: Vehicle, record: Callable[[Record], object], send_text: Callable[[str], object]
+    ) -> None:
+        self._vehicle = vehicle
+        self._record, self._send_text = record, send_text
+        self.wanted: int | None = None
+        """The set to select; None until there is a reason for one, and the pilot's choice stays."""
+        self._may_be_changed = False
+        self.new_session()
+
+    def new_session(self) -> None:
+        """The link came up, or the autopilot rebooted: which set it uses is not known."""
+        self._selected: int | None = None
+        self._asked: tuple[int, int] | None = None  # the set, and when
+        self._refused = False
+        self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
+        self._published = ""
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The command, if the wanted set is not acknowledged yet and none is waiting for its answer."""
+        if self._asked is not None and now_ns - self._asked[1] > ANSWER_NS:
+            self._not_selected(self._asked[0], NO_ANSWER, now_ns)
+        if self.wanted in (None, self._selected) or self._asked or self._refused or not self._back_off.is_over(now_ns):
+            return []
+        return self._select(self.wanted or GPS_SET, now_ns)
+
+    def restore(self, now_ns: int) -> list[Message]:
+        """The command for set 1, at the end of the program, while set 2 may be selected by us."""
+        self.wanted = GPS_SET
+        return self._select(GPS_SET, now_ns) if self._may_be_changed else []
+
+    def read_acknowledgement(self, result: int, now_ns: int) -> None:
+        """COMMAND_ACK of 42007 that was addressed to us."""
+        verdict = VERDICTS.get(result, "not now")
+        if self._asked is None or verdict == "wait":
+            return
+        number, _ = self._asked
+        if verdict != "accepted":
+            self._refused = verdict == "never"
+            self._not_selected(number, result_name(result), now_ns)
+            return
+        self._asked, self._selected = None, number
+        self._back_off.reset()
+        self._may_be_changed = number != GPS_SET
+        self._publish(number, result_name(result))
+
+    def _select(self, number: int, now_ns: int) -> list[Message]:
+        self._asked = number, now_ns
+        self._may_be_changed = self._may_be_changed or number != GPS_SET
+        return [encoders.source_set(self._vehicle.system_id or 1, number)]
+
+    def _not_selected(self, number: int, result: str, now_ns: int) -> None:
+        self._asked = None
+        self._back_off.failed(now_ns)
+        self._publish(number, result)
+
+    def _publish(self, number: int, result: str) -> None:
+        """To the journal and the pilot, repetitions once."""
+        if f"{number} {result}" == self._published:
+            return
+        self._published = f"{number} {result}"
+        self._record(SourceSetAnswered(number, result))
+        self._send_text(f"Lookback: source set {number} {result}")

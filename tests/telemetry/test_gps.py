@@ -1,0 +1,328 @@
+"""GPS in three states, by messages on the link: what is sent, what bounds the autopilot's position, what is said."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.config import GatesConfig
+from edge.journal.records import FixSent, FixWithheld
+from edge.telemetry.codec import EkfStatusReport, MavlinkCodec
+from edge.telemetry.link_protocol import STREAMS_HZ
+from edge.telemetry.vehicle import Vehicle
+from sim.vehicle.command import straight_line
+
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
+OpenRig: TypeAlias = Callable[..., Any]
+OFTEN = GatesConfig(min_interval_s=0.5, confirm_m=0.0)
+GPS_EACH_NS = 250_000_000
+FLIGHTS = Path(__file__).parents[3] / "shared" / "flights"
+NO_FIX, FIX_3D = 1, 3
+
+
+class Sky:
+    """Receivers and filter flags of a simulated autopilot, in place of its own; None is silence."""
+
+    def __init__(self, rig: Rig, first: int | None = FIX_3D, second: int | None = None) -> None:
+        self.rig, self.first, self.second = rig, first, second
+        self.h_acc_mm = 1500
+        self.flags: int | None = 0x33F
+        self.off_m = 0.0
+        """How far north of the truth the receivers report."""
+        self._codec = MavlinkCodec(1, 1)
+        self._due_ns = 0
+        rig.wire.loses = self._loses
+
+    def run(self, seconds: float, each: Callable[[], object] = lambda: None) -> None:
+        def turn() -> bool:
+            if self.rig.now_ns >= self._due_ns:
+                self._due_ns = self.rig.now_ns + GPS_EACH_NS
+                each()
+                self._send()
+            return False
+
+        self.rig.run(seconds, turn)
+
+    def offer(self, seconds: float, each: Callable[[], object] = lambda: None, **changes: Any) -> int:
+        """Offer fixes meanwhile; how many were sent."""
+        sent = 0
+
+        def turn() -> None:
+            nonlocal sent
+            each()
+            sent += self.rig.connection.send_position(self.rig.fix(**changes))
+
+        self.run(seconds, turn)
+        return sent
+
+    def _loses(self, message: Any) -> bool:
+        return message.get_type() in ("GPS_RAW_INT", "EKF_STATUS_REPORT")
+
+    def _send(self) -> None:
+        lat_deg, lon_deg = straight_line(8.0, 60.0, 1000.0)(self.rig.now_ns / 1e9).geodetic()
+        place = round((lat_deg + self.off_m / 111_000) * 1e7), round(lon_deg * 1e7), 20_000, 100, 100, 0, 0, 10
+        if self.first is not None:
+            self._say(mavlink.MAVLink_gps_raw_int_message(0, self.first, *place, 0, self.h_acc_mm))
+        if self.second is not None:
+            self._say(mavlink.MAVLink_gps2_raw_message(0, self.second, *place, 0, 0, 0, 0, self.h_acc_mm))
+        if self.flags is not None:
+            self._say(EkfStatusReport(self.flags))
+
+    def _say(self, message: Any) -> None:
+        assert self.rig.pty is not None
+        self.rig.pty.send(self._codec.encode(message))
+
+    @property
+    def state(self) -> str:
+        return str(self.rig.connection.vehicle.gps.state(self.rig.now_ns))
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
+    rig.run(2.0)
+    return rig
+
+
+@pytest.mark.parametrize("fix_type", [3, 4, 5, 6, 7, 8], ids=["3-D", "DGPS", "float", "fixed", "static", "PPP"])
+@pytest.mark.parametrize("receiver", ["first", "second"])
+def test_every_good_fix_of_either_receiver_withholds(rig: Rig, fix_type: int, receiver: str) -> None:
+    sky = Sky(rig, NO_FIX, NO_FIX)
+    setattr(sky, receiver, fix_type)
+    sky.run(6.0)
+    assert sky.state == "healthy"
+    assert sky.offer(4.0) == 0
+    assert rig.journalled(FixWithheld)[-1].reason == "GPS is healthy"
+
+
+@pytest.mark.parametrize("fix_type", [0, 1, 2, 9])
+def test_no_fix_and_a_fix_without_height_do_not_withhold(rig: Rig, fix_type: int) -> None:
+    sky = Sky(rig, fix_type)
+    sky.run(2.0)
+    assert sky.state == "not healthy"
+    assert sky.offer(3.0) >= 2
+
+
+def test_a_fix_that_is_500_m_accurate_is_none(rig: Rig) -> None:
+    sky = Sky(rig)
+    sky.h_acc_mm = 500_000
+    sky.run(3.0)
+    assert sky.state == "not healthy"
+    assert rig.connection.uncertainty_m is None
+    assert sky.offer(3.0) >= 2
+
+
+def test_accuracy_around_the_limit_does_not_flicker(rig: Rig) -> None:
+    sky, states = Sky(rig), []
+    sky.run(2.0)
+
+    def vary() -> None:
+        sky.h_acc_mm = 8_000 if sky.h_acc_mm == 20_000 else 20_000
+        states.append(sky.state)
+
+    sky.run(20.0, vary)
+    assert set(states) == {"healthy"}
+
+
+@pytest.mark.parametrize("lost", ["GPS_RAW_INT", "request"])
+def test_gps_that_was_never_heard_is_unknown_and_nothing_is_sent(rig: Rig, lost: str) -> None:
+    rig.connection.close()
+    rig.crash()
+    gps = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
+    if lost == "request":
+        rig.autopilot.reboot()
+        rig.wire.loses = lambda one: one.get_type() == "COMMAND_LONG" and (one.command, one.param1) == (511, gps)
+    else:
+        rig.wire.loses = lambda one: one.get_type() == lost
+    rig.connect()
+    sent = len(rig.journalled(FixSent))
+    rig.run(20.0, lambda: rig.connection.send_position(rig.fix()))
+    assert len(rig.journalled(FixSent)) == sent
+    assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
+    assert any("GPS is unknown: no GPS_RAW_INT" in message.text for message in rig.received("STATUSTEXT"))
+    rig.wire.loses = lambda one: False
+    rig.run(60.0, lambda: rig.connection.vehicle.gps.state(rig.now_ns) != "unknown")
+    rig.run(2.0)
+    assert rig.connection.send_position(rig.fix())
+
+
+def test_a_receiver_that_goes_silent_is_unknown_though_the_other_has_no_fix(rig: Rig) -> None:
+    sky = Sky(rig, NO_FIX, FIX_3D)
+    sky.run(6.0)
+    sky.second = None
+    sky.run(5.0)
+    assert sky.state == "unknown"
+    assert sky.offer(3.0) == 0
+    assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS2_RAW"
+
+
+def test_the_loss_of_the_fix_is_noticed_after_a_second(rig: Rig) -> None:
+    sky = Sky(rig)
+    sky.run(6.0)
+    sky.first = NO_FIX
+    assert sky.offer(0.9) == 0
+    sky.run(0.5)
+    assert sky.state == "not healthy"
+
+
+@pytest.mark.parametrize("good_s", [0.25, 1.0, 2.0, 3.0])
+def test_gps_that_flickers_every_four_seconds_is_never_healthy_and_bounds_nothing(rig: Rig, good_s: float) -> None:
+    sky, states = Sky(rig, NO_FIX), []
+    sky.run(3.0)
+
+    def flicker() -> None:
+        sky.first = FIX_3D if (rig.now_ns / 1e9) % 4.0 < good_s else NO_FIX
+        states.append(sky.state)
+
+    sky.run(40.0, flicker)
+    assert "healthy" not in states
+    assert rig.connection.uncertainty_m is None
+    sent = sky.offer(20.0, flicker)
+    # A second after each loss, until it is back.
+    assert sent > 0 if good_s < 3.0 else sent == 0
+
+
+def test_one_good_message_after_an_outage_bounds_nothing(rig: Rig) -> None:
+    sky = Sky(rig)
+    sky.run(6.0)
+    sky.first, sky.flags = NO_FIX, 0x12F
+    sky.run(20.0)
+    before_m = rig.connection.uncertainty_m
+    sky.first, sky.flags = FIX_3D, 0x33F
+    sky.run(0.25)
+    sky.first = NO_FIX
+    sky.run(1.5)
+    assert before_m is not None and rig.connection.uncertainty_m >= before_m
+    assert sky.state == "not healthy"
+
+
+def test_gps_is_healthy_again_after_five_good_seconds(rig: Rig) -> None:
+    sky = Sky(rig, NO_FIX)
+    sky.run(3.0)
+    sky.first = FIX_3D
+    sky.run(4.5)
+    assert sky.state == "unknown"
+    sky.run(1.0)
+    assert sky.state == "healthy"
+
+
+def test_gps_bounds_the_position_by_its_accuracy(rig: Rig) -> None:
+    sky = Sky(rig)
+    sky.h_acc_mm = 7_000
+    sky.run(6.0)
+    assert rig.connection.uncertainty_m == pytest.approx(7.0)
+    sky.h_acc_mm = 300
+    sky.run(1.0)
+    assert rig.connection.uncertainty_m == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("flags", [0x12F, 0x33F | 1 << 15, None], ids=["no absolute position", "glitch", "silent"])
+def test_gps_that_the_filter_does_not_use_bounds_nothing_and_is_no_permission(rig: Rig, flags: int | None) -> None:
+    """A vehicle with EK3_SRC1_POSXY 0 ignores a good GPS and drifts."""
+    sky = Sky(rig)
+    sky.flags = flags
+    sky.run(8.0)
+    assert rig.connection.uncertainty_m is None
+    assert sky.offer(4.0) == 0
+    if flags is not None:
+        assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: the autopilot does not use it"
+
+
+@pytest.mark.parametrize("drag_mps", [0.5, 2.0, 5.0])
+def test_gps_that_is_dragged_off_bounds_no_longer_once_the_filter_does_not_follow(rig: Rig, drag_mps: float) -> None:
+    sky = Sky(rig)
+    sky.run(6.0)
+    bound_m = rig.connection.uncertainty_m
+    off_m = []
+
+    def drag() -> None:
+        sky.off_m += drag_mps * GPS_EACH_NS / 1e9
+        if rig.connection.uncertainty_m <= bound_m + 0.01:
+            off_m.append(sky.off_m)
+
+    sky.run(60.0, drag)
+    assert max(off_m) < 10.0 + 0.3 * 8.0 + drag_mps
+    assert rig.connection.uncertainty_m > bound_m + 1.0
+    assert sky.offer(3.0, drag) == 0, "the receiver is still good"
+
+
+def test_a_px4_without_any_receiver_is_known_not_to_have_gps() -> None:
+    vehicle, codec, their = Vehicle(), MavlinkCodec(1, 191), MavlinkCodec(1, 1)
+    seconds = 1_000_000_000
+
+    def hear(message: Any, now_ns: int) -> None:
+        for one in codec.decode(their.encode(message)):
+            vehicle.handle(one, now_ns)
+
+    for second in range(14):
+        hear(mavlink.MAVLink_heartbeat_message(10, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 4, 3), second * seconds)
+        hear(mavlink.MAVLink_sys_status_message(0x1F, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), second * seconds)
+        assert vehicle.gps.state(second * seconds) == ("not healthy" if second >= 11 else "unknown")
+    assert vehicle.gps.state(20 * seconds) == "unknown", "SYS_STATUS is silent"
+
+
+def streams_requested(rig: Rig) -> list[int]:
+    return [int(one.param1) for one in rig.received("COMMAND_LONG") if one.command == 511]
+
+
+def test_streams_are_requested_one_by_one_and_again_when_silent(rig: Rig) -> None:
+    """Those that the autopilot refuses are left alone, and only the one that is silent is requested again."""
+    rig.run(2.0)
+    once = streams_requested(rig)
+    assert once == list(STREAMS_HZ)
+    rig.run(100.0)
+    refused = streams_requested(rig)[len(once) :]
+    gps, second_gps = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW
+    estimator = mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+    assert sorted(refused) == sorted([second_gps, mavlink.MAVLINK_MSG_ID_SYS_STATUS, estimator])
+    rig.wire.loses = lambda one: one.get_msgId() == gps
+    rig.run(20.0)
+    assert streams_requested(rig)[len(once) + len(refused) :] == [gps] * 3, "after 3, 8 and 18 s"
+
+
+def test_a_late_answer_does_not_give_up_another_stream(rig: Rig) -> None:
+    rig.autopilot.reboot()
+    rig.wire.loses = lambda one: one.get_type() == "COMMAND_ACK"
+    denied = MavlinkCodec(1, 1).encode(mavlink.MAVLink_command_ack_message(511, 2, 0, 0, 1, 191))
+    rig.run(7.0)
+    rig.pty.send(denied)
+    rig.run(20.0)
+    heard = rig.connection.vehicle.heard_ns
+    assert all(heard(one) for one in (24, 32, 33, 74))
+
+
+def flown(name: str) -> Iterator[tuple[float, Vehicle, int]]:
+    """A recorded drive: seconds since its start, the vehicle, and the time."""
+    data = gzip.decompress((FLIGHTS / name / "telem2.tlog.gz").read_bytes())
+    vehicle, codec = Vehicle(), MavlinkCodec(1, 191)
+    at, start_us = 0, int.from_bytes(data[:8], "big")
+    while at < len(data):
+        now_us, size = int.from_bytes(data[at : at + 8], "big"), 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+        for message in codec.decode(data[at + 8 : at + 8 + size]):
+            vehicle.handle(message, now_us * 1000)
+        at += 8 + size
+        yield (now_us - start_us) / 1e6, vehicle, now_us * 1000
+
+
+@pytest.mark.skipif(not FLIGHTS.exists(), reason="the recorded drives are not there")
+@pytest.mark.parametrize(
+    ("name", "lost_s", "bounds"),
+    [("night_auto_a", 42.4, False), ("px4_aided_person", 50.3, True), ("px4_failure_gps_off", 52.1, True)],
+)
+def test_recorded_drives(name: str, lost_s: float, bounds: bool) -> None:
+    """ArduPilot flew with EK3_SRC1_POSXY 0: a good GPS that it did not use."""
+    states: dict[str, set[str]] = {"before": set(), "after": set()}
+    was_bound = False
+    for second, vehicle, now_ns in flown(name):
+        if lost_s - 8 < second < lost_s - 1:
+            states["before"].add(vehicle.gps.state(now_ns))
+            was_bound |= vehicle.gps.bound_m(vehicle.position(now_ns), now_ns) is not None
+        elif second > lost_s + 1.5:
+            states["after"].add(vehicle.gps.state(now_ns))
+    assert states == {"before": {"healthy" if bounds else "unknown"}, "after": {"not healthy"}}
+    assert was_bound == bounds

@@ -1,0 +1,234 @@
+"""Lost messages, silent links, crashes and reboots: what was sent is acknowledged, sent again, or given up safely."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import pytest
+
+from edge.config import GatesConfig
+from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
+from sim.vehicle.autopilot import SILENT
+
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
+OpenRig: TypeAlias = Callable[..., Any]
+ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
+SELDOM = GatesConfig(min_interval_s=30.0, confirm_m=0.0)
+
+
+def loses(*names: str) -> Callable[[Any], bool]:
+    return lambda message: message.get_type() in names
+
+
+def loses_answers(command: int) -> Callable[[Any], bool]:
+    return lambda message: message.get_type() == "COMMAND_ACK" and message.command == command
+
+
+def stream(rig: Rig, seconds: float) -> None:
+    """Offer a position of now whenever one is due."""
+
+    def offer() -> bool:
+        if rig.connection.position_due() is not None:
+            rig.connection.send_position(rig.fix(age_s=0.0))
+        return False
+
+    rig.run(seconds, offer)
+
+
+def selections(rig: Rig) -> list[int]:
+    return [int(one.param1) for one in rig.received("COMMAND_LONG") if one.command == SET_EKF_SOURCE_SET]
+
+
+@pytest.fixture
+def lost_gps(open_rig: OpenRig) -> Rig:
+    """A vehicle that has had GPS, and has none now."""
+    rig = open_rig(emit="external_position", gates=SELDOM)
+    rig.run(8.0)
+    rig.autopilot.gps = False
+    rig.run(5.0)
+    return rig
+
+
+def test_a_fix_with_a_lost_answer_is_sent_once_more(lost_gps: Rig) -> None:
+    lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
+    assert lost_gps.connection.send_position(lost_gps.fix())
+    lost_gps.run(4.0)
+    assert [record.again for record in lost_gps.journalled(FixSent)] == [False, True]
+    assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
+
+
+def test_a_fix_is_not_sent_again_once_gps_is_back(lost_gps: Rig) -> None:
+    lost_gps.autopilot.reject_fixes_with = SILENT
+    assert lost_gps.connection.send_position(lost_gps.fix())
+    lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
+    lost_gps.autopilot.gps = True
+    lost_gps.run(4.0)
+    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
+
+
+def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
+    lost_gps.autopilot.reject_fixes_with = SILENT
+    assert lost_gps.connection.send_position(lost_gps.fix(age_s=4.5))
+    lost_gps.run(4.0)
+    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
+    assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
+
+
+def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) -> None:
+    lost_gps.autopilot.reject_fixes_with = SILENT
+    assert lost_gps.connection.send_position(lost_gps.fix())
+    lost_gps.connection.withdraw_position()
+    lost_gps.run(4.0)
+    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
+
+
+@pytest.fixture
+def vision(open_rig: OpenRig) -> Rig:
+    """A stream of positions without GPS, which needs the second set of sources."""
+    rig = open_rig(emit="vision_position", gates=GatesConfig(confirm_m=0.0))
+    rig.run(8.0)
+    rig.autopilot.gps = False
+    rig.run(5.0)
+    return rig
+
+
+def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(vision: Rig) -> None:
+    vision.wire.loses = lambda message: message.get_type() == "COMMAND_LONG" and message.command == SET_EKF_SOURCE_SET
+    stream(vision, 4.0)
+    assert vision.autopilot.inputs.source_set == 1
+    vision.wire.loses = loses()
+    stream(vision, 8.0)
+    assert vision.autopilot.inputs.source_set == 2
+    assert [(one.number, one.result) for one in vision.journalled(SourceSetAnswered)] == [
+        (1, "ACCEPTED"),
+        (2, "NO_ANSWER"),
+        (2, "ACCEPTED"),
+    ]
+    texts = [message.text for message in vision.received("STATUSTEXT")]
+    assert "Lookback: source set 2 NO_ANSWER" in texts
+
+
+def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(vision: Rig) -> None:
+    vision.wire.loses = loses_answers(SET_EKF_SOURCE_SET)
+    stream(vision, 30.0)
+    assert 4 <= selections(vision).count(2) <= 6
+    vision.wire.loses = loses()
+    stream(vision, 20.0)
+    before = len(selections(vision))
+    stream(vision, 20.0)
+    assert len(selections(vision)) == before, "acknowledged"
+
+
+def test_sources_are_selected_again_after_a_reboot_of_the_autopilot(vision: Rig) -> None:
+    stream(vision, 4.0)
+    vision.autopilot.reboot()
+    vision.autopilot.inputs.source_set = 1
+    vision.run(8.0)
+    assert vision.autopilot.inputs.source_set == 2
+
+
+def test_the_first_set_is_restored_at_the_end(vision: Rig) -> None:
+    stream(vision, 4.0)
+    assert vision.autopilot.inputs.source_set == 2
+    vision.connection.close()
+    vision.autopilot.step()
+    assert vision.autopilot.inputs.source_set == 1
+
+
+def test_nothing_is_restored_that_was_not_changed(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position")
+    rig.run(6.0)
+    rig.connection.close()
+    rig.autopilot.step()
+    assert not selections(rig)
+
+
+def test_after_a_crash_the_first_set_is_restored_when_gps_is_healthy_again(vision: Rig) -> None:
+    stream(vision, 4.0)
+    vision.crash()
+    vision.connect()
+    vision.run(10.0)
+    assert vision.autopilot.inputs.source_set == 2, "still without GPS"
+    vision.autopilot.gps = True
+    vision.run(10.0)
+    assert vision.autopilot.inputs.source_set == 1
+
+
+def uncertainty_after(rig: Rig, seconds: float) -> float | None:
+    rig.run(seconds)
+    return rig.connection.uncertainty_m
+
+
+def test_a_restarted_daemon_remembers_the_bound_of_an_autopilot_that_did_not_reboot(lost_gps: Rig) -> None:
+    before_m = lost_gps.connection.uncertainty_m
+    assert before_m is not None and before_m < 5
+    lost_gps.crash()
+    lost_gps.connect()
+    assert lost_gps.connection.uncertainty_m is None
+    after_m = uncertainty_after(lost_gps, 5.0)
+    # 8 m/s for some 5 s, half as much again, of which 5 % may be an error.
+    assert after_m is not None and before_m < after_m < before_m + 5
+    assert lost_gps.connection.send_position(lost_gps.fix())
+
+
+@pytest.mark.parametrize("silent_s", [6.0, 60.0])
+def test_a_silent_link_is_no_reason_to_forget_the_bound(lost_gps: Rig, silent_s: float) -> None:
+    before_m = lost_gps.connection.uncertainty_m
+    lost_gps.wire.loses = lambda message: True
+    lost_gps.run(silent_s)
+    assert lost_gps.connection.state == "waiting"
+    lost_gps.wire.loses = loses()
+    after_m = uncertainty_after(lost_gps, 6.0)
+    assert before_m is not None and after_m is not None
+    assert before_m < after_m < before_m + 0.05 * 1.6 * 8.0 * (silent_s + 6.0)
+
+
+def test_a_bound_is_not_remembered_when_the_autopilot_rebooted(lost_gps: Rig) -> None:
+    lost_gps.crash()
+    lost_gps.autopilot.reboot()
+    lost_gps.connect()
+    assert uncertainty_after(lost_gps, 8.0) is None
+
+
+def test_a_bound_is_not_remembered_after_a_reboot_while_the_link_was_silent(lost_gps: Rig) -> None:
+    lost_gps.wire.loses = lambda message: True
+    lost_gps.run(3.0)
+    lost_gps.autopilot.reboot()
+    lost_gps.run(5.0)
+    lost_gps.wire.loses = loses()
+    assert uncertainty_after(lost_gps, 8.0) is None
+
+
+def test_a_bound_is_not_remembered_of_another_vehicle(lost_gps: Rig) -> None:
+    lost_gps.crash()
+    lost_gps.options = {"system_id": 9, "gps": False}
+    lost_gps.plug()
+    lost_gps.connect()
+    assert uncertainty_after(lost_gps, 8.0) is None
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b'{"sigma_m": 1}', b"\xff\x00"])
+def test_a_damaged_memory_is_none(lost_gps: Rig, damage: bytes) -> None:
+    lost_gps.crash()
+    lost_gps.port.with_name("events.bound").write_bytes(damage)
+    lost_gps.connect()
+    assert uncertainty_after(lost_gps, 8.0) is None
+
+
+@pytest.mark.parametrize("silent_s", [6.0, 60.0])
+def test_heartbeats_alone_are_no_permission(lost_gps: Rig, silent_s: float) -> None:
+    """Without speed and GPS nothing is known, so nothing is sent; both are requested until they come."""
+    sent = len(lost_gps.journalled(FixSent))
+    lost_gps.wire.loses = loses(*ODOMETRY, "GPS_RAW_INT", "GPS2_RAW")
+    lost_gps.run(4.0)
+    assert not lost_gps.connection.send_position(lost_gps.fix())
+    lost_gps.run(silent_s)
+    assert lost_gps.connection.state == "up"
+    assert not lost_gps.connection.send_position(lost_gps.fix())
+    assert len(lost_gps.journalled(FixSent)) == sent
+    assert lost_gps.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
+    lost_gps.wire.loses = loses()
+    lost_gps.run(3.0)
+    assert lost_gps.connection.send_position(lost_gps.fix())
