@@ -3,7 +3,7 @@
 From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
 From the map alone: each of its frames is matched to the map without the frame's surroundings. All such matches are
 wrong, as those of a vehicle off the map, and the threshold rejects all but the allowed share of them. On six simulated
-streets of 1 km the threshold for 99 % was 0.09 to 0.66, where other streets driven on those maps needed 0.23 to 0.56:
+streets of 1 km the threshold for 99 % was 0.09 to 0.57, where other streets driven on those maps needed 0.21 to 0.54:
 it may ask for more than the default, and is no reason to go below it. The map alone does not show how well places are
 recognized in other light. If it has no positions and passes a place twice, it shows nothing: the other pass of the same
 place is matched.
