@@ -140,7 +140,7 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_reverse_same_m: NotNegative = 0.0
     sigma_reverse_swapped_m: NotNegative = 0.0
     sigma_along_m: Positive = 3.0
-    sigma_across_m: Positive = 2.0
+    sigma_across_m: Positive = 2.5
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The offset of matches of that kind, in meters in the direction of travel."""
@@ -152,12 +152,12 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[tracking]: the vehicle's position along the map's drive, from matches and the distance driven."""
+    """[tracking]: the vehicle's position by a filter, from matches and the autopilot's own velocity."""
 
-    matches: Annotated[int, Meta(ge=1, le=500)] = 30
     lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
     lost_after_s: Annotated[float, Meta(gt=0, le=60)] = 5.0
-    drift_percent: Annotated[float, Meta(ge=0, le=100)] = 3.0
+    drift_percent: Annotated[float, Meta(gt=0, le=50)] = 5.0
+    heading_error_deg: Annotated[float, Meta(gt=0, le=30)] = 2.0
 
 
 class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -166,12 +166,10 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     with_gps: bool = False
     min_speed_mps: Annotated[float, Meta(ge=0, le=100)] = 0.3
     min_interval_s: Annotated[float, Meta(ge=0.1, le=600)] = 1.0
-    near_matches: Annotated[int, Meta(ge=1, le=500)] = 5
-    far_matches: Annotated[int, Meta(ge=1, le=500)] = 12
-    near_sigmas: Positive = 3.0
-    far_sigmas: Positive = 10.0
+    risk: Annotated[float, Meta(gt=0, le=1)] = 1e-3
+    max_move_m: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
-    confirm_m: Annotated[float, Meta(ge=0, le=1000)] = 100.0
+    confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0
 
 
 class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -30,7 +30,7 @@ from edge.health.stage_times import StageTimes
 from edge.journal.journal import Journal
 from edge.journal.records import FrameUsed, MapExcluded, Record, Stopped
 from edge.localization.place_fix import frame_used, untracked_fix
-from edge.localization.route_tracker import RouteTracker
+from edge.localization.route_filter import RouteFilter
 from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import open_recognizer
 from edge.reference_map import ExcludedMap, MapSet, Route
@@ -117,7 +117,7 @@ class Daemon:
         """Follow the vehicle along the drives of these maps from now on."""
         config = self._config
         self._route = Route(maps)
-        self._tracker = RouteTracker(self._route, config.tracking, config.rig, config.sequence.length)
+        self._filter = RouteFilter(self._route, config.tracking, config.rig, config.sequence.length)
         self._newest = None
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
@@ -186,7 +186,7 @@ class Daemon:
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
         if match is not None and match.accepted and not self._is_verified(match):
             match = None
-        self._tracker.update(match, frame.stamp_ns, distance_m, missed)
+        self._filter.update(match, frame.stamp_ns, self._autopilot.displacement(frame.stamp_ns), missed)
         used = frame_used(frame.index, frame.stamp_ns, match, self._route, self._config.rig, missed)
         position = self._autopilot.position()
         self._publish_frame(frame, match, used, position)
@@ -244,7 +244,7 @@ class Daemon:
 
     def _publish_place(self, match: PlaceMatch, stamp_ns: int) -> None:
         """An event, to people and the journal: with the tracked position, or with the place's own."""
-        fix = self._tracker.at_exposure()
+        fix = self._filter.at_exposure()
         if fix is None or fix.stamp_ns != stamp_ns:
             fix = untracked_fix(match, stamp_ns, self._route, self._config.rig)
         self._events += 1
@@ -271,7 +271,7 @@ class Daemon:
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
         self._recognizer.reset()
-        self._tracker.reset()
+        self._filter.reset()
         self._newest = None
 
     def _publish_position(self) -> None:
@@ -283,10 +283,10 @@ class Daemon:
         if time_base is None or self._newest is None or self._picture_fault is not None:
             return
         if time_base == "exposure":
-            fix = self._tracker.at_exposure()
+            fix = self._filter.at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._tracker.at(now_ns, self._autopilot.distance_m(now_ns))
+            fix = self._filter.at(now_ns, self._autopilot.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
 

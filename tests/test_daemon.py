@@ -44,7 +44,7 @@ def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
         "map": {"path": str(street / "map")},
         "sequence": {"length": 10},
         "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.2},
-        "gates": {"far_matches": 3, "confirm_m": 0},
+        "gates": {"risk": 1.0, "max_move_m": 100_000.0},
         "telemetry": {"connection": connection, "emit": "external_position", "journal": "events.jsonl"},
     }
     (folder / "lookback.toml").write_text(tomli_w.dumps(config))

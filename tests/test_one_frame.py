@@ -57,7 +57,7 @@ class Drive:
             map=MapConfig(path=str(street / "map")),
             sequence=SequenceConfig(length=LENGTH),
             acceptance=AcceptanceConfig(uniqueness_min=1.02, window_m=10.0, hold_off_s=0.0),
-            gates=GatesConfig(far_matches=3, confirm_m=0.0),
+            gates=GatesConfig(risk=1.0, max_move_m=100_000.0),
             telemetry=Telemetry(
                 connection=f"serial:{link.device}:921600", emit="external_position", journal=str(self.journal)
             ),

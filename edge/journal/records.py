@@ -121,13 +121,19 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     order: Order
     uniqueness: Annotated[float, unit("", "of the newest accepted match, see `frame`")]
     category: Annotated[str, unit("", 'what kind of place, "" where it was not asked for')] = ""
-    matches: Annotated[int, unit("", "accepted matches in a row that agree with the distance driven")] = 1
+    matches: Annotated[int, unit("", "accepted matches that agree with the vehicle's motion")] = 1
     map: MapName = UNSET
+    segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
+    confidence: Annotated[float, unit("", "of the belief in the place, 0 to 1")] = 0.0
+    velocity_error: Annotated[
+        float, unit("", "what the autopilot's velocity is found to be wrong by, as a share of it")
+    ] = 0.0
+    disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
 
     @property
     def sigma_m(self) -> float:
-        """The larger of both: autopilots take one number for every direction."""
-        return max(self.sigma_along_m, self.sigma_across_m)
+        """Of the distance from the truth: autopilots use one number for every direction."""
+        return math.hypot(self.sigma_along_m, self.sigma_across_m)
 
     @property
     def is_position(self) -> bool:
@@ -163,7 +169,7 @@ class FixSent(_Tagged, frozen=True, tag="fix_sent"):
     way: Annotated[str, unit("", "the message that carried it, as in `way`")]
     lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)")]
     lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)")]
-    sigma_m: Annotated[float, unit("m", "one standard deviation, the larger of along and across")]
+    sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth")]
     send_boot_s: Annotated[float, unit("s", "the autopilot's time since boot when it was sent")]
     age_s: Annotated[float, unit("s", "time from the moment of the position to sending")]
     distance_m: Distance

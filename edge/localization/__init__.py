@@ -1,37 +1,37 @@
-"""From matches and odometry to a position of the vehicle, and the checks before it is published.
+"""From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
-`place_fix` makes positions of matches; `route_tracker` follows the vehicle along the map's drive, with
-`line_refinement` for where a line really ends; `dead_reckoning` integrates what the autopilot reports of its motion;
-`integrity` and `fix_consistency` are the checks that a position must pass.
+`consensus` believes a place or not; `place_fix` makes positions of matches; `route_filter` follows the vehicle over
+the ground, by `line_middle` (what a match says best) and `route_estimate` (the Kalman filter); `dead_reckoning`
+integrates what the autopilot reports of its motion; `integrity` decides what may be published.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import DeadReckoning, Displacement
-from edge.localization.fix_consistency import FixConsistency
 from edge.localization.integrity import (
     GPS_SIGMA_M,
     GpsState,
+    Integrity,
     Refusal,
     Situation,
     Uncertainty,
     distance_from,
     offset_m,
-    refusal,
 )
+from edge.localization.route_estimate import CORRELATION_M
 
 __all__ = [
+    "CORRELATION_M",
     "GPS_SIGMA_M",
     "DeadReckoning",
     "Displacement",
-    "FixConsistency",
     "GpsState",
+    "Integrity",
     "PlaceFix",
     "Refusal",
     "Situation",
     "Uncertainty",
     "distance_from",
     "offset_m",
-    "refusal",
 ]

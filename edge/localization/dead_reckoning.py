@@ -1,6 +1,7 @@
 """How far the vehicle has driven and moved, by its own speed and velocity, at the moment of any frame.
 
-Both are integrated by the trapezoid rule, whatever the autopilot's position jumps to.
+Both are integrated by the trapezoid rule, whatever the autopilot's position jumps to. Driving backwards leads over
+places that were passed already, so the distance to sample by stands still until the vehicle is further than before.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are belie
 STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
 MAX_SPEED_MPS = 350.0  # a speed beyond it is damage, or not a number
 KEPT = 1024
+BACKED_M = 30.0
+"""The most that must be driven again before the distance grows; further back nobody remembers the places."""
 
 
 @dataclass(frozen=True)
@@ -89,16 +92,17 @@ class DeadReckoning:
         self._legs = 0
         self.gaps = 0
         """How often speeds came so late that the distance driven meanwhile is not known."""
-        self._speed_mps = 0.0
+        self._speed_mps = self._furthest_m = 0.0
         self._source = 0
         self._answered = (0, 0.0)
 
     def add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
-        """A ground speed; `source` ranks its origin, 0 the best, and a worse one counts only after a second without.
+        """A ground speed, negative backwards; `source` ranks its origin, 0 the best.
 
-        Ignored where it is not after the newest, or is no speed.
+        A worse source counts only after a second without a better one. Ignored where it is not after the newest, or is
+        no speed.
         """
-        if not 0 <= speed_mps <= MAX_SPEED_MPS:
+        if not abs(speed_mps) <= MAX_SPEED_MPS:
             return
         last_ns = self._distance.last_ns
         if last_ns is not None:
@@ -106,8 +110,12 @@ class DeadReckoning:
             if gap_ns <= 0 or (source > self._source and gap_ns < SPEED_VALID_NS):
                 return
             self.gaps += gap_ns > LONGEST_GAP_NS
-        self._distance.add(stamp_ns, speed_mps if speed_mps >= STANDING_MPS else 0.0)
-        self._speed_mps, self._source = speed_mps, source
+        forward_mps = speed_mps if abs(speed_mps) >= STANDING_MPS else 0.0
+        ahead_m = self._distance.total[0] if self._distance.total else 0.0
+        self._furthest_m = max(self._furthest_m, ahead_m)
+        backed = forward_mps < 0 and self._furthest_m - ahead_m >= BACKED_M
+        self._distance.add(stamp_ns, 0.0 if backed else forward_mps, abs(forward_mps))
+        self._speed_mps, self._source = abs(speed_mps), source
 
     def add_velocity(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
         """A velocity over ground. Ignored where it is not after the newest, or is none."""
@@ -127,12 +135,15 @@ class DeadReckoning:
 
     @property
     def total_m(self) -> float | None:
-        """All meters driven up to the newest report, None before the first."""
+        """All meters driven, in either direction, up to the newest report; None before the first."""
         total = self._distance.total
-        return None if total is None else total[0]
+        return None if total is None else total[1]
 
     def distance_m(self, stamp_ns: int) -> float | None:
-        """Meters driven at `stamp_ns`; None when no speed was known around then. Never less than it was before."""
+        """Meters to sample places by at `stamp_ns`, see the module; None when no speed was known around then.
+
+        Never less than it was before.
+        """
         driven = self._distance.at(stamp_ns)
         return None if driven is None else self._not_less(stamp_ns, driven[0])
 

@@ -1,20 +1,31 @@
-"""Checks before a position is published to the autopilot, each with its reason; the autopilot has no such checks.
+"""Whether a position may be published: one argument, from its probability of being of another place.
 
-A wrong fix does more harm than none. So the vehicle must move and be on the map now, several matches must agree with
-the distance driven, and the fix must be consistent with the autopilot's position: within its uncertainty at once,
-farther away only after many more matches, and too far away never. If the autopilot's position may be anything, an
-earlier fix of another place must confirm the fix (`fix_consistency`).
+The autopilot has no such checks, and a wrong position does more harm than none. Two hypotheses explain a fix that is
+`distance_m` from where the autopilot believes to be:
+
+    right   the place is right, and the autopilot is wrong by that distance: as its own uncertainty says, or, where
+            what bounded it last was wrong, by anything
+    wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
+            to bound the autopilot, the map as a whole is shifted (MAP_SHIFTED, SHIFT_M)
+
+`place_wrong` is the product over independent observations. Matches within a correlation length are one observation,
+and one stretch of a map, however long it is driven, is never better than STRETCH_WRONG: all of it may have been mapped
+wrongly, or resemble another. docs/integrity.md is the whole argument, with the tests that could refute it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import chain
 from typing import Literal, TypeAlias
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
+from edge.localization.dead_reckoning import Displacement
+from edge.localization.route_estimate import CORRELATION_M
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 Reason: TypeAlias = Literal[
@@ -22,23 +33,37 @@ Reason: TypeAlias = Literal[
     "too old",
     "GPS is healthy",
     "GPS is unknown",
+    "the speed is not known",
     "standing",
     "too soon",
-    "too few matches in a row",
-    "too few matches for a far fix",
-    "not confirmed by another place yet",
+    "the newest matches disagree",
+    "the displacement is not known",
     "impossibly far",
+    "not confirmed by another place yet",
 ]
 GPS_SIGMA_M = 3.0
+SPREAD_M = 1000.0
+STRETCH_WRONG = 5e-3
+BOUND_WRONG, ONE_MORE = 0.1, 20.0
+"""Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
+moves the autopilot away from it must rest on one stretch more than what put it there."""
+MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
+BELIEVED, WRONG_AT_LEAST, WRONG_AT_ONE = 0.6, 0.02, 0.002
+"""Probability that one observation is of another place, at a confidence of BELIEVED and below, and of 1."""
+SAME_DRIVE = 5.0
+"""Two stretches of one drive are independent beyond so many times `confirm_m`."""
+ALIKE_M, ALIKE_SHARE = 3.0, 0.1
+"""Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
+CLAIMS, KEPT = 8, 64
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What the checks use besides the fix, at the time `now_ns`.
+    """What the decision rests on besides the fix, at the time `now_ns`.
 
     position: the autopilot's own, None if it has none. uncertainty_m: its standard deviation, None if unbounded.
-    speed_mps: None if unknown. last_sent_ns: of the last fix, None if there was none.
-    confirmed: whether an earlier fix elsewhere agrees with this one.
+    bound_by_gps: whether GPS bounded it last. speed_mps: None if unknown. last_sent_ns: of the last fix, None if there
+    was none. displacement: by the autopilot's velocity at the fix's moment, None if unknown.
     """
 
     now_ns: int
@@ -46,8 +71,9 @@ class Situation:
     speed_mps: float | None
     position: VehiclePosition | None
     uncertainty_m: float | None
+    bound_by_gps: bool
     last_sent_ns: int | None
-    confirmed: bool = False
+    displacement: Displacement | None
 
 
 @dataclass(frozen=True)
@@ -58,41 +84,147 @@ class Refusal:
     distance_m: float | None = None
 
 
-def refusal(
-    fix: PlaceFix, situation: Situation, gates: GatesConfig, period_s: float, oldest_s: float
-) -> Refusal | None:
-    """The first check that the fix fails; None if it may be published."""
-    age_s = (situation.now_ns - fix.stamp_ns) / 1e9
-    since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
-    rules: tuple[tuple[bool, Reason], ...] = (
-        (not fix.is_position, "no position in the map"),
-        (not 0 <= age_s <= oldest_s, "too old"),
-        (situation.gps == "healthy" and not gates.with_gps, "GPS is healthy"),
-        (situation.gps == "unknown" and not gates.with_gps, "GPS is unknown"),
-        (situation.speed_mps is not None and situation.speed_mps < gates.min_speed_mps, "standing"),
-        (since_s < period_s, "too soon"),
-        (fix.matches < gates.near_matches, "too few matches in a row"),
-    )
-    for against, reason in rules:
-        if against:
-            return Refusal(reason)
-    return _too_far(fix, situation, gates)
+@dataclass
+class Observation:
+    """A fix that counts as evidence of its own, with the displacement of its moment.
+
+    wrong: probability that it is of another place. likelihood: the least that the autopilot's position gave to the
+    fixes of this observation, 1 / m.
+    """
+
+    segment: int
+    lat_deg: float
+    lon_deg: float
+    displacement: Displacement
+    wrong: float
+    likelihood: float = field(default=math.inf)
 
 
-def _too_far(fix: PlaceFix, situation: Situation, gates: GatesConfig) -> Refusal | None:
-    """Check the distance from the autopilot's own position against the standard deviations of both."""
-    distance_m = distance_from(situation.position, fix) if situation.position is not None else None
-    if distance_m is None or situation.uncertainty_m is None:
-        # The autopilot's position is unknown or unbounded: only other recognized places can confirm the fix.
-        if fix.matches < gates.far_matches:
-            return Refusal("too few matches for a far fix", distance_m)
-        return None if situation.confirmed else Refusal("not confirmed by another place yet", distance_m)
-    sigmas = distance_m / math.hypot(situation.uncertainty_m, fix.sigma_m)
-    if sigmas > gates.far_sigmas:
-        return Refusal("impossibly far", distance_m)
-    if sigmas > gates.near_sigmas and fix.matches < gates.far_matches:
-        return Refusal("too few matches for a far fix", distance_m)
-    return None
+class Integrity:
+    """The observations so far, and the decision on each fix."""
+
+    def __init__(self, gates: GatesConfig) -> None:
+        self._gates = gates
+        self._claims: deque[list[Observation]] = deque(maxlen=CLAIMS)
+        self._bound_wrong, self._published_wrong = BOUND_WRONG, 1.0
+
+    def reset(self) -> None:
+        """The autopilot has rebooted: its dead reckoning starts again."""
+        self._claims.clear()
+
+    def bound(self, *, by_gps: bool) -> None:
+        """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
+        self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
+        for observation in chain.from_iterable(self._claims):
+            observation.likelihood = math.inf
+
+    def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
+        """Why the fix may not be published; None if it may."""
+        gates, age_s = self._gates, (situation.now_ns - fix.stamp_ns) / 1e9
+        since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
+        speed_mps = situation.speed_mps
+        rules: tuple[tuple[bool, Reason], ...] = (
+            (not fix.is_position, "no position in the map"),
+            (not 0 <= age_s <= oldest_s, "too old"),
+            (situation.gps == "healthy" and not gates.with_gps, "GPS is healthy"),
+            (situation.gps == "unknown" and not gates.with_gps, "GPS is unknown"),
+            (speed_mps is None or not math.isfinite(speed_mps), "the speed is not known"),
+            (speed_mps is not None and speed_mps < gates.min_speed_mps, "standing"),
+            (since_s < period_s, "too soon"),
+            (fix.disputed, "the newest matches disagree"),
+            (situation.displacement is None, "the displacement is not known"),
+        )
+        for against, reason in rules:
+            if against:
+                return Refusal(reason)
+        return self._too_uncertain(fix, situation)
+
+    def _too_uncertain(self, fix: PlaceFix, situation: Situation) -> Refusal | None:
+        assert situation.displacement is not None
+        distance_m = distance_from(situation.position, fix) if situation.position is not None else None
+        likelihood = 1 / SPREAD_M
+        if distance_m is not None and situation.uncertainty_m is not None:
+            sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
+            likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
+        claim = self._observe(fix, situation.displacement, likelihood)
+        if distance_m is not None and distance_m > self._gates.max_move_m:
+            return Refusal("impossibly far", distance_m)
+        is_shift = situation.bound_by_gps and distance_m is not None and distance_m > 3 * fix.sigma_m
+        likelihood = min(likelihood, *(observation.likelihood for observation in claim))
+        place_wrong = self._place_wrong(claim)
+        if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > self._gates.risk:
+            return Refusal("not confirmed by another place yet", distance_m)
+        self._published_wrong = place_wrong
+        return None
+
+    def _observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float) -> list[Observation]:
+        """Keep the fix where it is an observation of its own; the claim that it belongs to, oldest first."""
+        claim = next((one for one in reversed(self._claims) if _moved_alike(one[-1], fix, displacement)), None)
+        if claim is None:
+            claim = []
+            self._claims.append(claim)
+        wrong = wrong_by_confidence(fix.confidence)
+        near = [one for one in claim if one.segment == fix.segment and _apart_m(one, displacement) < CORRELATION_M]
+        if near:
+            near[-1].likelihood = min(near[-1].likelihood, likelihood)
+            near[-1].wrong = min(near[-1].wrong, wrong)
+        else:
+            assert fix.lat_deg is not None and fix.lon_deg is not None
+            claim.append(Observation(fix.segment, fix.lat_deg, fix.lon_deg, displacement, wrong, likelihood))
+            del claim[:-KEPT]
+        return claim
+
+    def _place_wrong(self, claim: list[Observation]) -> float:
+        """Probability that all these observations are of other places: a product over independent stretches."""
+        stretches: list[list[Observation]] = []
+        for one in claim:
+            same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
+            if same is None:
+                stretches.append([one])
+            else:
+                same.append(one)
+        return math.prod(max(STRETCH_WRONG, math.prod(one.wrong for one in stretch)) for stretch in stretches)
+
+    def _independent(self, one: Observation, other: Observation) -> bool:
+        """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
+        times = SAME_DRIVE if one.segment == other.segment else 1.0
+        return _apart_m(one, other.displacement) >= times * self._gates.confirm_m
+
+
+def wrong_by_confidence(confidence: float) -> float:
+    """Probability that a belief of that confidence is of another place, by one observation alone."""
+    share = min(max((confidence - BELIEVED) / (1 - BELIEVED), 0.0), 1.0)
+    return float(WRONG_AT_LEAST ** (1 - share) * WRONG_AT_ONE**share)
+
+
+def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
+    """Density per meter of an autopilot's error; bound_wrong: probability that its uncertainty does not hold."""
+    normal = math.exp(-((distance_m / sigma_m) ** 2) / 2) / (sigma_m * math.sqrt(math.tau))
+    return (1 - bound_wrong) * normal + bound_wrong / SPREAD_M
+
+
+def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: bool = False) -> float:
+    """Probability that a fix is of another place (Bayes), see the module."""
+    wrong = place_wrong / SPREAD_M + (MAP_SHIFTED / SHIFT_M if may_be_shifted else 0.0)
+    return wrong / (wrong + (1 - place_wrong) * likelihood)
+
+
+def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
+    """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
+    if before.displacement.leg != displacement.leg:
+        return False
+    assert fix.lat_deg is not None and fix.lon_deg is not None
+    east_m, north_m = east_north_of(fix.lat_deg, fix.lon_deg, (before.lat_deg, before.lon_deg))
+    moved_east_m = displacement.east_m - before.displacement.east_m
+    moved_north_m = displacement.north_m - before.displacement.north_m
+    share = ALIKE_SHARE + fix.velocity_error
+    allowed_m = ALIKE_M + share * math.hypot(moved_east_m, moved_north_m)
+    return math.hypot(east_m - moved_east_m, north_m - moved_north_m) <= allowed_m
+
+
+def _apart_m(observation: Observation, displacement: Displacement) -> float:
+    then = observation.displacement
+    return math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
 
 
 def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
@@ -117,20 +249,26 @@ class Uncertainty:
     def __init__(self, drift_percent: float) -> None:
         self._drift = drift_percent / 100
         self._bound: tuple[float, float] | None = None  # standard deviation, and meters driven at that time
+        self.by_gps = False
+        """Whether GPS set it last."""
 
-    def bind(self, sigma_m: float, driven_m: float | None) -> None:
+    def bind(self, sigma_m: float, driven_m: float | None, *, by_gps: bool = False) -> None:
         """Set the standard deviation at a distance driven."""
         if driven_m is not None:
-            self._bound = sigma_m, driven_m
+            self._bound, self.by_gps = (sigma_m, driven_m), by_gps
 
     def reset(self) -> None:
         """The autopilot has rebooted: nothing bounds its position any more."""
-        self._bound = None
+        self._bound, self.by_gps = None, False
 
-    def at(self, driven_m: float | None, reported_m: float | None) -> float | None:
-        """Standard deviation now: the larger of ours and the autopilot's own; None if unbounded."""
+    def at(self, driven_m: float | None, reported_m: float | None, velocity_error: float = 0.0) -> float | None:
+        """Standard deviation now: the larger of ours and the autopilot's own; None where nothing has bounded it.
+
+        velocity_error: what its velocity is found to be wrong by, as a share of it.
+        """
         if self._bound is None or driven_m is None:
-            return reported_m
+            return None
         sigma_m, since_m = self._bound
-        ours_m = math.hypot(sigma_m, self._drift * max(0.0, driven_m - since_m))
+        drift = max(self._drift, velocity_error)
+        ours_m = math.hypot(sigma_m, drift * max(0.0, driven_m - since_m))
         return ours_m if reported_m is None else max(ours_m, reported_m)

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.records import LinkChanged, Record
-from edge.localization import PlaceFix
+from edge.localization import Displacement, PlaceFix
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import parse_connection
@@ -89,6 +89,10 @@ class AutopilotConnection:
     def distance_gaps(self) -> int:
         """How often the distance driven was unknown for a while; what lies before cannot be compared."""
         return self.vehicle.distance_gaps
+
+    def displacement(self, stamp_ns: int) -> Displacement | None:
+        """Meters east and north by the autopilot's velocity at a moment, None where it is not known."""
+        return self.vehicle.displacement(stamp_ns)
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""

@@ -103,8 +103,8 @@ def vision_position(fix: PlaceFix, sending: Sending) -> Message:
     origin = sending.origin
     east_m, north_m = east_north_of(lat_deg, lon_deg, (origin.lat_deg, origin.lon_deg), origin.alt_m)
     covariance = [0.0] * 21  # the upper triangle, row by row
-    # ArduPilot takes the cube root of the sum of these variances' squares for its deviation: never less than ours.
-    covariance[0] = covariance[6] = covariance[11] = fix.sigma_m**2
+    # ArduPilot uses the cube root of the sum of the squares of these three as its standard deviation.
+    covariance[0] = covariance[6] = covariance[11] = math.sqrt(fix.sigma_m**3 / 3)
     covariance[15] = covariance[18] = covariance[20] = math.pi**2
     return mavlink.MAVLink_vision_position_estimate_message(
         usec=round(sending.boot_s * 1e6),

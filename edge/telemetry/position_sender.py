@@ -11,18 +11,20 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
-    FixConsistency,
+    CORRELATION_M,
+    Integrity,
     PlaceFix,
     Refusal,
     Situation,
     Uncertainty,
     distance_from,
     offset_m,
-    refusal,
 )
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
@@ -46,6 +48,8 @@ from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
 REMEMBER_NS = 1_000_000_000
+NEAR_SIGMAS = 3.0
+"""An autopilot that is as near as this to a position of a stream follows it."""
 log = logging.getLogger(__name__)
 
 
@@ -71,7 +75,8 @@ class PositionSender:
         self._remembered = RememberedBound(
             Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None, gates.drift_percent
         )
-        self._consistency = FixConsistency(gates)
+        self._integrity = Integrity(gates)
+        self._velocity_error = 0.0  # of the autopilot, by the newest fix
         self._disabled = False
         self._reset_counter = 0
         self.sources = SourceSelection(vehicle, record, send_text)
@@ -94,7 +99,7 @@ class PositionSender:
         self._disabled = False
         self.sources.new_session()
         self._uncertainty.reset()
-        self._consistency.reset()
+        self._integrity.reset()
         self._choose()
 
     def _choose(self) -> None:
@@ -122,7 +127,8 @@ class PositionSender:
 
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        return self._uncertainty.at(self._vehicle.driven_m(now_ns), self._vehicle.accuracy_m(now_ns))
+        vehicle = self._vehicle
+        return self._uncertainty.at(vehicle.driven_m(now_ns), vehicle.accuracy_m(now_ns), self._velocity_error)
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -157,29 +163,22 @@ class PositionSender:
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
 
-    def _situation(self, fix: PlaceFix, now_ns: int) -> Situation:
-        vehicle = self._vehicle
-        position, uncertainty_m = vehicle.position(now_ns), self.uncertainty_m(now_ns)
-        # Checked only where it matters, since this is called in every turn while a fix is withheld.
-        may_be_anywhere = position is None or uncertainty_m is None
-        confirmed = may_be_anywhere and self._consistency.confirm(
-            fix, vehicle.displacement(fix.stamp_ns), vehicle.distance_m(fix.stamp_ns)
-        )
-        return Situation(
-            now_ns,
-            vehicle.gps.state(now_ns),
-            vehicle.speed_mps(now_ns),
-            position,
-            uncertainty_m,
-            self._last_sent_ns,
-            confirmed,
-        )
-
     def _refusal(
         self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
     ) -> Refusal | None:
+        vehicle, self._velocity_error = self._vehicle, fix.velocity_error
+        situation = Situation(
+            now_ns,
+            vehicle.gps.state(now_ns),
+            vehicle.speed_mps(now_ns),
+            vehicle.position(now_ns),
+            self.uncertainty_m(now_ns),
+            self._uncertainty.by_gps,
+            self._last_sent_ns,
+            vehicle.displacement(fix.stamp_ns),
+        )
         period_s = self._period_s(message) if period_s is None else period_s
-        return refusal(fix, self._situation(fix, now_ns), self._gates, period_s, message.max_age_s)
+        return self._integrity.refusal(fix, situation, period_s, message.max_age_s)
 
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
@@ -229,7 +228,18 @@ class PositionSender:
                 )
             )
         self._last_sent_ns = now_ns
+        if not message.acknowledged:
+            fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending)]
+
+    def _one_of_many(self, fix: PlaceFix, now_ns: int, period_s: float) -> PlaceFix:
+        """The fix with a sigma that suits a filter to which each position of a stream is a measurement of its own.
+
+        All within a correlation length have the same error, so their information is divided among them.
+        """
+        speed_mps = self._vehicle.speed_mps(now_ns) or 0.0
+        times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
+        return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
 
     def _expect_jump(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> None:
         """Keep how far the fix should move the autopilot's position; jumps of a stream are marked in reset_counter."""
@@ -244,10 +254,15 @@ class PositionSender:
         moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
         if moved is not None:
             self._publish_check(fix, distance_m, moved=moved)
-        if distance_m <= fix.sigma_m * self._gates.near_sigmas:
-            self._uncertainty.bind(max(fix.sigma_m, distance_m), self._vehicle.driven_m(now_ns))
+        if distance_m <= NEAR_SIGMAS * fix.sigma_m:
+            self._bind(max(fix.sigma_m, distance_m), now_ns)
         elif self._is_new_stream(now_ns):
             self._reset_counter = (self._reset_counter + 1) % 256
+
+    def _bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:
+        """The autopilot's position is as good as that now."""
+        self._uncertainty.bind(sigma_m, self._vehicle.driven_m(now_ns), by_gps=by_gps)
+        self._integrity.bound(by_gps=by_gps)
 
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
@@ -291,7 +306,7 @@ class PositionSender:
         vehicle = self._vehicle
         bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
         if bound_m is not None:
-            self._uncertainty.bind(bound_m, vehicle.driven_m(now_ns))
+            self._bind(bound_m, now_ns, by_gps=True)
         # Whether or not the filter uses GPS: with the second set it does not.
         if vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
             messages += self._select_sources(GPS_SET, now_ns)
@@ -313,7 +328,7 @@ class PositionSender:
         if ours_m is not None:
             self._remembered.keep(ours_m, self._vehicle, now_ns)
         elif (remembered_m := self._remembered.recall(self._vehicle, now_ns)) is not None:
-            self._uncertainty.bind(remembered_m, driven_m)
+            self._bind(remembered_m, now_ns)
 
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
         self._unanswered = None
@@ -343,7 +358,7 @@ class PositionSender:
         remaining_m = jump.remaining_m(own)
         self._publish_check(fix, remaining_m, moved=moved)
         if moved:
-            self._uncertainty.bind(max(fix.sigma_m, remaining_m), self._vehicle.driven_m(now_ns))
+            self._bind(max(fix.sigma_m, remaining_m), now_ns)
         else:
             self._back_off.failed(now_ns)
 

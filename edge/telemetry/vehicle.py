@@ -26,6 +26,7 @@ WHEELS_APART_NS = 2_500_000_000
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 HEADING_UNKNOWN = 65535
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
+BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
 
 log = logging.getLogger(__name__)
 
@@ -201,9 +202,9 @@ class Vehicle:
         if message.lat == 0 and message.lon == 0:
             return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
-        self._motion.add_speed(stamp_ns, speed_mps, source=1)
-        self._motion.add_velocity(stamp_ns, message.vy / 100, message.vx / 100)
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
+        self._motion.add_speed(stamp_ns, signed_speed(message.vy / 100, message.vx / 100, heading_deg), source=1)
+        self._motion.add_velocity(stamp_ns, message.vy / 100, message.vx / 100)
         self._position = VehiclePosition(
             stamp_ns,
             message.lat / 1e7,
@@ -217,12 +218,14 @@ class Vehicle:
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        self._motion.add_speed(stamp_ns, math.hypot(message.vx, message.vy), source=0)
+        own = self.position(now_ns)
+        heading_deg = own.heading_deg if own else None
+        self._motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
         self._motion.add_velocity(stamp_ns, message.vy, message.vx)
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.
-        self._motion.add_speed(now_ns, math.hypot(message.vx, message.vy), source=2)
+        self._motion.add_speed(now_ns, signed_speed(message.vy, message.vx, 0.0), source=2)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
@@ -230,7 +233,7 @@ class Vehicle:
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
-            self._motion.add_speed(stamp_ns, abs(driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
+            self._motion.add_speed(stamp_ns, (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
 
     def _read_vfr_hud(self, message: Message, now_ns: int) -> None:
         self._motion.add_speed(now_ns, message.groundspeed, source=4)
@@ -275,3 +278,10 @@ class Vehicle:
             self._clock.add_stamp(message.ts1, now_ns)
         elif message.ts1 == self._timesync_sent_ns:
             self._clock.add_answer(message.ts1, message.tc1, now_ns)
+
+
+def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:
+    """Ground speed, negative where the vehicle moves backwards; a heading that is not known says nothing."""
+    speed_mps, heading_rad = math.hypot(east_mps, north_mps), math.radians(heading_deg or 0.0)
+    ahead_mps = east_mps * math.sin(heading_rad) + north_mps * math.cos(heading_rad)
+    return -speed_mps if heading_deg is not None and ahead_mps < BACKWARDS_COS * speed_mps else speed_mps

@@ -19,7 +19,7 @@ from sim.calibration.sightings import Sighting
 
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 OUTLIER = 4.0
-LANE_SIGMA_M = 2.0
+LANE_SIGMA_M = 2.5
 LEAST_SIGMA_M = 0.5  # of GPS, the reference of the measurement
 FEWEST = 10
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")

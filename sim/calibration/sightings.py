@@ -15,11 +15,14 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.feed.traverse import traverse
 from edge.geodesy import east_north
-from edge.localization.line_refinement import LineRefinement
+from edge.localization.line_middle import LineReadings, line_middle, moved_alike
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
-from edge.sequence import Direction, Order
+from edge.sequence import Direction, Order, PlaceMatch
+
+DRIFT = 0.1
+"""Share by which the odometer of a recorded drive may be wrong."""
 
 OFF_ROUTE_M = 30.0
 """A vehicle further than this from the map's drive was not on it."""
@@ -59,20 +62,35 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
-    ends = LineRefinement(Route(recognizer.map_set), config.sequence.length)
+    route, readings = Route(recognizer.map_set), LineReadings(config.sequence.length)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(
             item.frame.image, item.frame.stamp_ns, missed=item.missed, distance_m=item.distance_m
         )
-        ends.move(match, item.distance_m, item.missed)
+        if item.distance_m is None:
+            readings.clear()
+        else:
+            readings.add(np.array([item.distance_m]), item.missed)
         if match is not None:
-            end = ends.end_of(match)
-            beyond_m = end.along_m - float(places["route_m"][match.place]) if end else 0.0
-            further_m = drives.further_m(item.frame.index, match.place) + beyond_m
-            ahead_m = further_m if match.direction == "forward" else -further_m
-            left_m = drives.left_m(item.frame.index, match.place) * (1 if match.direction == "forward" else -1)
-            sigma_m = end.sigma_m if end else float("nan")
+            sign = 1 if match.direction == "forward" else -1
+            beyond_m, sigma_m = _refined(match, route, readings)
+            ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
+            left_m = sign * drives.left_m(item.frame.index, match.place)
             yield Sighting(match.direction, match.order, ahead_m, match.confidence, match.accepted, left_m, sigma_m)
+
+
+def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:
+    """How far beyond its place in the direction of travel a line ends, by its middle and the odometer; and its sigma.
+
+    0 and NaN for a line that the daemon would not use.
+    """
+    line = line_middle(match, route, len(readings)) if len(readings) > 1 else None
+    if line is None:
+        return 0.0, float("nan")
+    driven_m = readings.back(0) - readings.back(2 * line.back)
+    if not moved_alike(np.array([line.length_m]), driven_m, DRIFT):
+        return 0.0, float("nan")
+    return float(driven_m[0]) / 2 - line.length_m / 2, line.sigma_m
 
 
 class MapDrives:

@@ -110,7 +110,7 @@ class Witness:
 def fixing(write_config: Callable[..., Path]) -> Path:
     """A configuration that sends positions five times a second."""
     return write_config(
-        telemetry={"emit": "external_position"}, gates={"min_interval_s": 0.2, "near_matches": 1, "confirm_m": 0}
+        telemetry={"emit": "external_position"}, gates={"min_interval_s": 0.2, "risk": 1.0, "max_move_m": 100_000.0}
     )
 
 

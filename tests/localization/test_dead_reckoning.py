@@ -51,7 +51,7 @@ def test_a_day_of_reports_is_counted_and_not_kept() -> None:
     assert motion.distance_m(10 * S) is None, "forgotten"
 
 
-@pytest.mark.parametrize("speed_mps", [math.nan, math.inf, -1.0, 1e30])
+@pytest.mark.parametrize("speed_mps", [math.nan, math.inf, -1e30, 1e30])
 def test_a_speed_that_is_none_is_ignored(speed_mps: float) -> None:
     motion = DeadReckoning()
     motion.add_speed(1_000_000_000, 10.0, source=0)
@@ -115,3 +115,16 @@ def test_a_silence_in_which_the_vehicle_may_have_moved_is_counted() -> None:
         motion.add_speed(second * 10**9, 5.0, source=0)
     assert motion.gaps == 2
     assert motion.distance_m(40 * 10**9) == pytest.approx(15.0)  # of the three seconds that are known
+
+
+def test_going_back_is_no_distance() -> None:
+    """Places are not sampled again on the way back and forth, but for more than 30 m nobody remembers them."""
+    motion = DeadReckoning()
+    at_m = []
+    for second, speed_mps in enumerate([10.0] * 5 + [-2.0] * 5 + [10.0] * 5 + [-10.0] * 20 + [10.0] * 6):
+        motion.add_speed(second * 1_000_000_000, speed_mps, source=0)
+        at_m.append(motion.distance_m(second * 1_000_000_000))
+    assert at_m[4:10] == [at_m[4], *[pytest.approx(44.0)] * 5]
+    assert at_m[14] == pytest.approx(44.0 - 8.0 - 4.0 + 4.0 + 40.0, abs=5.0)
+    assert at_m[-1] - at_m[14] == pytest.approx(20.0, abs=10.0)
+    assert motion.total_m == pytest.approx(40 + 10 + 50 + 200 + 60, abs=30.0)

@@ -1,7 +1,8 @@
-"""Every rule that holds a position back, one at a time, from a situation in which nothing does."""
+"""The decision on a position: each rule, and the argument from its probability of being of another place."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,86 +11,143 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import PlaceFix
-from edge.localization.integrity import Refusal, Situation, Uncertainty, distance_from, refusal
+from edge.localization import Displacement, Integrity, PlaceFix, Situation, Uncertainty
+from edge.localization.integrity import distance_from, wrong_by_confidence, wrong_probability
 
 S = 1_000_000_000
 NOW_NS = 100 * S
-METRE_DEG = 1 / 111_320
-GATES = GatesConfig()
-FIX = PlaceFix(NOW_NS - S, 7, 0.0, 10.0, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street", matches=5)
+METRE_DEG = 1 / 110_574  # of latitude, at the equator
+FIX = PlaceFix(NOW_NS - S, 7, 0.0, 10.0, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street", matches=5, confidence=0.9)
 OWN = VehiclePosition(NOW_NS - S, 0.0, 10.0, 20.0, 0.0, 10.0)
-MOVING = Situation(NOW_NS, "not healthy", 10.0, OWN, 4.0, None)  # combined deviation 5 m
+MOVING = Situation(NOW_NS, "not healthy", 10.0, OWN, 4.0, True, None, Displacement(1, 0.0, 0.0))
 
 
-def north(meters: float) -> PlaceFix:
-    return msgspec.structs.replace(FIX, lat_deg=meters * METRE_DEG)
-
-
-def judged(fix: PlaceFix = FIX, gates: GatesConfig = GATES, **changes: Any) -> str | None:
-    refused = refusal(fix, replace(MOVING, **changes), gates, 1.0, 5.0)
+def reason(fix: PlaceFix = FIX, one: Integrity | None = None, gates: GatesConfig | None = None, **now: Any) -> Any:
+    refused = (one or Integrity(gates or GatesConfig())).refusal(fix, replace(MOVING, **now), 1.0, 5.0)
     return refused.reason if refused else None
 
 
+def drive(one: Integrity, meters: range, off_m: float = 0.0, segment: int = 0, **now: Any) -> list[Any]:
+    """The decisions on fixes every 10 m on the way north, wrong by `off_m`; the autopilot is where the truth is."""
+    decisions = []
+    for driven_m in meters[::10]:
+        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + off_m) * METRE_DEG, segment=segment)
+        position = replace(OWN, lat_deg=driven_m * METRE_DEG)
+        moved = Displacement(1, 0.0, float(driven_m))
+        decisions.append(reason(fix, one, **{"position": position, "displacement": moved, **now}))
+    return decisions
+
+
 def test_a_good_fix_passes() -> None:
-    assert judged() is None
+    assert reason() is None
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "why"),
     [
         ({"gps": "healthy"}, "GPS is healthy"),
         ({"gps": "unknown"}, "GPS is unknown"),
         ({"speed_mps": 0.2}, "standing"),
+        ({"speed_mps": None}, "the speed is not known"),
+        ({"speed_mps": math.nan}, "the speed is not known"),
+        ({"displacement": None}, "the displacement is not known"),
         ({"last_sent_ns": NOW_NS - S // 2}, "too soon"),
         ({"now_ns": NOW_NS + 5 * S}, "too old"),
         ({"now_ns": NOW_NS - 2 * S}, "too old"),
     ],
 )
-def test_situations_in_which_nothing_goes(changes: dict[str, Any], reason: str) -> None:
-    assert judged(**changes) == reason
+def test_situations_in_which_nothing_is_published(changes: dict[str, Any], why: str) -> None:
+    assert reason(**changes) == why
 
 
-def test_gps_does_not_matter_to_who_asked_for_fixes_with_it() -> None:
-    assert judged(gates=GatesConfig(with_gps=True), gps="healthy") is None
-
-
-def test_a_map_without_positions_and_a_first_match() -> None:
-    assert judged(msgspec.structs.replace(FIX, lat_deg=None, lon_deg=None)) == "no position in the map"
-    assert judged(msgspec.structs.replace(FIX, matches=4)) == "too few matches in a row"
+def test_gps_does_not_matter_where_fixes_are_wanted_with_it() -> None:
+    assert reason(gates=GatesConfig(with_gps=True), gps="healthy") is None
 
 
 @pytest.mark.parametrize(
-    ("meters", "matches", "reason"),
+    ("changes", "why"),
     [
-        (14.0, 5, None),
-        (16.0, 5, "too few matches for a far fix"),
-        (16.0, 11, "too few matches for a far fix"),
-        (16.0, 12, None),
-        (49.0, 12, None),
-        (51.0, 500, "impossibly far"),
+        ({"lat_deg": None, "lon_deg": None}, "no position in the map"),
+        ({"lat_deg": math.nan}, "no position in the map"),
+        ({"sigma_along_m": math.inf}, "no position in the map"),
+        ({"disputed": True}, "the newest matches disagree"),
+        ({"confidence": 0.6, "lat_deg": 12 * METRE_DEG}, "not confirmed by another place yet"),
+        ({"lat_deg": 16 * METRE_DEG}, "not confirmed by another place yet"),
+        ({"lat_deg": 201 * METRE_DEG}, "impossibly far"),
     ],
 )
-def test_the_distance_counts_in_deviations_of_both(meters: float, matches: int, reason: str | None) -> None:
-    assert judged(msgspec.structs.replace(north(meters), matches=matches)) == reason
+def test_fixes_that_are_not_published(changes: dict[str, Any], why: str) -> None:
+    assert reason(msgspec.structs.replace(FIX, **changes)) == why
 
 
 @pytest.mark.parametrize("unknown", [{"position": None}, {"uncertainty_m": None}])
-def test_where_nothing_is_known_of_the_vehicle_many_matches_and_another_place_count(unknown: dict[str, Any]) -> None:
-    far = north(5000.0)
-    assert judged(far, **unknown) == "too few matches for a far fix"
-    sure = msgspec.structs.replace(far, matches=12)
-    assert judged(sure, **unknown) == "not confirmed by another place yet"
-    assert judged(sure, **unknown, confirmed=True) is None
+def test_where_nothing_is_known_of_the_autopilot_one_stretch_is_never_enough(unknown: dict[str, Any]) -> None:
+    one = Integrity(GatesConfig())
+    assert set(drive(one, range(0, 490), **unknown)) == {"not confirmed by another place yet"}
+    assert drive(one, range(600, 620), segment=1, **unknown)[-1] is None, "another one confirms it"
 
 
-def test_a_refusal_says_how_far() -> None:
-    refused = refusal(north(100.0), MOVING, GATES, 1.0, 5.0)
-    assert isinstance(refused, Refusal)
-    assert refused.distance_m == pytest.approx(100.0, rel=0.01)
+def test_a_long_drive_confirms_itself_after_500_meters() -> None:
+    decisions = drive(Integrity(GatesConfig()), range(0, 600), uncertainty_m=None)
+    assert decisions.index(None) == 54, "the observations are 60 m apart"
 
 
-def test_the_autopilots_position_is_taken_back_to_the_exposure() -> None:
+def test_another_stretch_counts_by_displacement_not_by_what_was_driven() -> None:
+    """Laps of 80 m between two drives of the map: nowhere 100 m from where they began."""
+    one = Integrity(GatesConfig())
+    for lap in range(10):
+        there = drive(one, range(0, 40), segment=lap % 2, uncertainty_m=None)
+        back = drive(one, range(40, 0, -1), segment=1 - lap % 2, uncertainty_m=None)
+        assert None not in there + back
+
+
+def test_a_false_stretch_is_outvoted_by_two_true_ones_and_not_by_one() -> None:
+    one = Integrity(GatesConfig())
+    assert None not in drive(one, range(0, 400), off_m=150.0, uncertainty_m=None)
+    assert None not in drive(one, range(500, 600), segment=1, uncertainty_m=None)
+    assert None in drive(one, range(700, 720), segment=2, uncertainty_m=None)
+
+
+def test_what_contradicted_the_autopilot_when_it_was_sure_stays_contradicted() -> None:
+    """A map that is wrong by 40 m: that the autopilot grows uncertain on the way does not make it right."""
+    one = Integrity(GatesConfig())
+    for meters in range(100, 1500, 100):
+        assert None not in drive(one, range(meters, meters + 100), off_m=40.0, uncertainty_m=3 + meters / 20)
+
+
+def test_a_bound_by_a_fix_needs_one_stretch_more_than_what_bound_it() -> None:
+    one = Integrity(GatesConfig())
+    assert drive(one, range(0, 100))[-1] is None
+    one.bound(by_gps=False)
+    assert None not in drive(one, range(100, 200), off_m=100.0, segment=1, bound_by_gps=False)
+    assert None in drive(one, range(300, 400), off_m=100.0, segment=2, bound_by_gps=False), "two against one"
+
+
+@pytest.mark.parametrize("other", [Displacement(2, 0.0, 700.0), Displacement(1, 0.0, 400.0)])
+def test_observations_that_moved_otherwise_confirm_nothing(other: Displacement) -> None:
+    """Of another leg; and 300 m less than the fixes say."""
+    one = Integrity(GatesConfig())
+    drive(one, range(0, 100), uncertainty_m=None)
+    fix = msgspec.structs.replace(FIX, lat_deg=700 * METRE_DEG, segment=1)
+    assert reason(fix, one, uncertainty_m=None, position=None, displacement=other) is not None
+
+
+def test_the_stated_risk_is_what_decides() -> None:
+    far = msgspec.structs.replace(FIX, lat_deg=14 * METRE_DEG)
+    assert reason(far, gates=GatesConfig(risk=1e-1)) is None
+    assert reason(far, gates=GatesConfig(risk=1e-5)) is not None
+    assert reason(far, gates=GatesConfig(risk=1.0), uncertainty_m=None) is None
+
+
+def test_bayes() -> None:
+    assert wrong_probability(0.5, 1e-3) == pytest.approx(0.5)
+    assert wrong_probability(1e-3, 0.08) == pytest.approx(1e-6 / (1e-6 + 0.999 * 0.08))
+    assert wrong_by_confidence(0.6) == pytest.approx(0.02)
+    assert wrong_by_confidence(1.0) == pytest.approx(0.002)
+    assert wrong_by_confidence(0.2) == pytest.approx(0.02)
+
+
+def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:
     later = replace(OWN, stamp_ns=NOW_NS, lat_deg=10.0 * METRE_DEG, north_mps=10.0)
     assert distance_from(later, FIX) == pytest.approx(0.0, abs=0.1)
 
@@ -97,11 +155,13 @@ def test_the_autopilots_position_is_taken_back_to_the_exposure() -> None:
 def test_uncertainty_grows_with_the_distance_since_it_was_bound() -> None:
     uncertainty = Uncertainty(drift_percent=5.0)
     assert uncertainty.at(100.0, None) is None
-    assert uncertainty.at(100.0, 7.0) == 7.0, "what the autopilot says is better than nothing"
-    uncertainty.bind(3.0, 100.0)
+    assert uncertainty.at(100.0, 7.0) is None, "what the autopilot says of itself is no bound"
+    uncertainty.bind(3.0, 100.0, by_gps=True)
+    assert uncertainty.by_gps
     assert uncertainty.at(100.0, None) == 3.0
     assert uncertainty.at(180.0, None) == pytest.approx(5.0)
     assert uncertainty.at(180.0, 9.0) == 9.0, "the larger one"
+    assert uncertainty.at(180.0, None, velocity_error=0.15) == pytest.approx(math.hypot(3.0, 12.0))
     assert uncertainty.at(None, None) is None
     uncertainty.bind(3.0, None)
     assert uncertainty.at(180.0, None) == pytest.approx(5.0), "nothing is bound without an odometer"

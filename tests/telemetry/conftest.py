@@ -19,7 +19,7 @@ from sim.vehicle.pty_link import PtyLink, open_pty
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
-LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, confirm_m=0.0)
+LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
 
 
 class LossyLink:
@@ -125,13 +125,14 @@ class Rig:
             "lat_deg": lat_deg,
             "lon_deg": lon_deg,
             "heading_deg": 60.0,
-            "sigma_along_m": 6.0,
-            "sigma_across_m": 2.0,
+            "sigma_along_m": 4.8,
+            "sigma_across_m": 3.6,
             "direction": "reverse",
             "order": "same",
             "uniqueness": 1.31,
             "category": "street",
             "matches": 20,
+            "confidence": 0.9,
         }
         return PlaceFix(**{**fields, **changes})
 

@@ -17,7 +17,7 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import Sending
 from edge.telemetry.vehicle import Origin
 
-FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.5, 2.0, "reverse", "swapped", 1.234, "residential_street", 5)
+FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, "residential_street", 5)
 ORIGIN = Origin(-27.478, 153.028, 20.0)
 SENDING = Sending(5, 12345.678, 0.42, 3, ORIGIN, -1.5, 7)
 
@@ -97,14 +97,14 @@ def test_plotted_values() -> None:
     messages = [carried(message) for message in encoders.plotted_values(FIX, 2**32 + 5)]
     assert {message.time_boot_ms for message in messages} == {5}
     values = {message.name: message.value for message in messages}
-    assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": 7.5, "place": 1207}
+    assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": pytest.approx(7.5), "place": 1207}
 
 
 def test_global_position_sensor() -> None:
     message = carried(encoders.global_position_sensor(FIX, SENDING))
     assert message.get_msgId() == 296
     assert (message.target_system, message.target_component, message.id, message.source) == (5, 1, 3, 2)
-    assert (message.lat, message.lon, message.eph, message.flags) == (-274772001, 1530283002, 7.5, 0)
+    assert (message.lat, message.lon, message.eph, message.flags) == (-274772001, 1530283002, pytest.approx(7.5), 0)
     assert message.time_usec == 12_345_678_000
     assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
 
@@ -115,7 +115,7 @@ def test_vision_position_is_in_meters_from_the_origin_and_has_no_height_of_its_o
     assert (message.x, message.y, message.z) == pytest.approx((88.62, 29.67, -1.5), abs=0.05)
     assert message.yaw == pytest.approx(math.radians(182.5 - 360))
     assert (message.usec, message.reset_counter) == (12_345_678_000, 7)
-    assert [message.covariance[index] for index in (0, 6, 11)] == [7.5**2] * 3
+    assert sum(message.covariance[index] ** 2 for index in (0, 6, 11)) == pytest.approx(7.5**3), "as ArduPilot reads it"
     assert not any(map(math.isnan, message.covariance))
     with pytest.raises(ValueError, match="origin"):
         encoders.vision_position(FIX, replace_sending(origin=None))

@@ -20,7 +20,9 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
-from edge.localization.route_tracker import RouteTracker
+from edge.geodesy import east_north_of
+from edge.localization import Displacement
+from edge.localization.route_filter import RouteFilter
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
@@ -116,16 +118,18 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     home = replace(STREET, direction="reverse", drive_seed=5)
     offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG, network)
     dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
-    tracker = RouteTracker(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
+    tracker = RouteFilter(Route(MapSet.of(maps["rear"])), CONFIG.tracking, rig_config(offsets), CONFIG.sequence.length)
     recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))
-    in_sigmas = []
+    in_sigmas: list[float] = []
+    began: tuple[float, float] | None = None
     for item in traverse(dusk, CONFIG.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
-        tracker.update(match, item.frame.stamp_ns, item.distance_m)
+        lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
+        assert lat_deg is not None and lon_deg is not None
+        began = began or (lat_deg, lon_deg)
+        tracker.update(match, item.frame.stamp_ns, Displacement(1, *east_north_of(lat_deg, lon_deg, began)))
         found = tracker.at_exposure()
-        if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= CONFIG.gates.near_matches:
-            lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
-            assert lat_deg is not None and lon_deg is not None
+        if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
             east_m, north_m, _ = pymap3d.geodetic2enu(found.lat_deg, found.lon_deg, 0, lat_deg, lon_deg, 0)
             heading_rad = math.radians(found.heading_deg)
             along_m = east_m * math.sin(heading_rad) + north_m * math.cos(heading_rad)

@@ -1,0 +1,349 @@
+"""Drives along a mapped road without pictures: matches with the errors that were measured, and a drifting autopilot.
+
+A drive is simulated at 10 Hz. Matches come from the truth, as the recognizer would give them: a line through the last
+frames that were on the map, wrong by a constant bias and by an error that changes over CORRELATED_M, and for a while
+also after the vehicle has left the mapped road. The autopilot moves by a velocity with a scale and a heading error,
+and is reset by each fix that is sent. The filter, the integrity check and the dead reckoning are the daemon's own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import GatesConfig, RigConfig, SamplingConfig, TrackingConfig
+from edge.descriptor.normalize import normalize
+from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.localization import GPS_SIGMA_M, DeadReckoning, Integrity, PlaceFix, Situation, Uncertainty
+from edge.localization.route_filter import RouteFilter
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.map_set import MapSet
+from edge.reference_map.route import Route
+from edge.reference_map.store import ModelKey, RegionsKey, open_map
+from edge.sequence import PlaceMatch
+
+HOME = (-27.0, 153.0)
+STEP_S, SPACING_M, LENGTH = 0.1, 2.0, 40
+CORRELATED_M, GPS_M = 60.0, 72.0
+OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
+TURN_RADIUS_M = 8.0
+Points = NDArray[np.float64]
+Move = tuple[float, Points | None, float]
+"""Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Meters of the road that a segment of the map covers, and by how much its positions are wrong."""
+
+    begins_m: float
+    ends_m: float
+    east_m: float = 0.0
+    north_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is driven, and what is wrong. scale, heading_deg: of the autopilot's velocity; None draws them by seed.
+
+    off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
+    looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
+    """
+
+    road_m: float = 1200.0
+    stretches: tuple[Stretch, ...] = (Stretch(0.0, 1200.0),)
+    scale: float | None = None
+    heading_deg: float | None = None
+    gps: bool = True
+    off_at_m: float = math.inf
+    off_how: str = ""
+    alias: tuple[float, float] = (math.inf, math.inf)
+    alias_from_m: float = 0.0
+    steers: bool = False
+    speed_mps: float = 8.0
+    bias_m: float = 1.5
+    match_sigma_m: float = 2.5
+    laps: int = 1
+
+
+@dataclass
+class Result:
+    """What was sent: error over sigma of each, errors, and the autopilot's own error each second with and without."""
+
+    sigmas: list[float] = field(default_factory=list)
+    errors_m: list[float] = field(default_factory=list)
+    sent_at_m: list[float] = field(default_factory=list)
+    own_m: list[float] = field(default_factory=list)
+    alone_m: list[float] = field(default_factory=list)
+    across_m: list[float] = field(default_factory=list)
+    predicted_sigmas: list[float] = field(default_factory=list)
+    withheld: dict[str, int] = field(default_factory=dict)
+
+
+def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:
+    """East and north (n, 2) of a winding road at each meter, and its headings in radians (n,)."""
+    s = np.arange(0.0, length_m + 1.0)
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    heading = phase[0] + 0.7 * np.sin(2 * np.pi * s / 520 + phase[1]) + 0.25 * np.sin(2 * np.pi * s / 170 + phase[2])
+    steps = np.column_stack([np.sin(heading), np.cos(heading)])
+    return np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)[:-1]]), heading
+
+
+def lap_line(length_m: float, laps: int) -> tuple[Points, Points]:
+    """Laps of a circle."""
+    s = np.arange(0.0, length_m * laps + 1.0)
+    heading = 2 * np.pi * s / length_m
+    steps = np.column_stack([np.sin(heading), np.cos(heading)])
+    return np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)[:-1]]), heading
+
+
+def build_route(
+    path: Path, line: Points, heading: Points, stretches: tuple[Stretch, ...]
+) -> tuple[Route, list[tuple[int, float, float, int]]]:
+    """A map whose segments are those stretches; for each its first place, its first and last meter of the road."""
+    raw = np.zeros((2, 4), np.float32)
+    found, index = [], 0
+    key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set")
+    with MapBuilder(path, *key, SamplingConfig(), replace=True) as builder:
+        for number, stretch in enumerate(stretches):
+            builder.begin_segment(f"stretch {number}", "rear")
+            at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
+            for row, s in enumerate(at_m):
+                east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]
+                lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
+                place = Place(index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, row * SPACING_M)
+                builder.add(raw, place)
+            found.append((index, stretch.begins_m, float(at_m[-1]), len(at_m)))
+            index += len(at_m)
+        builder.finish(normalize, "test")
+    return Route(MapSet.of(open_map(path))), found
+
+
+class Bench:
+    """One seeded drive."""
+
+    def __init__(self, course: Course, seed: int, folder: Path, tracking: TrackingConfig = TrackingConfig()) -> None:  # noqa: B008  # frozen
+        self.course, self.rng = course, np.random.default_rng([seed, 3])
+        rng = self.rng
+        if course.laps > 1:
+            self.line, self.heading = lap_line(course.road_m, course.laps)
+        else:
+            self.line, self.heading = road_line(course.road_m, rng)
+        shift = rng.normal(0.0, 1.0, 2)  # of the whole map, by the GPS that made it
+        stretches = tuple(
+            replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
+        )
+        self.route, self.segments = build_route(folder / f"map{seed}", self.line, self.heading, stretches)
+        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5)
+        self.filter = RouteFilter(self.route, tracking, rig, LENGTH)
+        self.integrity, self.gates = Integrity(GatesConfig()), GatesConfig()
+        self.uncertainty = Uncertainty(self.gates.drift_percent)
+        self.motion = DeadReckoning()
+        self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
+        self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
+        self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
+        self.wander_m = rng.normal(0.0, course.match_sigma_m)
+        self.lane_m = rng.normal(0.0, 0.7)
+        self.history: list[tuple[int, float] | None] = []
+        self.result = Result()
+        self.seconds = self.lane = self.sampled_m = self.driven_m = self.steered_m = 0.0
+        self.own_error = np.zeros(2)
+        self.last_sent_s = -math.inf
+        self.alias_now = False
+
+    def run(self) -> Result:
+        course, rng = self.course, self.rng
+        truth = self._point(0.0, 0.0)
+        self.own = truth + rng.normal(0.0, 1.0, 2) if course.gps else truth + rng.normal(0.0, 20.0, 2)
+        self.alone = self.own.copy()
+        for s, at, speed_mps in self._moves():
+            now = self._truth(s, at)
+            step, truth = now - truth, now
+            self.driven_m += abs(speed_mps) * STEP_S
+            self._step(truth, step, speed_mps, s)
+        return self.result
+
+    def _moves(self) -> Iterator[Move]:
+        """The drive, step by step."""
+        course, total = self.course, len(self.line) - 2
+        s, step = 0.0, course.speed_mps * STEP_S
+        while s < min(total, course.off_at_m):
+            yield s, None, course.speed_mps
+            s += step
+        if not math.isfinite(course.off_at_m):
+            return
+        off = {"turn": self._turn, "stop": self._stop, "reverse": self._reverse, "ferry": self._ferry}
+        s = yield from off[course.off_how.split()[0]](s, float(course.off_how.split()[1]))
+        while s < total:
+            yield s, None, course.speed_mps
+            s += step
+
+    def _turn(self, s: float, degrees: float) -> Generator[Move, None, float]:
+        """Off the road to the right by an angle, for 300 m."""
+        point, heading, turned, step = self._point(s, 0.0), self._heading(s), 0.0, self.course.speed_mps * STEP_S
+        for _ in range(round(300 / step)):
+            if abs(turned) < abs(math.radians(degrees)):
+                turned += math.copysign(step / TURN_RADIUS_M, degrees)
+            point = point + step * np.array([math.sin(heading + turned), math.cos(heading + turned)])
+            yield s, point, self.course.speed_mps
+        return len(self.line)
+
+    def _stop(self, s: float, seconds: float) -> Generator[Move, None, float]:
+        for _ in range(round(seconds / STEP_S)):
+            yield s, None, 0.0
+        return s
+
+    def _reverse(self, s: float, speed_mps: float) -> Generator[Move, None, float]:
+        """Back by 120 m."""
+        for back_m in np.arange(0.0, 120.0, speed_mps * STEP_S):
+            yield s - back_m, None, -speed_mps
+        return s - 120.0
+
+    def _ferry(self, s: float, far_m: float) -> Generator[Move, None, float]:
+        """Standing on a ferry for 100 s, and on from there on an unknown road."""
+        point, away = self._point(s, 0.0), np.array([far_m, 0.0])
+        for share in np.linspace(0.0, 1.0, 1000):
+            yield s, point + share * away, 0.0
+        for further_m in np.arange(0.0, min(400.0, len(self.line) - 2 - s), self.course.speed_mps * STEP_S):
+            yield s + further_m, self._point(s + further_m, 0.0) + away, self.course.speed_mps
+        return len(self.line)
+
+    def _point(self, s: float, right_m: float) -> Points:
+        at = min(int(s), len(self.line) - 2)
+        share = s - at
+        point = self.line[at] + share * (self.line[at + 1] - self.line[at])
+        heading = self._heading(s)
+        return point + right_m * np.array([math.cos(heading), -math.sin(heading)])
+
+    def _heading(self, s: float) -> float:
+        return float(self.heading[min(int(s), len(self.heading) - 1)])
+
+    def _truth(self, s: float, at: Points | None) -> Points:
+        if at is not None:
+            self.on_road, self.right_m = False, 0.0
+            return at
+        self.on_road = True
+        kept = math.exp(-0.8 / 100)
+        self.lane = kept * self.lane + math.sqrt(1 - kept**2) * self.rng.normal(0.0, 0.7)
+        right_m = self.lane_m + self.lane
+        if self.course.steers:
+            # It keeps its own estimate on the lane, so the vehicle is off by what the estimate is wrong across.
+            heading = self._heading(s)
+            across_m = float((self.own_error) @ [math.cos(heading), -math.sin(heading)])
+            self.steered_m += 0.03 * (-across_m - self.steered_m)
+            right_m += self.steered_m
+        self.right_m = right_m
+        return self._point(s, right_m)
+
+    def _step(self, truth: Points, step: Points, speed_mps: float, s: float) -> None:
+        self.seconds += STEP_S
+        now_ns = round((1000 + self.seconds) * 1e9)
+        gps = self.course.gps and self.driven_m < GPS_M
+        sin, cos = math.sin(-self.turned), math.cos(-self.turned)
+        ferried = speed_mps == 0.0
+        moved_m = np.zeros(2) if ferried else step
+        seen = moved_m if gps else np.array([cos * moved_m[0] + sin * moved_m[1], cos * moved_m[1] - sin * moved_m[0]])
+        seen = seen / (1.0 if gps else self.scale)
+        self.own = truth + self.rng.normal(0, 0.3, 2) if gps else self.own + seen
+        self.alone = self.own.copy() if gps else self.alone + seen
+        velocity = seen / STEP_S
+        self.motion.add_velocity(now_ns, float(velocity[0]), float(velocity[1]))
+        self.motion.add_speed(now_ns, math.copysign(float(np.hypot(*velocity)), speed_mps), 0)
+        if gps:
+            self.uncertainty.bind(GPS_SIGMA_M, self.motion.total_m, by_gps=True)
+            self.integrity.bound(by_gps=True)
+        distance_m = self.motion.distance_m(now_ns) or 0.0
+        if distance_m - self.sampled_m >= SPACING_M:
+            self.sampled_m += SPACING_M * math.floor((distance_m - self.sampled_m) / SPACING_M)
+            match = self._match(s)
+            self.filter.update(match, now_ns, self.motion.displacement(now_ns))
+        self.own_error = self.own - truth
+        self._send(truth, now_ns, gps, velocity)
+        if round(self.seconds / STEP_S) % 10 == 0 and not gps:
+            self.result.own_m.append(float(np.hypot(*(self.own - truth))))
+            self.result.alone_m.append(float(np.hypot(*(self.alone - truth))))
+            self.result.across_m.append(abs(self.right_m))
+            fix = self.filter.at(now_ns, self.motion.displacement(now_ns))
+            if fix is not None:
+                off = np.array(east_north_of(fix.lat_deg or 0, fix.lon_deg or 0, HOME)) - truth
+                self.result.predicted_sigmas.append(float(np.hypot(*off)) / fix.sigma_m)
+
+    def _match(self, s: float) -> PlaceMatch | None:
+        """The best line through the last frames, as the recognizer would find it."""
+        kept = math.exp(-SPACING_M / CORRELATED_M)
+        sigma = self.course.match_sigma_m
+        self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, sigma)
+        shown = self._shown(s)
+        self.history.append(shown)
+        del self.history[:-LENGTH]
+        last = next((item for item in reversed(self.history) if item is not None), None)
+        if last is None:
+            return None
+        number = last[0]
+        frames = [(k, item[1]) for k, item in enumerate(self.history) if item is not None and item[0] == number]
+        if len(frames) < LENGTH // 2:
+            return None
+        k, along = np.array(frames).T
+        slope, _ = np.polyfit(k, along, 1)
+        slope = float(np.clip(slope / SPACING_M, 0.82, 1.2)) * SPACING_M
+        end_m = float(np.mean(along) + slope * (len(self.history) - 1 - np.mean(k)))
+        end_m += self.bias_m + self.wander_m + self.rng.normal(0.0, 0.7)
+        first, _, _, places = self.segments[number]
+        row = int(np.clip(round(end_m / SPACING_M), 0, places - 1))
+        share = len(frames) / LENGTH
+        alias = self.alias_now
+        confidence = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
+        return PlaceMatch(
+            first + row, first + row, "forward", "swapped", round(slope / SPACING_M * 50) / 50, 0.5, 1.2,
+            accepted=confidence >= 0.6, confidence=confidence,
+        )  # fmt: skip
+
+    def _shown(self, s: float) -> tuple[int, float] | None:
+        """Segment and meters along it of what a frame shows; None for what is not on the map."""
+        course = self.course
+        self.alias_now = course.alias[0] <= s < course.alias[1]
+        if self.alias_now:
+            return 0, course.alias_from_m + s - course.alias[0]
+        if not self.on_road or abs(self.right_m) > OFF_ROAD_M:
+            return None
+        if course.laps > 1:
+            s %= course.road_m
+        for number, (_, begins_m, ends_m, _) in enumerate(self.segments):
+            if begins_m <= s <= ends_m:
+                return number, s - begins_m
+        return None
+
+    def _send(self, truth: Points, now_ns: int, gps: bool, velocity: Points) -> None:
+        fix = self.filter.at_exposure()
+        if fix is None or self.seconds - self.last_sent_s < self.gates.min_interval_s or fix.stamp_ns != now_ns:
+            return
+        lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
+        own = VehiclePosition(
+            now_ns, lat_deg, lon_deg, 0.0, 0.0, float(np.hypot(*velocity)), float(velocity[1]), float(velocity[0])
+        )
+        sigma_m = self.uncertainty.at(self.motion.total_m, None, fix.velocity_error)
+        situation = Situation(
+            now_ns, gps, self.motion.speed_mps(now_ns), own, sigma_m, self.uncertainty.by_gps, None,
+            self.motion.displacement(now_ns),
+        )  # fmt: skip
+        refused = self.integrity.refusal(fix, situation, 1.0, 5.0)
+        if refused is not None:
+            self.result.withheld[refused.reason] = self.result.withheld.get(refused.reason, 0) + 1
+            return
+        self._reset(fix, truth)
+
+    def _reset(self, fix: PlaceFix, truth: Points) -> None:
+        place = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME))
+        error_m = float(np.hypot(*(place - truth)))
+        self.result.errors_m.append(error_m)
+        self.result.sigmas.append(error_m / fix.sigma_m)
+        self.result.sent_at_m.append(self.driven_m)
+        self.own = place
+        self.last_sent_s = self.seconds
+        self.uncertainty.bind(fix.sigma_m, self.motion.total_m)
+        self.integrity.bound(by_gps=False)

@@ -1,0 +1,139 @@
+"""What must hold of every position, over seeded drives without pictures: the cases in which one was once wrong.
+
+Four drives of each case; in full (`make soak`) fifty. docs/integrity.md names these tests.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.localization.route_bench import Bench, Course, Result, Stretch
+
+WHOLE = (Stretch(0.0, 1200.0),)
+
+
+def shifted(rng: np.random.Generator, by_m: float, *stretches: tuple[float, float]) -> tuple[Stretch, ...]:
+    """Stretches whose positions are all wrong by the same vector of that length."""
+    angle = rng.uniform(0, 2 * math.pi)
+    return tuple(Stretch(*one, by_m * math.sin(angle), by_m * math.cos(angle)) for one in stretches)
+
+
+def off_road(how: str) -> Callable[[np.random.Generator], Course]:
+    return lambda rng: Course(off_at_m=float(rng.uniform(400, 800)), off_how=how)
+
+
+def one_stretch(rng: np.random.Generator) -> Course:
+    begins_m = float(rng.uniform(0, 960))
+    return Course(stretches=(Stretch(begins_m, begins_m + 220.0),))
+
+
+def alias(rng: np.random.Generator) -> Course:
+    begins_m = float(rng.uniform(300, 800))
+    return Course(stretches=(Stretch(0.0, 200.0),), alias=(begins_m, begins_m + 128.0), alias_from_m=30.0)
+
+
+def false_stretch(length_m: float, gps: bool = True) -> Callable[[np.random.Generator], Course]:
+    """One stretch is wrong by 300 m, and those before and after it are right."""
+
+    def course(rng: np.random.Generator) -> Course:
+        false = shifted(rng, 300.0, (350.0, 350.0 + length_m))
+        return Course(stretches=(Stretch(0.0, 310.0), *false, Stretch(390.0 + length_m, 1200.0)), gps=gps)
+
+    return course
+
+
+def only_false(length_m: float, gps: bool) -> Callable[[np.random.Generator], Course]:
+    return lambda rng: Course(stretches=shifted(rng, 300.0, (100.0, 100.0 + length_m)), gps=gps)
+
+
+def drives_disagree(rng: np.random.Generator) -> Course:
+    return Course(stretches=(Stretch(0.0, 600.0), *shifted(rng, 40.0, (600.0, 1200.0))))
+
+
+RIGHT: dict[str, Callable[[np.random.Generator], Course]] = {
+    "the whole road": lambda rng: Course(),
+    "it steers itself": lambda rng: Course(steers=True),
+    "one stretch": one_stretch,
+    "turn-off by 90 degrees": off_road("turn -90"),
+    "U-turn": off_road("turn 180"),
+    "stop for 45 s": off_road("stop 45"),
+    "reversing at 2 m/s": off_road("reverse 2"),
+    "reversing at 4 m/s": off_road("reverse 4"),
+    "ferry": off_road("ferry 2000"),
+    "alias": alias,
+    "false stretch of 140 m": false_stretch(140.0),
+    "false stretch of 260 m": false_stretch(260.0),
+    "false stretch of 400 m": false_stretch(400.0),
+    "false stretch of 260 m, no GPS from boot": false_stretch(260.0, gps=False),
+    "no GPS from boot": lambda rng: Course(gps=False),
+    "two drives that disagree by 40 m": drives_disagree,
+    "odometer -15 %": lambda rng: Course(scale=-0.15),
+    "odometer -3 %, heading 3 degrees": lambda rng: Course(scale=-0.03, heading_deg=3.0),
+    "odometer +3 %, heading -3 degrees": lambda rng: Course(scale=0.03, heading_deg=-3.0),
+    "odometer +12 %": lambda rng: Course(scale=0.12),
+}
+FALSE: dict[str, Callable[[np.random.Generator], Course]] = {
+    "140 m wrong by 300 m": only_false(140.0, gps=True),
+    "400 m wrong by 300 m": only_false(400.0, gps=True),
+    "140 m wrong by 300 m, no GPS from boot": only_false(140.0, gps=False),
+    "400 m wrong by 300 m, no GPS from boot": only_false(400.0, gps=False),
+    "all wrong by 40 m": lambda rng: Course(stretches=shifted(rng, 40.0, (0.0, 1200.0))),
+    "laps of 120 m": lambda rng: Course(
+        road_m=120.0, laps=8, stretches=shifted(rng, 150.0, (0.0, 60.0), (60.0, 120.0)), gps=False
+    ),
+}
+
+
+def drives(course: Callable[[np.random.Generator], Course], count: int, folder: Path) -> list[Result]:
+    return [Bench(course(np.random.default_rng([seed, 9])), seed, folder).run() for seed in range(count)]
+
+
+def check_right(results: list[Result]) -> None:
+    sigmas = np.array([value for result in results for value in result.sigmas])
+    assert len(sigmas) > 2 * len(results)
+    assert sigmas.max() <= 4.0
+    assert np.mean(sigmas > 3.0) <= 0.003
+    assert 0.5 <= np.sqrt(np.mean(sigmas**2)) <= 1.2
+    for result in results:
+        # The last position may be some meters wrong where the drive is over soon after.
+        assert np.median(result.own_m) <= 1.05 * np.median(result.alone_m) + 5.0, "never worse than without fixes"
+
+
+def check_false(results: list[Result]) -> None:
+    assert not any(result.sigmas for result in results)
+
+
+@pytest.mark.parametrize("course", RIGHT.values(), ids=RIGHT.keys())
+def test_positions_are_as_good_as_they_say(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
+    check_right(drives(course, 4, tmp_path))
+
+
+@pytest.mark.parametrize("course", FALSE.values(), ids=FALSE.keys())
+def test_no_false_place_is_published(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
+    check_false(drives(course, 2, tmp_path))
+
+
+def test_right_positions_go_on_soon_after_a_false_stretch(tmp_path: Path) -> None:
+    """It ends at 490 m, the next one begins at 530 m, and a line of 80 m must lie on it."""
+    for result in drives(false_stretch(140.0), 4, tmp_path):
+        after_m = [at_m for at_m in result.sent_at_m if at_m > 490.0]
+        assert min(after_m) <= 490.0 + 200.0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("course", RIGHT.values(), ids=RIGHT.keys())
+def test_positions_are_as_good_as_they_say_in_full(
+    course: Callable[[np.random.Generator], Course], tmp_path: Path
+) -> None:
+    check_right(drives(course, 50, tmp_path))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("course", FALSE.values(), ids=FALSE.keys())
+def test_no_false_place_is_published_in_full(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
+    check_false(drives(course, 50, tmp_path))

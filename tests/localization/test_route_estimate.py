@@ -1,0 +1,95 @@
+"""The Kalman filter against drives that are drawn from its own model: its covariance must be that of its errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.localization.route_estimate import CORRELATION_M, RouteEstimate, VelocityErrors
+
+HEADING_RAD, SCALE, MATCH_M, JITTER_M, BEHIND = 0.035, 0.05, 2.5, 1.0, 20
+ERRORS = VelocityErrors(HEADING_RAD, SCALE, MATCH_M)
+
+
+def winding(places: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors along a road of 2 m steps, and its points."""
+    heading = 0.7 * np.sin(np.arange(places) * 2 * np.pi / 260)
+    along = np.column_stack([np.sin(heading), np.cos(heading)])
+    return along, np.cumsum(2 * along, axis=0)
+
+
+def drive(seed: int, places: int = 400) -> tuple[RouteEstimate, NDArray[np.float64]]:
+    """A drive whose errors are drawn from the model; the estimate at its end, and its errors (4,) there."""
+    rng = np.random.default_rng(seed)
+    along, points = winding(places)
+    heading_rad, scale, across_m = rng.normal(0, [HEADING_RAD, SCALE, 2.0])
+    sin, cos = np.sin(heading_rad), np.cos(heading_rad)
+    steps = np.diff(points, axis=0, prepend=points[:1])
+    reckoned = np.cumsum(steps @ np.array([[cos, sin], [-sin, cos]]) / (1 + scale), axis=0)
+    stays_m, wander_m, kept = rng.normal(0, MATCH_M / 2), rng.normal(0, MATCH_M), np.exp(-2 / CORRELATION_M)
+    estimate = None
+    for at in range(BEHIND, places):
+        wander_m = kept * wander_m + np.sqrt(1 - kept**2) * rng.normal(0, MATCH_M)
+        middle = at - BEHIND
+        seen = points[middle] + along[middle] * (stays_m + wander_m + rng.normal(0, JITTER_M))
+        since = reckoned[at] - reckoned[middle]
+        if estimate is None:
+            left = np.array([-along[middle][1], along[middle][0]])
+            estimate = RouteEstimate(seen + across_m * left, along[middle], 2.0, ERRORS)
+            estimate.predict(since)
+        else:
+            estimate.predict(reckoned[at] - reckoned[at - 1])
+        estimate.correct(seen, along[middle], since, JITTER_M)
+    assert estimate is not None
+    return estimate, estimate.mean[:4] - [*points[-1], heading_rad, scale]
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    squares = []
+    for seed in range(40):
+        estimate, errors = drive(seed)
+        squares.append(errors @ np.linalg.solve(estimate.covariance[:4, :4], errors) / 4)
+    assert 0.4 <= np.mean(squares) <= 1.3, "1 where it is exact, less where it is cautious"
+
+
+def test_matches_of_one_correlation_length_are_about_one_observation() -> None:
+    along, points = winding(40)
+    estimate = RouteEstimate(points[0], along[0], 2.0, ERRORS)
+    sigmas_m = []
+    for at in range(30):
+        estimate.predict(2 * along[at] if at else np.zeros(2))
+        estimate.correct(points[at], along[at], np.zeros(2), JITTER_M)
+        sigmas_m.append(np.sqrt(along[at] @ estimate.covariance[:2, :2] @ along[at]))
+    assert MATCH_M <= sigmas_m[-1] <= sigmas_m[0] <= 1.3 * sigmas_m[-1]
+
+
+def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
+    along, place = np.array([0.0, 1.0]), np.zeros(2)
+    estimate = RouteEstimate(place, along, 1.0, ERRORS)
+    estimate.correct(place, along, np.zeros(2), JITTER_M)
+    for _ in range(100):
+        estimate.keep_on_road(place, along, np.zeros(2), 3.0)
+    assert estimate.covariance[0, 0] == pytest.approx(1.0), "it was better known before"
+    for _ in range(100):
+        estimate.predict(np.array([0.0, 5.0]))
+        place = place + np.array([0.0, 5.0])
+        estimate.keep_on_road(place, along, np.zeros(2), 3.0)
+    assert estimate.covariance[0, 0] == pytest.approx(9.0)
+    assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
+
+
+def test_another_drive_has_an_error_of_its_own() -> None:
+    estimate, _ = drive(1)
+    before = estimate.covariance[:2, :2].copy()
+    estimate.begin_drive(4.0)
+    assert np.allclose(estimate.covariance[:2, :2], before)
+    assert estimate.mean[4] == estimate.mean[5] == 0.0
+    assert estimate.covariance[5, 5] == pytest.approx(16.0)
+    assert not estimate.covariance[4:, :4].any()
+
+
+def test_displacements_are_turned_clockwise_and_scaled() -> None:
+    estimate = RouteEstimate(np.zeros(2), np.array([0.0, 1.0]), 2.0, ERRORS)
+    estimate.mean[2:4] = np.pi / 2, 0.1
+    assert estimate.truly(np.array([0.0, 10.0])) == pytest.approx([11.0, 0.0])
