@@ -143,7 +143,7 @@ class SequenceMatcher:
 
     @property
     def statistics(self) -> RunningStatistics | None:
-        """Of all raw descriptors so far; None before the first, and where nothing is normalized."""
+        """Of all raw descriptors so far, after the map's; None where nothing is normalized."""
         return self._normalizer.statistics
 
     def begin_with(self, statistics: RunningStatistics) -> None:

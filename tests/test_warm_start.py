@@ -12,7 +12,7 @@ import pytest
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognizer import MAP_COUNTS_AS, PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.warm_start import COUNTS_AS_MOST, WarmStart
@@ -44,7 +44,7 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
         return recognizer, WarmStart(config(tmp_path), recognizer)
 
     first, memory = start()
-    assert first.matcher.statistics is None
+    assert first.matcher.statistics and first.matcher.statistics.count == MAP_COUNTS_AS
     for row in range(40):
         first.observe(images.read(row), feed.rows[row].stamp_ns)
     memory.keep("on the map", None)
