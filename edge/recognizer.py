@@ -26,9 +26,8 @@ from edge.config import Config
 from edge.descriptor.network import Head, Network
 from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
 from edge.descriptor.regions import cut_regions
-from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus
-from edge.localization.drives import Drives
-from edge.reference_map import MapSet, ModelKey, open_map_set
+from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
+from edge.reference_map import Drives, MapSet, ModelKey, open_map_set
 from edge.sequence import CostView, PlaceMatch
 from edge.sequence.acceptance import HoldOff
 from edge.sequence.place_search import Near, PlaceSearch
@@ -84,14 +83,8 @@ class SequenceMatcher:
         self.map_set = map_set
         self.search = PlaceSearch(map_set, config, self._stopwatch)
         self._drives = Drives(map_set, config.sampling.spacing_m)
-        spacing_m = self._drives.spacing_m
-        self._slack_m = config.sequence.length * spacing_m / 4
-        self._consensus = PlaceConsensus(
-            ConsensusSettings(
-                config.sequence.length, spacing_m, slack_m=self._slack_m, threshold=config.acceptance.confidence_min
-            ),
-            self._drives.positions_m,
-        )
+        self._settings = ConsensusSettings.of(config, self._drives)
+        self._consensus = PlaceConsensus(self._settings, self._drives.positions_m)
         self._normalizer.clear_ring()
 
     def push(
@@ -112,7 +105,7 @@ class SequenceMatcher:
         odometer_m = distance_m if self._drives.is_metric else None
         match = self.best = self.search.push(change, self._normalizer.rows, near, is_measured=odometer_m is not None)
         self._stopwatch("search")
-        belief = self._consensus.update(self._drives.vote(match) if match else None, odometer_m, missed)
+        belief = self._consensus.update(PlaceVote.of(match, self._drives) if match else None, odometer_m, missed)
         believed = self._believed(match, belief)
         self.search.follow(believed.place_index if believed and believed.accepted else None)
         self._stopwatch("belief")
@@ -122,7 +115,7 @@ class SequenceMatcher:
         """The best line that ends at the place that the recent matches agree on; the match itself if there is none."""
         if match is None or belief is None:
             return match
-        first, end = self._drives.places_within(belief, self._slack_m)
+        first, end = self._drives.places_within(belief.drive, belief.along_m, self._settings.slack_m)
         if not (first <= match.place_index < end and match.direction == belief.direction):
             found = self.search.best_between(first, end, belief.direction)
             if found is None:

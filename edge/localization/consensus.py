@@ -30,7 +30,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import Direction
+from edge.config import Config
+from edge.reference_map import Drives
+from edge.sequence import Direction, PlaceMatch
 
 CAPACITY = 256
 """Votes that are kept at most; 240 m at one place each 2 m are 120."""
@@ -65,6 +67,12 @@ class ConsensusSettings:
     prior: float = 0.04
     threshold: float = 0.5
 
+    @classmethod
+    def of(cls, config: Config, drives: Drives) -> ConsensusSettings:
+        """For sequences of that length on those drives; two votes may differ by a quarter of a sequence."""
+        length, spacing_m = config.sequence.length, drives.spacing_m
+        return cls(length, spacing_m, slack_m=length * spacing_m / 4, threshold=config.acceptance.confidence_min)
+
     @property
     def line_m(self) -> float:
         """Length of a sequence."""
@@ -89,6 +97,13 @@ class PlaceVote:
     uniqueness: float
     sharpness: float
     row_share: float
+
+    @classmethod
+    def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
+        """The vote of a match on those drives."""
+        drive, along_m = drives.drive_of(match.place_index), drives.along_m(match.place_index)
+        evidence = match.uniqueness, match.sharpness, match.row_share
+        return cls(drive, along_m, *drives.extent_m(drive), match.direction, *evidence)
 
 
 @dataclass(frozen=True)

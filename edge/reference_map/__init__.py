@@ -11,7 +11,7 @@
 
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.map_set import ExcludedMap, MapSet, open_map_set
-from edge.reference_map.route import Drive, Position, Route
+from edge.reference_map.route import Drive, Drives, Position, Route
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import ModelKey, ReferenceMap, open_map
 
@@ -19,6 +19,7 @@ __all__ = [
     "COST_ONE",
     "Bounds",
     "Drive",
+    "Drives",
     "ExcludedMap",
     "MapSet",
     "ModelKey",

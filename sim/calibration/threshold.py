@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
-from edge.localization.consensus import ConsensusSettings, PlaceConsensus
-from edge.localization.drives import Drives
-from edge.reference_map import COST_ONE, MapSet, ReferenceMap
+from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
+from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
 from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
@@ -97,8 +96,7 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
     map_set = MapSet.of(reference_map)
     (matcher,) = map_set.matchers
     drives = Drives(map_set, config.sampling.spacing_m)
-    length, spacing_m = config.sequence.length, drives.spacing_m
-    settings = ConsensusSettings(length, spacing_m, slack_m=length * spacing_m / 4)
+    settings = ConsensusSettings.of(config, drives)
     if drives.is_metric:
         limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
         measured = msgspec.structs.replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES)
@@ -114,7 +112,7 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
             costs[..., part.neighborhood.around(place)] = COST_ONE
             match = part.push(costs)
-            vote = drives.vote(match) if match is not None else None
+            vote = PlaceVote.of(match, drives) if match is not None else None
             belief = consensus.update(vote, drives.along_m(place) if drives.is_metric else None)
             if match is not None:
                 yield belief.confidence if belief is not None else 0.0
