@@ -132,7 +132,7 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
     images = FeedImages(read_feed(street / "feed"))
     with ExitStack() as parts:
         drive = Drive(street, tmp_path_factory.mktemp("drive"), network, parts)
-        for _ in range(5):
+        for _ in range(15):
             drive.wait()  # until the autopilot's speed is known
         for index in range(FRAMES):
             # Not quite the map's own picture, or the network that remembers it would have nothing to do.
