@@ -19,7 +19,7 @@ from sim.vehicle.command import straight_line
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 OpenRig: TypeAlias = Callable[..., Any]
-OFTEN = GatesConfig(min_interval_s=0.5, confirm_m=0.0)
+OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0)
 GPS_EACH_NS = 250_000_000
 FLIGHTS = Path(__file__).parents[3] / "shared" / "flights"
 NO_FIX, FIX_3D = 1, 3

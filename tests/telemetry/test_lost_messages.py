@@ -15,7 +15,7 @@ from sim.vehicle.autopilot import SILENT
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 OpenRig: TypeAlias = Callable[..., Any]
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
-SELDOM = GatesConfig(min_interval_s=30.0, confirm_m=0.0)
+SELDOM = GatesConfig(min_interval_s=30.0, risk=1.0)
 
 
 def loses(*names: str) -> Callable[[Any], bool]:
@@ -87,7 +87,7 @@ def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) 
 @pytest.fixture
 def vision(open_rig: OpenRig) -> Rig:
     """A stream of positions without GPS, which needs the second set of sources."""
-    rig = open_rig(emit="vision_position", gates=GatesConfig(confirm_m=0.0))
+    rig = open_rig(emit="vision_position", gates=GatesConfig(risk=1.0))
     rig.run(8.0)
     rig.autopilot.gps = False
     rig.run(5.0)

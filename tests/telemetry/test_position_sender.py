@@ -171,8 +171,14 @@ def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) 
     rig = open_rig(emit="global_position_sensor", gates=OFTEN, firmware="px4-1.17" if ignored else "px4")
     rig.run(5.0)
     rig.autopilot.gps = False
-    rig.run(2.0)
-    offer_for(rig, 15.0, lat_deg=rig.fix().lat_deg + 25 / 111_000)
+    rig.run(40.0)  # its own position is uncertain by now
+
+    def offer() -> bool:
+        if rig.connection.position_due() is not None:
+            rig.connection.send_position(rig.fix(age_s=0.0, lat_deg=rig.fix(age_s=0.0).lat_deg + 25 / 111_000))
+        return False
+
+    rig.run(15.0, offer)
     texts = [message.text for message in rig.received("STATUSTEXT") if "fixes sent, position" in message.text]
     assert len(texts) == ignored
     (checked,) = rig.journalled(FixChecked)
