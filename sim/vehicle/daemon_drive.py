@@ -28,6 +28,7 @@ from edge.errors import LookbackError
 from edge.feed import Feed, FeedImages
 from edge.telemetry.link import Link
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.vehicle.estimator import AS_FLOWN, OdometryErrors
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
@@ -51,8 +52,7 @@ class AutopilotSetup:
     firmware: str = "ardupilot"
     gps: bool = True
     gps_s: float = 6.0
-    drift_percent: float = 3.0
-    drift_sideways_percent: float = 0.0
+    errors: OdometryErrors = AS_FLOWN
 
     def open(self, link: Link, drive: Drive, epoch_s: float, clock_ns: Callable[[], int]) -> SimulatedAutopilot:
         """The autopilot of a vehicle that sets off at `epoch_s` of the clock."""
@@ -64,8 +64,7 @@ class AutopilotSetup:
             gps=self.gps,
             gps_fails_s=epoch_s + self.gps_s,
             has_origin=self.gps,
-            drift_percent=self.drift_percent,
-            drift_sideways_percent=self.drift_sideways_percent,
+            errors=self.errors,
         )
 
 
