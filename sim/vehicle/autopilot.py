@@ -104,6 +104,7 @@ class SimulatedAutopilot:
         """Boot again: the clock at 0, and no streams but HEARTBEAT and TIMESYNC."""
         self._boot_ns = self._clock_ns()
         self._report = NO_FIX
+        self._started_m = self.estimate.east_m, self.estimate.north_m
         self._gps_lost_s = -math.inf
         self._origin_m = (0.0, 0.0) if self._starts_with_origin or self.gps else None
         self._period_s = {
@@ -140,6 +141,11 @@ class SimulatedAutopilot:
             if now_s >= due_s:
                 self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
                 self._send_kind(message_id)
+
+    @property
+    def origin_m(self) -> tuple[float, float] | None:
+        """Its filter's local zero, meters east and north of the simulation's; None while it has none."""
+        return self._origin_m
 
     @property
     def boot_s(self) -> float:
@@ -214,11 +220,11 @@ class SimulatedAutopilot:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _set_origin(self, message: Message) -> None:
-        """Only the first origin is used; the estimate is reset to it, and the origin sent to all."""
+        """Only the first origin is used: it is where the filter started to count from. It is sent to all."""
         if self._origin_m is not None:
             return
         self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg)
-        self.estimate.reset(*self._origin_m, self._clock_ns() / 1e9)
+        self.estimate.shift(self._origin_m[0] - self._started_m[0], self._origin_m[1] - self._started_m[1])
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _moment(self) -> Moment:

@@ -1,8 +1,7 @@
 """One drive of the daemon beside a simulated autopilot, which are joined by a pseudo-terminal.
 
-In real time `lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario or plays the
-feed that the scenario names. In simulated time the daemon runs in this process: whenever it waits for a frame, the
-clock moves on. Both read the same settings and leave the same journal.
+`lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario or plays the feed that the
+scenario names. `sim.trial.run` has drives in simulated time.
 """
 
 from __future__ import annotations
@@ -12,20 +11,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import tomli_w
 
-from edge.camera import CameraHealth, Frame
 from edge.config import CameraConfig, Config
-from edge.daemon import Daemon
-from edge.descriptor.network import Network
 from edge.errors import LookbackError
-from edge.feed import Feed, FeedImages
 from edge.telemetry.link import Link
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.estimator import AS_FLOWN, OdometryErrors
@@ -36,10 +30,6 @@ from sim.world.scenario import Scenario
 JOURNAL, LOG = "journal.jsonl", "daemon.log"
 START_S = 7.0  # for the daemon to load its model and the camera to build its world
 LATE_S = 60.0  # after the drive, at most, the daemon ends
-STEP_NS = 10_000_000
-LONGEST_LATENCY_S = 0.25
-HOLES, LONGEST_HOLE_S = 20, 1.5
-"""Times on a drive at which no picture arrives for a while, as on a computer that is busy with something else."""
 
 
 @dataclass(frozen=True)
@@ -209,88 +199,3 @@ def _write_config(folder: Path, scenario: Scenario, settings: Config, fps: float
     config = msgspec.to_builtins(msgspec.structs.replace(settings, camera=camera))
     path.write_text(tomli_w.dumps(config), encoding="utf-8")
     return path
-
-
-def simulate_daemon_drive(
-    name: str,
-    scenario: Scenario,
-    feed: Feed,
-    folder: Path,
-    settings: Config,
-    setup: AutopilotSetup,
-    network: Network,
-    rng: np.random.Generator,
-) -> DaemonDrive:
-    """The drive of a scenario, whose pictures `feed` has, in simulated time; `rng` draws latencies and holes."""
-    clock, drive = SimulatedClock(), scenario.drive()
-    epoch_s = clock.now_ns / 1e9
-    with ExitStack() as parts:
-        link = parts.enter_context(closing(open_pty()))
-        autopilot = setup.open(link, drive, epoch_s, clock)
-        frames = PlayedFrames(feed, clock, autopilot, rng)
-        camera = CameraConfig(kind="feed", device=str(feed.path), view=scenario.view)
-        config = msgspec.structs.replace(connected(settings, link, folder), camera=camera)
-        daemon = Daemon(config, parts, clock, frames=frames, network=network)
-        while daemon.turn():
-            pass
-        daemon.last_words()
-    return DaemonDrive(name, scenario, drive, epoch_s, folder, autopilot)
-
-
-@dataclass
-class SimulatedClock:
-    """Nanoseconds that only the drive moves."""
-
-    now_ns: int = 1_000_000_000_000
-
-    def __call__(self) -> int:
-        """The time."""
-        return self.now_ns
-
-
-class PlayedFrames:
-    """A feed as a camera: pictures arrive some time after their exposure, or not at all; waiting moves the clock on."""
-
-    def __init__(
-        self, feed: Feed, clock: SimulatedClock, autopilot: SimulatedAutopilot, rng: np.random.Generator
-    ) -> None:
-        self._images = FeedImages(feed)
-        self._feed = feed
-        self._clock = clock
-        self._autopilot = autopilot
-        self._epoch_ns = clock.now_ns
-        self._latencies_ns = (rng.uniform(0.03, LONGEST_LATENCY_S, len(feed.rows)) * 1e9).astype(int).tolist()
-        fps = 1e9 / (feed.rows[1].stamp_ns - feed.rows[0].stamp_ns)
-        lost = np.zeros(len(feed.rows), dtype=bool)
-        for at in rng.integers(len(feed.rows), size=HOLES):
-            lost[at : at + round(rng.uniform(0.0, LONGEST_HOLE_S) * fps)] = True
-        self._rows = np.flatnonzero(~lost).tolist()
-        self._next = 0
-
-    @property
-    def health(self) -> CameraHealth:
-        """See NewestFrame."""
-        return CameraHealth("running", "", self._epoch_ns, delivered=self._next)
-
-    @property
-    def ended(self) -> bool:
-        """See NewestFrame."""
-        return self._next >= len(self._rows)
-
-    def take(self, timeout_s: float) -> Frame | None:
-        """Let `timeout_s` pass, for the autopilot as well; the frame that has arrived meanwhile."""
-        for _ in range(round(timeout_s * 1e9) // STEP_NS):
-            self._clock.now_ns += STEP_NS
-            self._autopilot.step()
-        if self.ended:
-            return None
-        row = self._rows[self._next]
-        stamp_ns = self._epoch_ns + self._feed.rows[row].stamp_ns
-        if stamp_ns + self._latencies_ns[row] > self._clock.now_ns:
-            return None
-        self._next += 1
-        return Frame(self._images.read(row), stamp_ns, row)
-
-    def close(self) -> None:
-        """See NewestFrame."""
-        self._images.close()

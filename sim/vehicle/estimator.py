@@ -1,10 +1,10 @@
 """The simulated autopilot's own estimate: a small Kalman filter that errs as real ones were recorded to err.
 
 With GPS the position is the receiver's. Without it the filter integrates a velocity, and its errors are those of the
-velocity's source: a wheel scale and a heading error (wheels), a scale alone (a velocity sensor), or an
-acceleration bias that nothing stops (none). Positions correct the estimate, and through the covariance also the heading or the
-velocity: a stream of correlated positions turns the heading, as on the real autopilot. `tests/sim/vehicle` compares
-it with recorded drives.
+velocity's source: a wheel scale and a heading error (wheels), a scale alone (a velocity sensor), or an acceleration
+bias that nothing stops (none). Positions correct the estimate, and through the covariance also the heading or the
+velocity: a stream of correlated positions turns the heading, as on the real autopilot. docs/trial.md compares it with
+recorded flights.
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ class Estimator:
         self._errors, self._noise = errors, noise
         self._pose, self._time_s = pose, time_s
         self._past: list[tuple[float, float, float]] = [(time_s, pose.east_m, pose.north_m)]
+        self._shift_m = (0.0, 0.0)  # to be added to all that is past: what positions have moved the estimate by
         self._heading_rad = math.radians(errors.heading_deg)
         self._reported_rad = math.radians(errors.reported_deg)
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
@@ -84,12 +85,12 @@ class Estimator:
     @property
     def east_m(self) -> float:
         """Estimated meters east of the origin."""
-        return self._past[-1][1]
+        return self._past[-1][1] + self._shift_m[0]
 
     @property
     def north_m(self) -> float:
         """Estimated meters north of the origin."""
-        return self._past[-1][2]
+        return self._past[-1][2] + self._shift_m[1]
 
     @property
     def sigma_m(self) -> float:
@@ -100,6 +101,11 @@ class Estimator:
     def error_m(self) -> float:
         """Distance from the truth of the last update."""
         return math.hypot(self.east_m - self._pose.east_m, self.north_m - self._pose.north_m)
+
+    @property
+    def steering_error_rad(self) -> float:
+        """The error, clockwise, of the heading that the autopilot steers by."""
+        return self._heading_rad
 
     @property
     def heading_deg(self) -> float:
@@ -140,14 +146,14 @@ class Estimator:
             east_mps, north_mps = self._velocity_mps(self._heading_rad)
             east_m, north_m = self.east_m + east_mps * elapsed_s, self.north_m + north_mps * elapsed_s
         self._predict(time_s)
-        self._past.append((time_s, east_m, north_m))
+        self._past.append((time_s, east_m - self._shift_m[0], north_m - self._shift_m[1]))
         if self._past[0][0] < time_s - 2 * KEPT_S:
             self._past = [entry for entry in self._past if entry[0] >= time_s - KEPT_S]
 
     def reset(self, east_m: float, north_m: float, time_s: float, sigma_m: float = GPS_SIGMA_M) -> None:
         """A hard reset: the vehicle was there at `time_s`; the estimates since then are shifted by the difference."""
         then_east_m, then_north_m = self._at(time_s)
-        self._shift(east_m - then_east_m, north_m - then_north_m)
+        self.shift(east_m - then_east_m, north_m - then_north_m)
         self._covariance[: NORTH + 1] = self._covariance[:, : NORTH + 1] = 0.0
         self._covariance[EAST, EAST] = self._covariance[NORTH, NORTH] = sigma_m**2
 
@@ -173,7 +179,7 @@ class Estimator:
         """Apply a Kalman gain (5, n) to the state and to its covariance; measured: the n states."""
         change = gain @ innovation
         self._covariance = self._covariance - gain @ self._covariance[measured].reshape(len(innovation), 5)
-        self._shift(float(change[EAST]), float(change[NORTH]))
+        self.shift(float(change[EAST]), float(change[NORTH]))
         self._bias_mps = self._bias_mps[0] + float(change[V_EAST]), self._bias_mps[1] + float(change[V_NORTH])
         self._heading_rad += float(change[HEADING])
 
@@ -218,13 +224,13 @@ class Estimator:
         variance = self._covariance[HEADING, HEADING] + self._noise.heading_rad**2 * self._noise.compass_s / step_s
         self._correct(np.array([innovation]), self._covariance[:, [HEADING]] / variance, HEADING)
 
-    def _shift(self, east_m: float, north_m: float) -> None:
-        self._past = [(t, e + east_m, n + north_m) for t, e, n in self._past]
+    def shift(self, east_m: float, north_m: float) -> None:
+        """Move the estimate, also of the past."""
+        self._shift_m = self._shift_m[0] + east_m, self._shift_m[1] + north_m
 
     def _at(self, time_s: float) -> tuple[float, float]:
-        index = bisect_right(self._past, (time_s, math.inf, math.inf))
-        if index == 0 or index == len(self._past):
-            return self._past[min(index, len(self._past) - 1)][1:]
-        (t0, e0, n0), (t1, e1, n1) = self._past[index - 1 : index + 1]
-        share = (time_s - t0) / (t1 - t0)
-        return e0 + share * (e1 - e0), n0 + share * (n1 - n0)
+        """The estimate at a time of the past."""
+        index = min(max(bisect_right(self._past, (time_s, math.inf, math.inf)), 1), len(self._past) - 1)
+        (t0, e0, n0), (t1, e1, n1) = self._past[max(index - 1, 0)], self._past[index]
+        share = min(max((time_s - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
+        return e0 + share * (e1 - e0) + self._shift_m[0], n0 + share * (n1 - n0) + self._shift_m[1]

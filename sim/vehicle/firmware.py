@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sim.vehicle.estimator import FilterNoise
 
+EKF3 = FilterNoise()
 AcceptsFix: TypeAlias = Literal["aiding", "dead reckoning", "always"]
 
 
@@ -26,8 +27,9 @@ class Firmware:
     fix is computed from its send time on the boot clock, or set half a second back if that is wrong.
     accepts_fix_as_long: also as COMMAND_LONG, with float32 degrees. denies_height: a fix with a height is denied.
     fuses_sensor: GLOBAL_POSITION_SENSOR is fused. fuses_vision: VISION_POSITION_ESTIMATE is fused, on the second set of
-    sources. resets_softly: a fix within 5 sigma is fused, and only one beyond resets. noise: of its filter. needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period
-    of its own TIMESYNC requests.
+    sources. resets_softly: a fix within 5 sigma is fused, and only one beyond resets. noise: of its filter.
+    needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period of its
+    own TIMESYNC requests.
     """
 
     name: str
@@ -48,7 +50,7 @@ class Firmware:
     needs_origin: bool = False
     reports_accuracy: bool = False
     resets_softly: bool = False
-    noise: FilterNoise = FilterNoise()
+    noise: FilterNoise = EKF3
 
 
 def _ardupilot(name: str, version: tuple[int, int, int], *, aids_for_s: float, uses_filter_for_s: float) -> Firmware:

@@ -79,7 +79,7 @@ def read_columns(path: Path) -> Columns:
 
 def read_messages(path: Path) -> Iterator[tuple[float, Any]]:
     """Unix time in seconds and message of a .tlog."""
-    data, at, codec = gzip.open(path).read(), 0, MavlinkCodec(1, 191)
+    data, at, codec = gzip.decompress(path.read_bytes()), 0, MavlinkCodec(1, 191)
     while at + 20 <= len(data):
         (stamp_us,) = struct.unpack_from(">Q", data, at)
         size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
