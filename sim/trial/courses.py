@@ -450,11 +450,8 @@ def _vision(draft: Draft) -> None:
 @course("stream-unused")
 def _stream_unused(draft: Draft) -> None:
     """H: PX4 whose parameters for positions are missing: the pilot must be told that nobody uses them."""
-    draft.firmware = "px4"
+    draft.firmware = "px4-without-agp"
     draft.errors = OdometryErrors("velocity sensor", 1.03)
-    draft.loses = lambda time_s, message, outgoing: (
-        not outgoing and message.get_type() == "GLOBAL_POSITION_SENSOR" and time_s > 0
-    )
     draft.rules = (within_sigmas, no_false_place, warns)
 
 

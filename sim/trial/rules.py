@@ -15,6 +15,7 @@ MOST_SIGMAS, FALSE_M = 4.0, 40.0
 FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S, SENT_SHARE = 3.0, 0.4
 FAILSAFE_S = 6.0
+WARNING, WARNED_S = 4, 30.0
 
 
 class Failure(NamedTuple):
@@ -168,9 +169,15 @@ def sources_restored(run: Run) -> str:
 
 
 def warns(run: Run) -> str:
-    """Within 30 s of the first position, a warning says that the autopilot does not follow."""
-    first_s = _lost_s(run)
-    warned = [text for time_s, severity, text in run.texts if severity <= 4 and time_s > first_s]
+    """Within 30 s of the first position, a warning about positions says that the autopilot does not follow."""
+    if not len(run.sent.time_s):
+        return "no position sent"
+    first_s = run.sent.time_s[0]
+    warned = [
+        text
+        for time_s, severity, text in run.texts
+        if severity <= WARNING and first_s < time_s <= first_s + WARNED_S and "position" in text.lower()
+    ]
     return "" if warned else "no warning"
 
 

@@ -7,7 +7,7 @@ that rendering and the network cost. The matching of the recognizer itself works
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 import numpy as np
@@ -20,8 +20,10 @@ from edge.descriptor.regions import cut_regions
 from sim import Pose
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
-from sim.world.renderer import Renderer
 from sim.world.scenario import Scenario
+
+if TYPE_CHECKING:
+    from sim.world.renderer import Renderer
 
 CELL_DEG = 4.0
 MOST_LEFT_M = 25

@@ -95,6 +95,8 @@ FIRMWARES: dict[str, Firmware] = {
         # A plain rover: stops aiding after 15 s, and falls back to DCM after 7.
         _ardupilot("ardupilot-plain", (4, 6, 3), aids_for_s=15.0, uses_filter_for_s=7.0),
         _px4("px4", (1, 18, 0), "always", fuses_sensor=True, resets_softly=True),
+        # EKF2_AGP0_ID and EKF2_AGP0_CTRL as they are shipped: positions are not used.
+        _px4("px4-without-agp", (1, 18, 0), "always", resets_softly=True),
         _px4("px4-1.17", (1, 17, 0), "always"),
         _px4("px4-1.16", (1, 16, 0), "dead reckoning"),
         _px4("px4-1.15", (1, 15, 4), "dead reckoning", acknowledges=False),
