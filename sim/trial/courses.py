@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -37,7 +38,12 @@ from sim.world.scenario import Scenario
 
 GPS_S = 9.0
 FALSE_BY_M = 300.0
-DAY_S = 86400.0
+GPS_WORKS = {
+    "rtk": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_RTK_FIXED, accuracy_m=0.02),
+    "ppp": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_PPP, accuracy_m=0.02),
+    "second-only": GpsReport(second=True),
+    "lost-request": GpsReport(),
+}
 
 
 @dataclass(frozen=True)
@@ -121,10 +127,9 @@ class Draft:
         heading = along(self.home, self.length_m / 2, self.length_m / 2 - 2).heading_rad[0] + np.pi / 2
         return off_m * float(np.sin(heading)), off_m * float(np.cos(heading))
 
-    def road(self, *, seed: int = 0, direction: str = "reverse") -> Scenario:
-        """Another road, or the same in the other direction, as seen tonight."""
-        changes = {"seed": seed or self.world, "direction": direction}
-        return Scenario(**{**{f: getattr(self.home, f) for f in self.home.__struct_fields__}, **changes})
+    def road(self, **changes: int | str) -> Scenario:
+        """The road as seen tonight, with changes: another `seed`, the other `direction`."""
+        return msgspec.structs.replace(self.home, **changes)
 
 
 Course = Callable[[Draft], None]
@@ -269,18 +274,11 @@ def _two_laps(draft: Draft) -> None:
     draft.rules = (within_sigmas, no_false_place)
 
 
-@course("gps-lost-request")
-def _gps_lost_request(draft: Draft) -> None:
-    """D: the request for GPS_RAW_INT is lost, again and again; GPS works, so no position may be sent."""
-    draft.gps_at = lambda time_s: GpsReport()
-    draft.loses = lambda time_s, message, outgoing: not outgoing and _requests(message, 24)
-    draft.rules = (never_sent,)
-
-
-@course("gps2-only")
-def _gps2_only(draft: Draft) -> None:
-    """D: only the second receiver works; so no position may be sent."""
-    draft.gps_at = lambda time_s: GpsReport(second=True)
+@course("gps-{}", *GPS_WORKS)
+def _gps_works(draft: Draft, value: str) -> None:
+    """D: GPS works (RTK, PPP, the second receiver, a lost request for its messages), so no position may be sent."""
+    draft.gps_at = lambda time_s: GPS_WORKS[value]
+    draft.loses = lambda time_s, message, outgoing: value == "lost-request" and not outgoing and _requests(message, 24)
     draft.rules = (never_sent,)
 
 
@@ -317,14 +315,6 @@ def _gps_drag(draft: Draft, value: float) -> None:
     draft.steers = False
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
     draft.rules = (within_sigmas, no_false_place, not_worse)
-
-
-@course("gps-{}", "rtk", "ppp")
-def _gps_good(draft: Draft, value: str) -> None:
-    """D: better than 3-D fixes are GPS too: no position may be sent."""
-    kind = {"rtk": mavlink.GPS_FIX_TYPE_RTK_FIXED, "ppp": mavlink.GPS_FIX_TYPE_PPP}[value]
-    draft.gps_at = lambda time_s: GpsReport(fix_type=kind, accuracy_m=0.02)
-    draft.rules = (never_sent,)
 
 
 @course("lost-acknowledgements")

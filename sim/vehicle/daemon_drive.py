@@ -1,7 +1,7 @@
 """One drive of the daemon beside a simulated autopilot, which are joined by a pseudo-terminal.
 
-`lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario or plays the feed that the
-scenario names. `sim.trial.run` has drives in simulated time.
+`lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario. `sim.trial.run`
+has drives in simulated time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,42 +20,16 @@ import tomli_w
 
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
-from edge.telemetry.link import Link
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
-from sim.vehicle.estimator import AS_FLOWN, OdometryErrors
+from sim.vehicle.estimator import AS_FLOWN
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
 
+GPS_S, CAMERA_FPS = 6.0, 25.0
 JOURNAL, LOG = "journal.jsonl", "daemon.log"
 START_S = 7.0  # for the daemon to load its model and the camera to build its world
 LATE_S = 60.0  # after the drive, at most, the daemon ends
-
-
-@dataclass(frozen=True)
-class AutopilotSetup:
-    """What differs between simulated autopilots; see `SimulatedAutopilot`.
-
-    gps_s: seconds of the drive after which GPS fails. gps: False where it has no GPS at all, and so knows no origin.
-    """
-
-    firmware: str = "ardupilot"
-    gps: bool = True
-    gps_s: float = 6.0
-    errors: OdometryErrors = AS_FLOWN
-
-    def open(self, link: Link, drive: Drive, epoch_s: float, clock_ns: Callable[[], int]) -> SimulatedAutopilot:
-        """The autopilot of a vehicle that sets off at `epoch_s` of the clock."""
-        return SimulatedAutopilot(
-            link,
-            lambda now_s: drive.pose(now_s - epoch_s),
-            clock_ns,
-            firmware=self.firmware,
-            gps=self.gps,
-            gps_fails_s=epoch_s + self.gps_s,
-            has_origin=self.gps,
-            errors=self.errors,
-        )
 
 
 @dataclass(frozen=True)
@@ -135,13 +109,11 @@ class DaemonDrive:
 
 
 @contextmanager
-def start_daemon_drive(
-    name: str, scenario: Scenario, folder: Path, settings: Config, setup: AutopilotSetup, camera_fps: float = 25.0
-) -> Iterator[DaemonDrive]:
+def start_daemon_drive(name: str, scenario: Scenario, folder: Path, settings: Config) -> Iterator[DaemonDrive]:
     """A drive in real time, which sets off START_S from now; leaving the context stops both processes.
 
-    settings: the daemon's, but for the camera, the connection and the journal. `folder` gets the daemon's config, log
-    and journal, and the scenario that its camera renders.
+    GPS fails after GPS_S. settings: the daemon's, but for the camera, the connection and the journal. `folder` gets the
+    daemon's config, log and journal, and the scenario that its camera renders.
     """
     epoch_ns = time.monotonic_ns() + round(START_S * 1e9)
     scenario = msgspec.structs.replace(scenario, epoch_ns=epoch_ns)
@@ -149,8 +121,10 @@ def start_daemon_drive(
     folder.mkdir(parents=True, exist_ok=True)
     stop = threading.Event()
     with closing(open_pty()) as link:
-        autopilot = setup.open(link, drive, epoch_s, time.monotonic_ns)
-        config = _write_config(folder, scenario, connected(settings, link, folder), camera_fps)
+        autopilot = SimulatedAutopilot(
+            link, lambda now_s: drive.pose(now_s - epoch_s), gps_fails_s=epoch_s + GPS_S, errors=AS_FLOWN
+        )
+        config = _write_config(folder, scenario, connected(settings, link, folder))
         thread = threading.Thread(target=autopilot.run, args=(stop,), name=f"autopilot {name}")
         with (folder / LOG).open("wb") as log:
             process = subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=log)
@@ -183,7 +157,7 @@ def connected(settings: Config, link: PtyLink, folder: Path) -> Config:
     return msgspec.structs.replace(settings, telemetry=telemetry, map=map_config)
 
 
-def _write_config(folder: Path, scenario: Scenario, settings: Config, fps: float) -> Path:
+def _write_config(folder: Path, scenario: Scenario, settings: Config) -> Path:
     """The scenario for the camera, and the daemon's config; the same file a vehicle would have."""
     device = folder / "scenario.toml"
     device.write_text(tomli_w.dumps(msgspec.structs.asdict(scenario)), encoding="utf-8")
@@ -193,7 +167,7 @@ def _write_config(folder: Path, scenario: Scenario, settings: Config, fps: float
         view=scenario.view,
         width=scenario.width,
         height=scenario.height,
-        fps=fps,
+        fps=CAMERA_FPS,
     )
     path = folder / "lookback.toml"
     config = msgspec.to_builtins(msgspec.structs.replace(settings, camera=camera))
