@@ -293,12 +293,14 @@ def _heading(draft: Draft) -> None:
 def _irregular(draft: Draft) -> None:
     """F: places every 1 to 5 m."""
     draft.map = [replace(draft.map[0], spacing_m=(1.0, 5.0))]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
 @course("no-headings")
 def _no_headings(draft: Draft) -> None:
     """F: a map whose places have no heading."""
     draft.map = [replace(draft.map[0], headings=False)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
 @course("antimeridian")

@@ -25,11 +25,11 @@ from sim.world.scenario import Scenario
 
 LENGTH_M, WORLD = 560.0, 21
 SMALL = {
-    "home": "median after a position 3.8 m",
-    "one-stretch": "4.1 sigma; autopilot's error 16.9 m, alone 10.9 m",
-    "turn-off": "4.7 sigma; autopilot's error 20.5 m, alone 7.0 m",
-    "reversing-4": "22.4 sigma; 7 of a false place; autopilot's error 96.8 m, alone 10.4 m",
-    "tow": "35.2 sigma; 4 of a false place",
+    "home": "6.1 sigma; autopilot's error 17.9 m, alone 10.9 m; 95 % after a position 7.8 m",
+    "one-stretch": "",
+    "turn-off": "17.8 sigma; 6 of a false place; autopilot's error 113 m, alone 7.0 m",
+    "reversing-4": "49.3 sigma; 14 of a false place; autopilot's error 146 m, alone 10.4 m",
+    "tow": "35.9 sigma; 9 of a false place",
     "false-260": "",
     "two-laps": "",
     "gps-rtk": "",
