@@ -207,7 +207,8 @@ class SimulatedAutopilot:
         of_the_other = (
             EkfStatusReport.id if self._firmware.reports_accuracy else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
         )
-        return message_id in ENCODERS and message_id != of_the_other
+        of_a_second = () if self._report.second else (mavlink.MAVLINK_MSG_ID_GPS2_RAW,)
+        return message_id in ENCODERS and message_id not in (of_the_other, *of_a_second)
 
     def _set_interval(self, message_id: int, period_s: float) -> int:
         if not self._offers(message_id):
