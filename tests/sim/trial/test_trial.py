@@ -25,11 +25,11 @@ from sim.world.scenario import Scenario
 
 LENGTH_M, WORLD = 560.0, 21
 SMALL = {
-    "home": "6.1 sigma; autopilot's error 17.9 m, alone 10.9 m; 95 % after a position 7.8 m",
+    "home": "autopilot's error 19.3 m, alone 10.9 m; median after a position 7.6 m",
     "one-stretch": "",
-    "turn-off": "17.8 sigma; 6 of a false place; autopilot's error 113 m, alone 7.0 m",
-    "reversing-4": "49.3 sigma; 14 of a false place; autopilot's error 146 m, alone 10.4 m",
-    "tow": "35.9 sigma; 9 of a false place",
+    "turn-off": "",
+    "reversing-4": "autopilot's error 13.8 m, alone 10.4 m",
+    "tow": "20.6 sigma; 3 of a false place, up to 99 m",
     "false-260": "",
     "two-laps": "",
     "gps-rtk": "",
