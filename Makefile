@@ -33,11 +33,14 @@ test-lowest test-newest: test-%:
 test-boot: $(VENV)/.dev
 	tests/systemd/boot.sh
 
+COURSE_RUNS ?= 50
+
 # From a new seed each time, which is printed; LOOKBACK_SEED=... repeats a run.
 soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults
+	$(BIN)/lookback sim fixes --course all --runs $(COURSE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
 
 check: lint test smoke
 
@@ -63,7 +66,7 @@ dist: $(VENV)/.dev
 	$(BIN)/python -m twine check --strict dist/*
 
 clean:
-	rm -rf $(VENV) .venv-* demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-* demo soak build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

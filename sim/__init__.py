@@ -39,7 +39,13 @@ class Pose:
 
     def geodetic(self) -> tuple[float, float]:
         """Latitude and longitude in degrees (WGS 84)."""
-        lat_deg, lon_deg, _ = pymap3d.enu2geodetic(
-            self.east_m, self.north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
-        )
-        return float(lat_deg), float(lon_deg)
+        return geodetic(self.east_m, self.north_m)
+
+
+def geodetic(east_m: float, north_m: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:
+    """Latitude and longitude in degrees (WGS 84); lon_shift_deg: the origin lies so much further east."""
+    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(
+        east_m, north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg, ORIGIN_ALT_M
+    )
+    lon_deg = float(lon_deg)
+    return float(lat_deg), lon_deg - 360.0 if lon_deg > 180.0 else lon_deg

@@ -26,14 +26,13 @@ class RecordedCamera:
         feed: Feed,
         *,
         real_time: bool = False,
-        begins_ns: int | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         """Open the feed's images; FeedError if its video cannot be opened.
 
         real_time: each frame comes when it is due, with that time of `clock_ns` as its timestamp; the first is due at
-        `begins_ns`, or else at the first read(). A frame that is read late comes at once, with its due time.
+        the first read(). A frame that is read late comes at once, with its due time.
         """
         self.differences: tuple[str, ...] = ()
         self._feed = feed
@@ -45,9 +44,6 @@ class RecordedCamera:
         stamps_ns = [row.stamp_ns for row in feed.rows]
         longest_ns = max((after - before for before, after in itertools.pairwise(stamps_ns)), default=0)
         self._offset_ns: int | None = None if real_time else 0  # from the feed's time to `clock_ns`
-        if real_time and begins_ns is not None:
-            self._offset_ns = begins_ns - stamps_ns[0]
-            longest_ns = max(longest_ns, begins_ns - clock_ns())
         self.read_timeout_s = DECODE_S + longest_ns / 1e9
 
     @classmethod

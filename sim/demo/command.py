@@ -22,7 +22,7 @@ from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import rig_config
 from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
-from sim.vehicle.daemon_drive import AutopilotSetup, DaemonDrive, ReceivedFix, start_daemon_drive
+from sim.vehicle.daemon_drive import DaemonDrive, ReceivedFix, start_daemon_drive
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
@@ -117,9 +117,7 @@ def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: 
     with ExitStack() as running:
         lives = [
             running.enter_context(
-                start_daemon_drive(
-                    name, scenario, folder / name, demo_settings(reference_map, rig, port + number), AutopilotSetup()
-                )
+                start_daemon_drive(name, scenario, folder / name, demo_settings(reference_map, rig, port + number))
             )
             for number, (name, scenario) in enumerate((("again_dusk", DUSK), ("home_night", NIGHT)))
         ]

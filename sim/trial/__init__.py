@@ -1,7 +1,12 @@
-"""`lookback sim fixes`: do the daemon's fixes improve the autopilot's position? Seeded drives, judged by the truth.
+"""`lookback sim fixes`: do the daemon's positions help, and are they honest? Named courses, judged by the truth.
 
-course   roads recorded once in each direction, and for each run a map of ten stretches with a false one among them
-run      one drive: the daemon beside a simulated autopilot, in simulated or in real time
-score    the autopilot's error after each fix, error over sigma, and whether a fix of the false stretch was sent
-command  prints a line for each run, and the table of all
+way         where a drive truly goes, and what the camera sees there
+views       what is seen, as descriptors, rendered once
+draft       a drive before it is driven: way, map, autopilot, and what will go wrong
+courses     the table: each course changes what its case is about, and names its rules
+simulation  vehicle, autopilot and camera, in simulated time
+run         one drive: the daemon beside them, its map, and what it was worth
+rules       pass or fail, from truth, positions and the same drive without Lookback
+table       figures of all drives
+command     the command line
 """

@@ -1,96 +1,226 @@
-"""One run of a trial: the settings of its daemon, its seeded autopilot, and the drive home in one of the two times."""
+"""One drive of a course: the daemon beside a simulated autopilot on a pseudo-terminal, both in simulated time.
+
+Whenever the daemon waits for a frame, the clock, the vehicle and the autopilot move on. The daemon is the real one, and
+so are the messages; only its pictures come as descriptors (`sim.trial.views`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
-import pymap3d
+from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, TelemetryConfig
+import edge
+from edge.config import (
+    CameraConfig,
+    Config,
+    DescriptorConfig,
+    MapConfig,
+    PageConfig,
+    RigConfig,
+    SamplingConfig,
+    TelemetryConfig,
+)
+from edge.daemon import Daemon
 from edge.descriptor.network import Network
-from edge.journal.journal import read_journal
-from sim import ORIGIN_ALT_M
-from sim.trial.course import CAMERA_FPS, Course, World
-from sim.trial.score import RunScore, judge
-from sim.vehicle.daemon_drive import JOURNAL, AutopilotSetup, DaemonDrive, simulate_daemon_drive, start_daemon_drive
-from sim.world.drive import Drive
+from edge.descriptor.normalize import normalize
+from edge.recognizer import model_key
+from edge.reference_map.builder import NAN, MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from edge.telemetry.codec import Message
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim.trial.courses import COURSES
+from sim.trial.draft import Draft, Stretch
+from sim.trial.rules import Run, Sent, Track, failures
+from sim.trial.simulation import PlacedNetwork, Silent, Simulation
+from sim.trial.views import RoadLibrary
+from sim.vehicle.daemon_drive import JOURNAL
+from sim.vehicle.position_inputs import east_north_m
+from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.world.route import Route
+from sim.world.scenario import Scenario
 
-Origin = tuple[float, float, float]
-DRIFT_PERCENT = 3.0
-GPS_S = 8.0
-"""Of every drive, before the receiver fails: so the autopilot knows where it begins."""
-START_OFF_M = 20.0
-"""Standard deviation of where an origin is set, east and north of where the vehicle starts, if it has no GPS at all."""
-
-
-@dataclass(frozen=True)
-class Rules:
-    """What all runs of a trial share: the firmware, [telemetry] emit, and whether there is GPS at the start."""
-
-    firmware: str = "ardupilot"
-    emit: str = "auto"
-    gps_at_start: bool = True
-
-
-def drive_home(world: World, course: Course, seed: int, network: Network, folder: Path, rules: Rules) -> RunScore:
-    """The drive home of one run in simulated time; its journal stays in `folder`."""
-    rng = np.random.default_rng([seed, 8])
-    setup, origin = seeded_setup(world.home.drive(), rng, rules)
-    settings = trial_settings(world, course, rules, origin)
-    run = simulate_daemon_drive(f"seed {seed}", world.home, world.feed, folder, settings, setup, network, rng)
-    return _judged(run, seed, course)
+ORIGIN_OFF_M = 6.0
+RIG = RigConfig(
+    ahead_forward_swapped_m=32.0,
+    sigma_forward_swapped_m=4.1,
+    ahead_reverse_same_m=-1.0,
+    left_reverse_m=3.5,
+    sigma_reverse_same_m=2.8,
+)
+"""Of the simulated rig, as `lookback calibrate` measures it."""
 
 
-def drive_home_live(world: World, course: Course, seed: int, folder: Path, rules: Rules) -> RunScore:
-    """As `drive_home`, in real time. LookbackError when the daemon does not end as it should."""
-    scenario = msgspec.structs.replace(world.home, feed=str(world.feed.path.resolve()))
-    setup, origin = seeded_setup(world.home.drive(), np.random.default_rng([seed, 8]), rules)
-    settings = trial_settings(world, course, rules, origin)
-    with start_daemon_drive(f"seed {seed}", scenario, folder, settings, setup, CAMERA_FPS) as run:
-        run.wait_for_end()
-    return _judged(run, seed, course)
+def drive(name: str, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> Run:
+    """Drive a course once with the daemon and once without; its journal stays in `folder`."""
+    network = PlacedNetwork.load()
+    assert isinstance(network, PlacedNetwork)
+    draft = drafted(name, seed, length_m, world)
+    with TemporaryDirectory(dir=folder) as passing:
+        map_path = Path(passing) / "map"
+        build_course_map(draft, map_path, network, library)
+        with closing(open_pty()) as link:
+            simulation = Simulation(draft, link, library, seed)
+            simulation.network = network
+            _run_daemon(simulation, draft, link, map_path, folder, network)
+    alone = Simulation(drafted(name, seed, length_m, world), Silent(), library, seed)
+    if not draft.has_gps:
+        alone.autopilot.estimate.shift(ORIGIN_OFF_M, 0.0)
+    while not alone.ended:
+        alone.step()
+    return _judged(seed, draft, simulation, alone)
 
 
-def _judged(run: DaemonDrive, seed: int, course: Course) -> RunScore:
-    return judge(seed, run, course.planted, list(read_journal(run.folder / JOURNAL)))
+def drafted(name: str, seed: int, length_m: float, world: int) -> Draft:
+    """The course of a seed."""
+    draft = Draft(np.random.default_rng([seed, 7]), length_m, world)
+    COURSES[name](draft)
+    return draft
 
 
-def seeded_setup(drive: Drive, rng: np.random.Generator, rules: Rules) -> tuple[AutopilotSetup, Origin | None]:
-    """Odometry that is wrong by DRIFT_PERCENT of the distance, in a direction of the run's own.
+def _run_daemon(
+    simulation: Simulation, draft: Draft, link: PtyLink, map_path: Path, folder: Path, network: Network
+) -> None:
+    config = _settings(draft, link, map_path, folder, simulation.driver.pose)
+    restarted_s = draft.restarted_s or math.inf
+    for until_s in (draft.killed_s, math.inf):
+        if until_s is None:
+            continue
+        with ExitStack() as parts:
+            daemon = Daemon(config, parts, lambda: simulation.now_ns, frames=simulation, network=network)
+            while daemon.turn() and simulation.time_s() < until_s:
+                if simulation.time_s() >= restarted_s:
+                    restarted_s = math.inf
+                    simulation.autopilot.reboot()
+            if simulation.ended:
+                daemon.last_words()
+        if not simulation.ended:
+            link.receive()  # what it said when its parts were closed; a daemon that is killed says nothing
 
-    Where it has no GPS at all, it has no origin either: the second is the one to set, about where it starts.
-    """
-    direction_rad = rng.uniform(-np.pi, np.pi)
-    setup = AutopilotSetup(
-        rules.firmware,
-        rules.gps_at_start,
-        GPS_S,
-        DRIFT_PERCENT * float(np.cos(direction_rad)),
-        DRIFT_PERCENT * float(np.sin(direction_rad)),
-    )
-    if rules.gps_at_start:
-        return setup, None
-    lat_deg, lon_deg = drive.pose(0.0).geodetic()
-    east_m, north_m = rng.normal(0.0, START_OFF_M, 2)
-    lat_deg, lon_deg, alt_m = pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, ORIGIN_ALT_M)
-    return setup, (float(lat_deg), float(lon_deg), float(alt_m))
 
-
-def trial_settings(world: World, course: Course, rules: Rules, origin: Origin | None) -> Config:
-    """The defaults, but for what this vehicle is: it drives home two half lanes beside where it drove out.
-
-    Each run starts with nothing kept from the last.
-    """
+def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path, start: Pose) -> Config:
+    """The defaults, but for the rig and what the course asks for; nothing is kept from an earlier drive."""
+    (folder / JOURNAL).unlink(missing_ok=True)
+    lat_deg, lon_deg = geodetic(start.east_m + ORIGIN_OFF_M, start.north_m, draft.lon_shift_deg)
     return Config(
+        camera=CameraConfig(kind="sim", view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
-        map=MapConfig(path=str(course.map_path)),
+        map=MapConfig(path=str(map_path)),
         page=PageConfig(port=0),
-        rig=RigConfig(left_reverse_m=2 * world.home.lane_m),
-        telemetry=TelemetryConfig(
-            emit=rules.emit,  # type: ignore[arg-type]  # the command has checked it
-            origin=origin or (),
+        rig=RIG,
+        telemetry=msgspec.structs.replace(
+            TelemetryConfig(),
+            connection=f"serial:{link.device}:921600",
+            emit=draft.emit,
+            journal=str((folder / JOURNAL).resolve()),
+            origin=() if draft.has_gps else (lat_deg, lon_deg, ORIGIN_ALT_M),
         ),
     )
+
+
+def map_scenario(home: Scenario) -> Scenario:
+    """The drive that makes the map of a road."""
+    return msgspec.structs.replace(home, view="rear", light="day", direction="forward", drive_seed=1)
+
+
+def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLibrary) -> None:
+    """The map of a course, made by day with the camera that looks back, on the way out."""
+    out = map_scenario(draft.home)
+    config = DescriptorConfig()
+    regions = RegionsKey(config.regions, config.region_width, "set")
+    rng = np.random.default_rng([draft.world, 11])
+    with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
+        for number, stretch in enumerate(draft.map):
+            builder.begin_segment(f"stretch {number}", "rear")
+            for row, route_m in enumerate(_places_m(stretch, rng)):
+                raw = library[out].raw(route_m, stretch.left_m)
+                builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m))
+        builder.finish(normalize, edge.__version__)
+
+
+def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
+    places_m = [stretch.start_m]
+    while places_m[-1] < stretch.end_m:
+        places_m.append(places_m[-1] + rng.uniform(*stretch.spacing_m))
+    return places_m[:-1]
+
+
+def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: float) -> Place:
+    if stretch.on_way:
+        # Against the way, on the lane that the rig's offset expects.
+        at_m = float(np.argmin(np.abs(draft.way.route_m - route_m)))
+        east_m, north_m, heading_rad = draft.way.at(at_m, -RIG.left_reverse_m)
+        heading_rad += math.pi
+    else:
+        east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m)
+    lat_deg, lon_deg = geodetic(east_m + stretch.off_m[0], north_m + stretch.off_m[1], draft.lon_shift_deg)
+    heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
+    return Place(row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m)
+
+
+def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) -> Run:
+    inputs = simulation.autopilot.inputs
+    texts = tuple(
+        (simulation.time_s(item.time_s), item.message.severity, item.message.text)
+        for item in simulation.autopilot.received
+        if item.message.get_type() == "STATUSTEXT"
+    )
+    run = Run(
+        seed,
+        _track(draft, simulation),
+        _track(draft, alone),
+        _sent(draft, simulation),
+        np.array([item.error_after_m for item in (*inputs.resets, *inputs.fused)]),
+        texts,
+        inputs.source_set,
+    )
+    return replace(run, failures=failures(run, draft.rules))
+
+
+def _track(draft: Draft, simulation: Simulation) -> Track:
+    time_s, along_m, left_m, _, _, error_m, gps = np.array(simulation.rows).T
+    row = along_m.astype(int).clip(0, len(draft.way.route_m) - 1)
+    expected = (
+        (gps == 0) & (np.array(draft.way.roads, object)[draft.way.road[row]] == draft.home) & ~draft.way.carried[row]
+    )
+    route_m = draft.way.route_m[row]
+    known = [(stretch.start_m <= route_m) & (route_m < stretch.end_m) for stretch in draft.map if stretch.is_true]
+    expected &= np.any(known, axis=0) if known else False
+    for start_m, end_m in draft.unsent:
+        expected &= ~((along_m >= start_m) & (along_m < end_m))
+    return Track(time_s, along_m, left_m, error_m, gps != 0, expected)
+
+
+def _sent(draft: Draft, simulation: Simulation) -> Sent:
+    rows = np.array(simulation.rows)
+    found = []
+    for item in simulation.autopilot.received:
+        position = _position(item.message, draft, simulation.autopilot.origin_m or (0.0, 0.0))
+        if position is not None:
+            east_m, north_m, sigma_m, age_s = position
+            at_s = simulation.time_s(item.time_s) - age_s
+            true_m = [np.interp(at_s, rows[:, 0], rows[:, column]) for column in (3, 4)]
+            error_m = math.hypot(east_m - true_m[0], north_m - true_m[1])
+            found.append((simulation.time_s(item.time_s), error_m, sigma_m))
+    return Sent(*np.array(found).reshape(-1, 3).T)
+
+
+def _position(
+    message: Message, draft: Draft, origin_m: tuple[float, float]
+) -> tuple[float, float, float, float] | None:
+    """East, north, sigma (m) and age (s) of a position message, None for others."""
+    shift_deg, kind = draft.lon_shift_deg, message.get_msgId()
+    if kind == mavlink.MAVLINK_MSG_ID_COMMAND_INT and message.command == EXTERNAL_POSITION_ESTIMATE:
+        return *east_north_m(message.x / 1e7, message.y / 1e7, shift_deg), message.param3, message.param2
+    if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
+        return *east_north_m(message.lat / 1e7, message.lon / 1e7, shift_deg), message.eph, 0.0
+    if kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
+        return message.y + origin_m[0], message.x + origin_m[1], math.sqrt(message.covariance[0]), 0.0
+    return None

@@ -22,8 +22,9 @@ from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from sim import Pose
 from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
-from sim.vehicle.dead_reckoning import DeadReckoning
+from sim.vehicle.estimator import Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.position_inputs import Moment, PositionInputs, Reset, east_north_m
 
 __all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
@@ -57,17 +58,25 @@ class SimulatedAutopilot:
         gps_fails_s: float = math.inf,
         has_origin: bool = True,
         drift_percent: float = 0.0,
-        drift_sideways_percent: float = 0.0,
+        errors: OdometryErrors | None = None,
+        gps_at: Callable[[float], GpsReport] = lambda now_s: GpsReport(),
+        lon_shift_deg: float = 0.0,
+        booted_before_s: float = 0.0,
         codec: MavlinkCodec | None = None,
     ) -> None:
         """`pose_at` takes seconds of `clock_ns`, which is CLOCK_MONOTONIC, so that frames and poses agree.
 
         firmware: a row of `sim.vehicle.firmware.FIRMWARES`. gps: whether there is a receiver with a fix; it fails at
         `gps_fails_s` of that clock. has_origin: whether it has an origin at boot, as after a start with
-        GPS; else, where the firmware needs one, it has to be set. codec: one that signs, for example.
+        GPS; else, where the firmware needs one, it has to be set. errors: of its odometry, or drift_percent as its
+        scale. gps_at: the receiver's report. lon_shift_deg: moves the simulation's origin east. booted_before_s: how
+        long ago it booted. codec: one that signs, for example.
         """
         self.gps = gps
-        self._gps_fails_s = gps_fails_s
+        self._gps_at, self._gps_fails_s = gps_at, gps_fails_s
+        self._lon_shift_deg, self._booted_before_ns = lon_shift_deg, round(booted_before_s * 1e9)
+        self.loses: Callable[[Message, bool], bool] = lambda message, outgoing: False
+        """Whether the link loses a message, which is the autopilot's own if outgoing."""
         self.received: list[Received] = []
         self.reject_fixes_with: int | None = None
         """A MAV_RESULT to answer every position estimate with instead of using it; SILENT for no answer, as PX4
@@ -80,9 +89,11 @@ class SimulatedAutopilot:
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)
         self._starts_with_origin = has_origin or not self._firmware.needs_origin
-        self.estimate = DeadReckoning(self._pose, now_s, drift_percent, drift_sideways_percent)
-        self.inputs = PositionInputs(self._firmware, self.estimate)
+        self._errors = errors or OdometryErrors(scale=1.0 + drift_percent / 100)
+        self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
+        self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
         self.reboot()
+        self._boot_ns -= self._booted_before_ns
 
     @property
     def resets(self) -> list[Reset]:
@@ -92,13 +103,15 @@ class SimulatedAutopilot:
     def reboot(self) -> None:
         """Boot again: the clock at 0, and no streams but HEARTBEAT and TIMESYNC."""
         self._boot_ns = self._clock_ns()
+        self._report = NO_FIX
+        self._started_m = self.estimate.east_m, self.estimate.north_m
         self._gps_lost_s = -math.inf
         self._origin_m = (0.0, 0.0) if self._starts_with_origin or self.gps else None
         self._period_s = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: HEARTBEAT_S,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._firmware.timesync_s,
         }
-        self._due_s = dict.fromkeys(self._period_s, self._boot_ns / 1e9)
+        self._due_s = dict.fromkeys(self._period_s, self._clock_ns() / 1e9)
 
     def run(self, stop: threading.Event) -> None:
         """Step until `stop` is set or the link is gone."""
@@ -115,17 +128,24 @@ class SimulatedAutopilot:
         self._pose = self._pose_at(now_s)
         if now_s >= self._gps_fails_s:
             self.gps = False
-        self.estimate.update(self._pose, now_s, gps=self.gps)
-        if self.gps:
+        self._report = self._gps_at(now_s) if self.gps else NO_FIX
+        self.estimate.update(self._pose, now_s, self._report.position(self._pose) if self._report.usable else None)
+        if self._report.usable:
             self._gps_lost_s = now_s
             self._origin_m = self._origin_m or (0.0, 0.0)
         for message in self._codec.decode(self._link.receive()):
-            self.received.append(Received(now_s, message))
-            self._handle(message)
+            if not self.loses(message, False):
+                self.received.append(Received(now_s, message))
+                self._handle(message)
         for message_id, due_s in list(self._due_s.items()):
             if now_s >= due_s:
                 self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
                 self._send_kind(message_id)
+
+    @property
+    def origin_m(self) -> tuple[float, float] | None:
+        """Its filter's local zero, meters east and north of the simulation's; None while it has none."""
+        return self._origin_m
 
     @property
     def boot_s(self) -> float:
@@ -145,7 +165,8 @@ class SimulatedAutopilot:
         return message is not None
 
     def _send(self, message: Message) -> None:
-        self._link.send(self._codec.encode(message))
+        if not self.loses(message, True):
+            self._link.send(self._codec.encode(message))
 
     def _handle(self, message: Message) -> None:
         kind = message.get_msgId()
@@ -186,7 +207,8 @@ class SimulatedAutopilot:
         of_the_other = (
             EkfStatusReport.id if self._firmware.reports_accuracy else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
         )
-        return message_id in ENCODERS and message_id != of_the_other
+        of_a_second = () if self._report.second else (mavlink.MAVLINK_MSG_ID_GPS2_RAW,)
+        return message_id in ENCODERS and message_id not in (of_the_other, *of_a_second)
 
     def _set_interval(self, message_id: int, period_s: float) -> int:
         if not self._offers(message_id):
@@ -199,29 +221,30 @@ class SimulatedAutopilot:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _set_origin(self, message: Message) -> None:
-        """Only the first origin is used; the estimate is reset to it, and the origin sent to all."""
+        """Only the first origin is used: it is where the filter started to count from. It is sent to all."""
         if self._origin_m is not None:
             return
-        self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7)
-        self.estimate.reset(*self._origin_m, self._clock_ns() / 1e9)
+        self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg)
+        self.estimate.shift(self._origin_m[0] - self._started_m[0], self._origin_m[1] - self._started_m[1])
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _moment(self) -> Moment:
-        gps_lost_s = math.inf if self.gps else self._gps_lost_s
+        gps_lost_s = math.inf if self._report.usable else self._gps_lost_s
         return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self._origin_m)
 
     def _snapshot(self) -> Snapshot:
-        heading_rad = math.radians(self._pose.heading_deg)
-        speed_mps = self._pose.speed_mps
         return Snapshot(
             firmware=self._firmware,
             boot_ns=self._clock_ns() - self._boot_ns,
             pose=self._pose,
-            gps=self.gps,
+            gps=self._report,
             east_m=self.estimate.east_m,
             north_m=self.estimate.north_m,
             sigma_m=self.estimate.sigma_m,
+            heading_deg=self.estimate.heading_deg,
             origin_m=self._origin_m,
-            velocity_mps=self.estimate.drifted(speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)),
-            driven_m=self._pose.distance_m * math.hypot(*self.estimate.drifted(1.0, 0.0)),
+            velocity_mps=self.estimate.velocity_mps,
+            driven_m=self.estimate.driven_m,
+            aided=self._errors.source != "none" or self._report.usable,
+            lon_shift_deg=self._lon_shift_deg,
         )

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import pymap3d
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import EkfStatusReport, Message
-from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.vehicle.firmware import Firmware
+from sim.vehicle.gps import GpsReport
 
+NOT_AIDED_FLAGS = 0x65
 RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
 
 
@@ -20,26 +21,29 @@ RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlin
 class Snapshot:
     """The state of the autopilot at one moment.
 
-    pose: the truth, for GPS and compass only. east_m, north_m, sigma_m: the filter's estimate in the simulation's
+    pose: the truth, for GPS only. east_m, north_m, sigma_m, heading_deg: the filter's estimate in the simulation's
     frame. origin_m: the filter's local origin there, None while it has none. velocity_mps: of the filter, east and
-    north. driven_m: distance by the wheel encoders.
+    north. driven_m: distance by the wheel encoders. aided: whether anything measures its velocity.
     """
 
     firmware: Firmware
     boot_ns: int
     pose: Pose
-    gps: bool
+    gps: GpsReport
     east_m: float
     north_m: float
     sigma_m: float
+    heading_deg: float
     origin_m: tuple[float, float] | None
     velocity_mps: tuple[float, float]
     driven_m: float
+    aided: bool
+    lon_shift_deg: float
 
     @property
     def boot_ms(self) -> int:
-        """Milliseconds since boot."""
-        return self.boot_ns // 1_000_000
+        """Milliseconds since boot, which MAVLink counts up to 49.7 days."""
+        return self.boot_ns // 1_000_000 % 2**32
 
     @property
     def speed_mps(self) -> float:
@@ -49,12 +53,12 @@ class Snapshot:
     @property
     def heading_cdeg(self) -> int:
         """Hundredths of a degree clockwise from north."""
-        return round(self.pose.heading_deg * 100) % 36000
+        return round(self.heading_deg * 100) % 36000
 
-
-def _degrees(east_m: float, north_m: float) -> tuple[int, int]:
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
-    return round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7)
+    def degrees(self, east_m: float, north_m: float) -> tuple[int, int]:
+        """Latitude and longitude in 1e-7 degrees."""
+        lat_deg, lon_deg = geodetic(east_m, north_m, self.lon_shift_deg)
+        return round(lat_deg * 1e7), round(lon_deg * 1e7)
 
 
 def _heartbeat(state: Snapshot) -> Message:
@@ -70,7 +74,7 @@ def _timesync(state: Snapshot) -> Message:
 def _global_position(state: Snapshot) -> Message:
     east_mps, north_mps = state.velocity_mps
     # Without an origin there is no global position: ArduPilot sends 0, 0.
-    lat, lon = _degrees(state.east_m, state.north_m) if state.origin_m is not None else (0, 0)
+    lat, lon = state.degrees(state.east_m, state.north_m) if state.origin_m is not None else (0, 0)
     return mavlink.MAVLink_global_position_int_message(
         state.boot_ms,
         lat,
@@ -94,24 +98,34 @@ def _local_position(state: Snapshot) -> Message:
 
 def _vfr_hud(state: Snapshot) -> Message:
     speed_mps = state.speed_mps
-    return mavlink.MAVLink_vfr_hud_message(
-        speed_mps, speed_mps, round(state.pose.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0
-    )
+    return mavlink.MAVLink_vfr_hud_message(speed_mps, speed_mps, round(state.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0)
 
 
 def _gps_raw(state: Snapshot) -> Message:
-    if not state.gps:
-        return mavlink.MAVLink_gps_raw_int_message(0, mavlink.GPS_FIX_TYPE_NO_GPS, 0, 0, 0, 65535, 65535, 0, 0, 0)
-    lat, lon = _degrees(state.pose.east_m, state.pose.north_m)
-    return mavlink.MAVLink_gps_raw_int_message(
-        state.boot_ms * 1000,
-        mavlink.GPS_FIX_TYPE_3D_FIX,
-        lat,
-        lon,
+    if state.gps.second or state.gps.fix_type <= mavlink.GPS_FIX_TYPE_NO_FIX:
+        return mavlink.MAVLink_gps_raw_int_message(0, state.gps.fix_type * (not state.gps.second), *[0] * 3, *_NO_DOP)
+    return mavlink.MAVLink_gps_raw_int_message(*_receiver(state), h_acc=round(state.gps.accuracy_m * 1e3))
+
+
+def _gps2_raw(state: Snapshot) -> Message | None:
+    if not state.gps.second:
+        return None
+    return mavlink.MAVLink_gps2_raw_message(*_receiver(state), 0, 0, h_acc=round(state.gps.accuracy_m * 1e3))
+
+
+_NO_DOP = (65535, 65535, 0, 0, 0)
+
+
+def _receiver(state: Snapshot) -> tuple[int, ...]:
+    """The fields that both receivers' messages begin with."""
+    return (
+        state.boot_ns // 1000,
+        state.gps.fix_type,
+        *state.degrees(*state.gps.position(state.pose)),
         round(ORIGIN_ALT_M * 1000),
         70,
         110,
-        round(state.pose.speed_mps * 100),
+        round(abs(state.pose.speed_mps) * 100),
         state.heading_cdeg,
         10,
     )
@@ -126,7 +140,7 @@ def _wheel_distance(state: Snapshot) -> Message:
 
 
 def _odometry(state: Snapshot) -> Message:
-    half_rad = math.radians(state.pose.heading_deg) / 2
+    half_rad = math.radians(state.heading_deg) / 2
     return mavlink.MAVLink_odometry_message(
         state.boot_ns // 1000,
         mavlink.MAV_FRAME_LOCAL_NED,
@@ -147,8 +161,10 @@ def _odometry(state: Snapshot) -> Message:
 
 
 def _filter_flags(state: Snapshot) -> int:
-    """As recorded: velocity and relative position always, absolute position with GPS."""
-    return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.gps else 0)
+    """As recorded: velocity and relative position while anything aids them, absolute position with GPS."""
+    if not state.aided:
+        return NOT_AIDED_FLAGS
+    return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.gps.usable else 0)
 
 
 def _ekf_status(state: Snapshot) -> Message:
@@ -157,7 +173,7 @@ def _ekf_status(state: Snapshot) -> Message:
 
 def _estimator_status(state: Snapshot) -> Message:
     return mavlink.MAVLink_estimator_status_message(
-        state.boot_ns // 1000, _filter_flags(state), 0, 0, 0, 0, 0, 0, state.sigma_m, 1.0
+        state.boot_ns // 1000, _filter_flags(state), *[0] * 6, state.sigma_m, 1.0
     )
 
 
@@ -165,7 +181,7 @@ def _origin(state: Snapshot) -> Message | None:
     if state.origin_m is None:
         return None
     return mavlink.MAVLink_gps_global_origin_message(
-        *_degrees(*state.origin_m), round(ORIGIN_ALT_M * 1000), state.boot_ns // 1000
+        *state.degrees(*state.origin_m), round(ORIGIN_ALT_M * 1000), state.boot_ns // 1000
     )
 
 
@@ -182,6 +198,7 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: _gps2_raw,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: _wheel_distance,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,

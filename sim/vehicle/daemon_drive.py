@@ -1,8 +1,7 @@
 """One drive of the daemon beside a simulated autopilot, which are joined by a pseudo-terminal.
 
-In real time `lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario or plays the
-feed that the scenario names. In simulated time the daemon runs in this process: whenever it waits for a frame, the
-clock moves on. Both read the same settings and leave the same journal.
+`lookback run` is a process of its own, as on a vehicle, and its camera renders the scenario. `sim.trial.run`
+has drives in simulated time.
 """
 
 from __future__ import annotations
@@ -11,62 +10,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import tomli_w
 
-from edge.camera import CameraHealth, Frame
 from edge.config import CameraConfig, Config
-from edge.daemon import Daemon
-from edge.descriptor.network import Network
 from edge.errors import LookbackError
-from edge.feed import Feed, FeedImages
-from edge.telemetry.link import Link
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
+from sim.vehicle.estimator import AS_FLOWN
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
 
+GPS_S, CAMERA_FPS = 6.0, 25.0
 JOURNAL, LOG = "journal.jsonl", "daemon.log"
 START_S = 7.0  # for the daemon to load its model and the camera to build its world
 LATE_S = 60.0  # after the drive, at most, the daemon ends
-STEP_NS = 10_000_000
-LONGEST_LATENCY_S = 0.25
-HOLES, LONGEST_HOLE_S = 20, 1.5
-"""Times on a drive at which no picture arrives for a while, as on a computer that is busy with something else."""
-
-
-@dataclass(frozen=True)
-class AutopilotSetup:
-    """What differs between simulated autopilots; see `SimulatedAutopilot`.
-
-    gps_s: seconds of the drive after which GPS fails. gps: False where it has no GPS at all, and so knows no origin.
-    """
-
-    firmware: str = "ardupilot"
-    gps: bool = True
-    gps_s: float = 6.0
-    drift_percent: float = 3.0
-    drift_sideways_percent: float = 0.0
-
-    def open(self, link: Link, drive: Drive, epoch_s: float, clock_ns: Callable[[], int]) -> SimulatedAutopilot:
-        """The autopilot of a vehicle that sets off at `epoch_s` of the clock."""
-        return SimulatedAutopilot(
-            link,
-            lambda now_s: drive.pose(now_s - epoch_s),
-            clock_ns,
-            firmware=self.firmware,
-            gps=self.gps,
-            gps_fails_s=epoch_s + self.gps_s,
-            has_origin=self.gps,
-            drift_percent=self.drift_percent,
-            drift_sideways_percent=self.drift_sideways_percent,
-        )
 
 
 @dataclass(frozen=True)
@@ -146,13 +109,11 @@ class DaemonDrive:
 
 
 @contextmanager
-def start_daemon_drive(
-    name: str, scenario: Scenario, folder: Path, settings: Config, setup: AutopilotSetup, camera_fps: float = 25.0
-) -> Iterator[DaemonDrive]:
+def start_daemon_drive(name: str, scenario: Scenario, folder: Path, settings: Config) -> Iterator[DaemonDrive]:
     """A drive in real time, which sets off START_S from now; leaving the context stops both processes.
 
-    settings: the daemon's, but for the camera, the connection and the journal. `folder` gets the daemon's config, log
-    and journal, and the scenario that its camera renders.
+    GPS fails after GPS_S. settings: the daemon's, but for the camera, the connection and the journal. `folder` gets the
+    daemon's config, log and journal, and the scenario that its camera renders.
     """
     epoch_ns = time.monotonic_ns() + round(START_S * 1e9)
     scenario = msgspec.structs.replace(scenario, epoch_ns=epoch_ns)
@@ -160,8 +121,10 @@ def start_daemon_drive(
     folder.mkdir(parents=True, exist_ok=True)
     stop = threading.Event()
     with closing(open_pty()) as link:
-        autopilot = setup.open(link, drive, epoch_s, time.monotonic_ns)
-        config = _write_config(folder, scenario, connected(settings, link, folder), camera_fps)
+        autopilot = SimulatedAutopilot(
+            link, lambda now_s: drive.pose(now_s - epoch_s), gps_fails_s=epoch_s + GPS_S, errors=AS_FLOWN
+        )
+        config = _write_config(folder, scenario, connected(settings, link, folder))
         thread = threading.Thread(target=autopilot.run, args=(stop,), name=f"autopilot {name}")
         with (folder / LOG).open("wb") as log:
             process = subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=log)
@@ -194,7 +157,7 @@ def connected(settings: Config, link: PtyLink, folder: Path) -> Config:
     return msgspec.structs.replace(settings, telemetry=telemetry, map=map_config)
 
 
-def _write_config(folder: Path, scenario: Scenario, settings: Config, fps: float) -> Path:
+def _write_config(folder: Path, scenario: Scenario, settings: Config) -> Path:
     """The scenario for the camera, and the daemon's config; the same file a vehicle would have."""
     device = folder / "scenario.toml"
     device.write_text(tomli_w.dumps(msgspec.structs.asdict(scenario)), encoding="utf-8")
@@ -204,94 +167,9 @@ def _write_config(folder: Path, scenario: Scenario, settings: Config, fps: float
         view=scenario.view,
         width=scenario.width,
         height=scenario.height,
-        fps=fps,
+        fps=CAMERA_FPS,
     )
     path = folder / "lookback.toml"
     config = msgspec.to_builtins(msgspec.structs.replace(settings, camera=camera))
     path.write_text(tomli_w.dumps(config), encoding="utf-8")
     return path
-
-
-def simulate_daemon_drive(
-    name: str,
-    scenario: Scenario,
-    feed: Feed,
-    folder: Path,
-    settings: Config,
-    setup: AutopilotSetup,
-    network: Network,
-    rng: np.random.Generator,
-) -> DaemonDrive:
-    """The drive of a scenario, whose pictures `feed` has, in simulated time; `rng` draws latencies and holes."""
-    clock, drive = SimulatedClock(), scenario.drive()
-    epoch_s = clock.now_ns / 1e9
-    with ExitStack() as parts:
-        link = parts.enter_context(closing(open_pty()))
-        autopilot = setup.open(link, drive, epoch_s, clock)
-        frames = PlayedFrames(feed, clock, autopilot, rng)
-        camera = CameraConfig(kind="feed", device=str(feed.path), view=scenario.view)
-        config = msgspec.structs.replace(connected(settings, link, folder), camera=camera)
-        daemon = Daemon(config, parts, clock, frames=frames, network=network)
-        while daemon.turn():
-            pass
-        daemon.last_words()
-    return DaemonDrive(name, scenario, drive, epoch_s, folder, autopilot)
-
-
-@dataclass
-class SimulatedClock:
-    """Nanoseconds that only the drive moves."""
-
-    now_ns: int = 1_000_000_000_000
-
-    def __call__(self) -> int:
-        """The time."""
-        return self.now_ns
-
-
-class PlayedFrames:
-    """A feed as a camera: pictures arrive some time after their exposure, or not at all; waiting moves the clock on."""
-
-    def __init__(
-        self, feed: Feed, clock: SimulatedClock, autopilot: SimulatedAutopilot, rng: np.random.Generator
-    ) -> None:
-        self._images = FeedImages(feed)
-        self._feed = feed
-        self._clock = clock
-        self._autopilot = autopilot
-        self._epoch_ns = clock.now_ns
-        self._latencies_ns = (rng.uniform(0.03, LONGEST_LATENCY_S, len(feed.rows)) * 1e9).astype(int).tolist()
-        fps = 1e9 / (feed.rows[1].stamp_ns - feed.rows[0].stamp_ns)
-        lost = np.zeros(len(feed.rows), dtype=bool)
-        for at in rng.integers(len(feed.rows), size=HOLES):
-            lost[at : at + round(rng.uniform(0.0, LONGEST_HOLE_S) * fps)] = True
-        self._rows = np.flatnonzero(~lost).tolist()
-        self._next = 0
-
-    @property
-    def health(self) -> CameraHealth:
-        """See NewestFrame."""
-        return CameraHealth("running", "", self._epoch_ns, delivered=self._next)
-
-    @property
-    def ended(self) -> bool:
-        """See NewestFrame."""
-        return self._next >= len(self._rows)
-
-    def take(self, timeout_s: float) -> Frame | None:
-        """Let `timeout_s` pass, for the autopilot as well; the frame that has arrived meanwhile."""
-        for _ in range(round(timeout_s * 1e9) // STEP_NS):
-            self._clock.now_ns += STEP_NS
-            self._autopilot.step()
-        if self.ended:
-            return None
-        row = self._rows[self._next]
-        stamp_ns = self._epoch_ns + self._feed.rows[row].stamp_ns
-        if stamp_ns + self._latencies_ns[row] > self._clock.now_ns:
-            return None
-        self._next += 1
-        return Frame(self._images.read(row), stamp_ns, row)
-
-    def close(self) -> None:
-        """See NewestFrame."""
-        self._images.close()

@@ -8,6 +8,9 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sim.vehicle.estimator import FilterNoise
+
+EKF3 = FilterNoise()
 AcceptsFix: TypeAlias = Literal["aiding", "dead reckoning", "always"]
 
 
@@ -24,8 +27,9 @@ class Firmware:
     fix is computed from its send time on the boot clock, or set half a second back if that is wrong.
     accepts_fix_as_long: also as COMMAND_LONG, with float32 degrees. denies_height: a fix with a height is denied.
     fuses_sensor: GLOBAL_POSITION_SENSOR is fused. fuses_vision: VISION_POSITION_ESTIMATE is fused, on the second set of
-    sources. needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period
-    of its own TIMESYNC requests.
+    sources. resets_softly: a fix within 5 sigma is fused, and only one beyond resets. noise: of its filter.
+    needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period of its
+    own TIMESYNC requests.
     """
 
     name: str
@@ -45,6 +49,8 @@ class Firmware:
     fuses_vision: bool = False
     needs_origin: bool = False
     reports_accuracy: bool = False
+    resets_softly: bool = False
+    noise: FilterNoise = EKF3
 
 
 def _ardupilot(name: str, version: tuple[int, int, int], *, aids_for_s: float, uses_filter_for_s: float) -> Firmware:
@@ -75,6 +81,8 @@ def _px4(name: str, version: tuple[int, int, int], accepts_fix: AcceptsFix, **di
         fix_rejected=mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
         accepts_fix_as_long=True,
         reports_accuracy=True,
+        # It believes a velocity sensor of 0.1 m/s, whose scale is wrong, and so moves little with a position.
+        noise=FilterNoise(position=3.3e-4, gate_sigmas=3.0),
         **differences,
     )
 
@@ -86,7 +94,9 @@ FIRMWARES: dict[str, Firmware] = {
         _ardupilot("ardupilot", (4, 6, 3), aids_for_s=math.inf, uses_filter_for_s=math.inf),
         # A plain rover: stops aiding after 15 s, and falls back to DCM after 7.
         _ardupilot("ardupilot-plain", (4, 6, 3), aids_for_s=15.0, uses_filter_for_s=7.0),
-        _px4("px4", (1, 18, 0), "always", fuses_sensor=True),
+        _px4("px4", (1, 18, 0), "always", fuses_sensor=True, resets_softly=True),
+        # EKF2_AGP0_ID and EKF2_AGP0_CTRL as they are shipped: positions are not used.
+        _px4("px4-without-agp", (1, 18, 0), "always", resets_softly=True),
         _px4("px4-1.17", (1, 17, 0), "always"),
         _px4("px4-1.16", (1, 16, 0), "dead reckoning"),
         _px4("px4-1.15", (1, 15, 4), "dead reckoning", acknowledges=False),

@@ -11,12 +11,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
-from sim.vehicle.dead_reckoning import DeadReckoning
+from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import Firmware
 
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
 VISION_SET = 2
+SOFT_GATE = 5.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class Moment:
 class PositionInputs:
     """Handles positions as one firmware does."""
 
-    def __init__(self, firmware: Firmware, estimate: DeadReckoning) -> None:
+    def __init__(self, firmware: Firmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
+        self._lon_shift_deg = lon_shift_deg
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
@@ -82,7 +84,7 @@ class PositionInputs:
             late_s = moment.boot_s - command.param1
             age_s += late_s if 0 <= late_s < LAG_S else LAG_S
         if without_gps_s <= self._firmware.uses_filter_for_s:
-            self._reset(*east_north_m(lat_deg, lon_deg), moment, age_s, command.param3)
+            self._reset(*east_north_m(lat_deg, lon_deg, self._lon_shift_deg), moment, age_s, command.param3)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _would_accept(self, without_gps_s: float, moment: Moment) -> bool:
@@ -93,7 +95,8 @@ class PositionInputs:
     def sensor(self, message: Message, moment: Moment) -> None:
         """GLOBAL_POSITION_SENSOR: gated, its times ignored."""
         if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
-            self._fuse(*east_north_m(message.lat / 1e7, message.lon / 1e7), moment, message.eph)
+            east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7, self._lon_shift_deg)
+            self._fuse(east_m, north_m, moment, message.eph)
 
     def vision(self, message: Message, moment: Moment) -> None:
         """VISION_POSITION_ESTIMATE: meters from the origin; gated, except after a changed reset_counter."""
@@ -111,7 +114,10 @@ class PositionInputs:
 
     def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
         before_m = self._estimate.error_m
-        self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
+        if self._firmware.resets_softly and moment.gps_lost_s < math.inf:
+            self._estimate.fuse(east_m, north_m, moment.now_s - age_s, sigma_m, reset_gate=SOFT_GATE)
+        else:
+            self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
         self.resets.append(Reset(moment.now_s, before_m, self._estimate.error_m))
 
     def _fuse(self, east_m: float, north_m: float, moment: Moment, sigma_m: float) -> None:
@@ -120,9 +126,9 @@ class PositionInputs:
             self.fused.append(Reset(moment.now_s, before_m, self._estimate.error_m))
 
 
-def east_north_m(lat_deg: float, lon_deg: float) -> tuple[float, float]:
-    """Meters east and north of the simulation's origin."""
+def east_north_m(lat_deg: float, lon_deg: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:
+    """Meters east and north of the simulation's origin, which lies so many degrees further east than usual."""
     east_m, north_m, _ = pymap3d.geodetic2enu(
-        lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M
+        lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg, ORIGIN_ALT_M
     )
     return float(east_m), float(north_m)

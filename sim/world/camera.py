@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.camera import Camera, Frame
-from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.extras import install_command
-from edge.feed import read_feed
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario, load_scenario
 
@@ -21,14 +19,8 @@ if TYPE_CHECKING:
 
 
 def open_camera(config: CameraConfig) -> Camera:
-    """The entry point of `lookback.cameras`: renders the scenario's drive, or plays its recording.
-
-    ConfigError when the scenario is wrong or Panda3D is not installed; FeedError for its feed.
-    """
-    scenario = load_scenario(Path(config.device))
-    if scenario.feed:
-        return RecordedCamera(read_feed(Path(scenario.feed)), real_time=True, begins_ns=scenario.epoch_ns)
-    return SimCamera(scenario, config)
+    """The entry point of `lookback.cameras`. ConfigError when the scenario is wrong or Panda3D is not installed."""
+    return SimCamera(load_scenario(Path(config.device)), config)
 
 
 def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:

@@ -14,7 +14,6 @@
     fov_deg = 80.0           # horizontal, 30 to 120
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
     epoch_ns = 0             # CLOCK_MONOTONIC at the start; without it, the time at which the camera opens
-    feed = ""                # a recording of this drive, whose pictures are played instead of rendered
 
 In processes that share a scenario with `epoch_ns`, the vehicle is at the same place at the same time.
 """
@@ -52,7 +51,6 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
-    feed: str = ""
 
     def drive(self) -> Drive:
         """The motion that this scenario describes."""

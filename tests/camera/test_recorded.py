@@ -54,18 +54,6 @@ def test_real_time_asked_late_gives_the_frame_at_once_stamped_when_it_was_due(fe
     assert clock.slept_s == []
 
 
-def test_real_time_can_be_told_when_to_begin(feed_path: Path) -> None:
-    clock = Clock()
-    begins_ns = clock() + 3_000_000_000
-    camera = RecordedCamera(
-        read_feed(feed_path), real_time=True, begins_ns=begins_ns, clock_ns=clock, sleep=clock.sleep
-    )
-    assert camera.read_timeout_s > 3.0
-    for index, frame in enumerate(iter(camera.read, None)):
-        assert frame.stamp_ns == clock() == begins_ns + index * 50_000_000
-    assert clock.slept_s == pytest.approx([3.0] + [0.05] * 11)
-
-
 def test_an_unreadable_picture_is_one_frame_error_and_the_next_goes_on(feed_path: Path) -> None:
     (feed_path / "frames/000001.jpg").write_bytes(b"not a picture")
     camera = RecordedCamera(read_feed(feed_path))

@@ -20,6 +20,7 @@ from edge.telemetry.vehicle import Origin
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
+from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 
 RECORDED = {"ardupilot": "ardurover-4.6.3-nogps", "px4": "px4-1.18-agp"}
@@ -281,14 +282,14 @@ def test_vision_counts_on_the_second_set_of_sources_and_jumps_with_its_counter()
 
 
 def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> None:
-    bench = Bench("ardupilot", gps=False, drift_percent=2.0, drift_sideways_percent=1.5)
+    bench = Bench("ardupilot", gps=False, errors=OdometryErrors(scale=1.02, heading_deg=0.86))
     asked_for_everything(bench)
     bench.drive(40.0)
     estimate = bench.autopilot.estimate
     driven_m = (bench.now_ns - START_NS) / 1e9 * SPEED_MPS
-    assert (estimate.north_m, estimate.east_m) == pytest.approx((1.02 * driven_m, 0.015 * driven_m), rel=0.001)
+    assert (estimate.north_m, estimate.east_m) == pytest.approx((1.02 * driven_m, 0.0153 * driven_m), rel=0.001)
     velocity = bench.of("LOCAL_POSITION_NED")[-1]
-    assert (velocity.vx, velocity.vy) == pytest.approx((1.02 * SPEED_MPS, 0.015 * SPEED_MPS), rel=0.001)
+    assert (velocity.vx, velocity.vy) == pytest.approx((1.02 * SPEED_MPS, 0.0153 * SPEED_MPS), rel=0.001)
     wheels = bench.of("WHEEL_DISTANCE")
     turned_m = wheels[-1].distance[0] - wheels[0].distance[0]
     assert turned_m == pytest.approx(SPEED_MPS * (wheels[-1].time_usec - wheels[0].time_usec) / 1e6, rel=0.03)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,6 @@ pytest.importorskip("panda3d")
 from edge.camera import open_camera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
-from edge.feed import read_feed
 from sim.world.camera import SimCamera, open_renderer
 from sim.world.scenario import Scenario
 
@@ -101,17 +98,3 @@ def test_the_config_opens_it_by_name_and_it_says_what_differs(tmp_path: Path) ->
     scenario.write_text("color = 1\n")
     with pytest.raises(ConfigError, match=r"drive\.toml: unknown key `color`"):
         open_camera(CameraConfig(kind="sim", device=str(scenario)))
-
-
-def test_a_drive_that_was_rendered_before_is_played_from_its_epoch(
-    write_traverse: Callable[..., Path], tmp_path: Path
-) -> None:
-    feed_path = write_traverse(tmp_path / "feed", range(4))
-    epoch_ns = time.monotonic_ns() - 20_000_000
-    scenario = tmp_path / "drive.toml"
-    scenario.write_text(f"epoch_ns = {epoch_ns}\nfeed = '{feed_path}'\n")
-    camera = open_camera(CameraConfig(kind="sim", device=str(scenario)))
-    feed = read_feed(feed_path)
-    for row, frame in zip(feed.rows, iter(camera.read, None), strict=True):
-        assert frame.stamp_ns == epoch_ns + row.stamp_ns - feed.rows[0].stamp_ns
-    camera.close()

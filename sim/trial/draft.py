@@ -1,0 +1,105 @@
+"""A drive of a course before it is driven: the way, the map, the autopilot, and what will go wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from edge.telemetry.codec import Message
+from sim.trial.rules import Rule, no_false_place, not_worse, within_sigmas
+from sim.trial.way import Way, along
+from sim.vehicle.driver import Leg
+from sim.vehicle.estimator import OdometryErrors
+from sim.vehicle.gps import NO_FIX, GpsReport
+from sim.world.scenario import Scenario
+
+GPS_S = 9.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of the road that the map knows, by its arc lengths.
+
+    off_m: east and north, by how much its positions are wrong. left_m: beside the lane, as on another drive.
+    on_way: places lie on the drive's way instead of the road, where the way was bent. spacing_m: the least and the
+    greatest distance between places. headings: whether the places have one.
+    """
+
+    start_m: float
+    end_m: float
+    off_m: tuple[float, float] = (0.0, 0.0)
+    left_m: float = 0.0
+    on_way: bool = False
+    spacing_m: tuple[float, float] = (2.0, 2.0)
+    headings: bool = True
+
+    @property
+    def is_true(self) -> bool:
+        """Whether its positions are right."""
+        return self.off_m == (0.0, 0.0)
+
+
+@dataclass
+class Draft:
+    """One seeded drive of a course. Seconds count from the start of the drive, meters along its way.
+
+    killed_s: when the daemon dies at once and is started again. restarted_s: the same of the autopilot. loses: whether
+    the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to when the
+    autopilot sends nothing but heartbeats. steers: whether the autopilot drives, or a person. unsent: parts of the way
+    on which no position may be expected.
+    """
+
+    rng: np.random.Generator
+    length_m: float
+    world: int
+    home: Scenario = field(init=False)
+    way: Way = field(init=False)
+    map: list[Stretch] = field(init=False)
+    legs: list[Leg] = field(init=False)
+    errors: OdometryErrors = field(init=False)
+    rules: tuple[Rule, ...] = (within_sigmas, no_false_place, not_worse)
+    firmware: str = "ardupilot"
+    emit: str = "auto"
+    steers: bool = True
+    gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+    has_gps: bool = True
+    loses: Callable[[float, Message, bool], bool] = lambda time_s, message, outgoing: False
+    silence_s: tuple[float, float] | None = None
+    killed_s: float | None = None
+    restarted_s: float | None = None
+    lon_shift_deg: float = 0.0
+    booted_before_s: float = 0.0
+    unsent: list[tuple[float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)
+        self.map = [Stretch(0.0, self.length_m)]
+        self.drive(along(self.home, self.length_m, 0.0))
+        sign = self.rng.choice((-1.0, 1.0))
+        self.errors = OdometryErrors(
+            scale=1.0 + 0.03 * self.rng.choice((-1.0, 1.0)),
+            heading_deg=0.5 * sign,
+            reported_deg=self.rng.uniform(0.3, 3.0) * sign,
+            settled_deg=self.rng.uniform(0.3, 1.3) * sign,
+        )
+
+    def drive(self, way: Way, *legs: Leg) -> None:
+        """Drive this way, in these legs or in one."""
+        self.way = way
+        self.legs = list(legs) or [Leg(way.length_m - 2)]
+
+    def share(self, share: float) -> float:
+        """Meters of the way, or of the road, at a share of the length."""
+        return round(share * self.length_m)
+
+    def side(self, off_m: float) -> tuple[float, float]:
+        """An offset, east and north, to the side of the road."""
+        heading = along(self.home, self.length_m / 2, self.length_m / 2 - 2).heading_rad[0] + np.pi / 2
+        return off_m * float(np.sin(heading)), off_m * float(np.cos(heading))
+
+    def road(self, **changes: int | str) -> Scenario:
+        """The road as seen tonight, with changes: another `seed`, the other `direction`."""
+        return msgspec.structs.replace(self.home, **changes)

@@ -1,0 +1,193 @@
+"""What a drive of a course was worth, by the truth that only the simulator knows, and the rules that it must pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+MOST_SIGMAS, FALSE_M = 4.0, 40.0
+FIRST_M, AGAIN_M = 350.0, 200.0
+SENT_WITHIN_S, SENT_SHARE = 3.0, 0.4
+FAILSAFE_S = 6.0
+WARNING, WARNED_S = 4, 30.0
+
+
+class Failure(NamedTuple):
+    """A rule that was not kept, and by how much."""
+
+    rule: str
+    found: str
+
+
+@dataclass(frozen=True)
+class Track:
+    """Truth and belief of a drive, ten times a second: arrays (N,).
+
+    along_m, left_m: true place on the way. error_m: of the autopilot's own position. gps: whether its filter fuses GPS.
+    expected: whether positions may be expected here, since the road is on a right map and GPS is lost.
+    """
+
+    time_s: Array
+    along_m: Array
+    left_m: Array
+    error_m: Array
+    gps: NDArray[np.bool_]
+    expected: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Positions as they arrived: when, and for the moment of each its error and the sigma that it claimed."""
+
+    time_s: Array
+    error_m: Array
+    sigma_m: Array
+
+    @property
+    def sigmas(self) -> Array:
+        """Errors over sigmas."""
+        return self.error_m / self.sigma_m
+
+
+@dataclass(frozen=True)
+class Run:
+    """One drive, and what it would have been without Lookback.
+
+    after_m: the autopilot's error after each position that moved it. texts: STATUSTEXT, with its time and severity.
+    source_set: of ArduPilot's filter, at the end.
+    """
+
+    seed: int
+    track: Track
+    alone: Track
+    sent: Sent
+    after_m: Array
+    texts: tuple[tuple[float, int, str], ...] = ()
+    source_set: int = 1
+    failures: tuple[Failure, ...] = ()
+
+    @property
+    def share_sent(self) -> float:
+        """Share of the time in which positions were expected and the last one was no older than SENT_WITHIN_S."""
+        times_s = self.track.time_s[self.track.expected]
+        if not len(times_s):
+            return math.nan
+        before = np.searchsorted(self.sent.time_s, times_s, side="right")
+        last_s = np.concatenate([[-math.inf], self.sent.time_s])[before]
+        return float(np.mean(times_s - last_s <= SENT_WITHIN_S))
+
+
+Rule = Callable[[Run], str]
+"""What was found instead, in a few words; "" if the rule is kept."""
+
+
+def failures(run: Run, rules: Sequence[Rule]) -> tuple[Failure, ...]:
+    """The rules that a drive does not keep."""
+    found = ((rule.__name__.replace("_", " "), rule(run)) for rule in rules)
+    return tuple(Failure(name, what) for name, what in found if what)
+
+
+def within_sigmas(run: Run) -> str:
+    """No position is beyond 4 of its sigmas."""
+    worst = run.sent.sigmas.max(initial=0.0)
+    return f"{worst:.1f} sigma" if not worst <= MOST_SIGMAS else ""
+
+
+def no_false_place(run: Run) -> str:
+    """No position is of a false place."""
+    false = int((run.sent.error_m > FALSE_M).sum())
+    return f"{false} false, up to {run.sent.error_m.max():.0f} m" if false else ""
+
+
+def not_worse(run: Run) -> str:
+    """Position and cross-track are no worse than without Lookback, but for a meter and a tenth."""
+    for name, ours, alone in (
+        ("error", run.track.error_m, run.alone.error_m),
+        ("cross-track", np.abs(run.track.left_m), np.abs(run.alone.left_m)),
+    ):
+        with_m, without_m = np.percentile(ours, 95), np.percentile(alone, 95)
+        if with_m > 1.1 * without_m + 1.0:
+            return f"{name} {with_m:.1f} m, alone {without_m:.1f} m"
+    return ""
+
+
+def close(run: Run) -> str:
+    """After a position the autopilot is right within 3 m (median) and 6 m (95 %), and on its lane within 5 m (95 %)."""
+    if not len(run.after_m):
+        return "no position used"
+    lane_m = np.percentile(np.abs(run.track.left_m), 95)
+    found = np.median(run.after_m), np.percentile(run.after_m, 95), lane_m
+    names = ("median after", "95 % after", "cross-track")
+    return next((f"{n} {v:.1f} m" for n, v, most in zip(names, found, (3, 6, 5), strict=True) if v > most), "")
+
+
+def sends(run: Run) -> str:
+    """Positions are sent for a good share of the time in which they may be expected."""
+    return f"share sent {run.share_sent:.2f}" if run.share_sent < SENT_SHARE else ""
+
+
+def resumes(run: Run) -> str:
+    """Where positions may be expected, the first comes within 350 m, and each next one within 200 m."""
+    track = run.track
+    gap_m, most_m, last_m = 0.0, FIRST_M, track.along_m[0]
+    sent = np.searchsorted(track.time_s, run.sent.time_s)
+    is_sent = np.bincount(sent.clip(0, len(track.time_s) - 1), minlength=len(track.time_s)) > 0
+    for along_m, expected, here in zip(track.along_m, track.expected, is_sent, strict=True):
+        if here:
+            gap_m, most_m = 0.0, AGAIN_M
+        elif expected:
+            gap_m += abs(along_m - last_m)
+        if gap_m > most_m:
+            return f"none for {most_m:.0f} m at {along_m:.0f} m"
+        last_m = along_m
+    return ""
+
+
+def never_sent(run: Run) -> str:
+    """GPS works, so no position is sent."""
+    return f"{len(run.sent.time_s)} sent" if len(run.sent.time_s) else ""
+
+
+def not_with_gps(run: Run) -> str:
+    """No position arrives once GPS has been back for 2 s."""
+    lost_s = run.track.time_s[~run.track.gps]
+    late = int((run.sent.time_s > lost_s[-1] + 2.0).sum()) if len(lost_s) else len(run.sent.time_s)
+    return f"{late} sent with GPS" if late else ""
+
+
+def sources_restored(run: Run) -> str:
+    """Positions are used, and with GPS the filter ends on its first set of sources."""
+    if not len(run.after_m):
+        return "no position used"
+    return f"ends on source set {run.source_set}" if run.source_set != 1 else ""
+
+
+def warns(run: Run) -> str:
+    """Within 30 s of the first position, a warning about positions says that the autopilot does not follow."""
+    if not len(run.sent.time_s):
+        return "no position sent"
+    first_s = run.sent.time_s[0]
+    warned = [
+        text
+        for time_s, severity, text in run.texts
+        if severity <= WARNING and first_s < time_s <= first_s + WARNED_S and "position" in text.lower()
+    ]
+    return "" if warned else "no warning"
+
+
+def first_in_time(run: Run) -> str:
+    """The first position comes within 6 s of the loss of GPS."""
+    lost_s = _lost_s(run)
+    first_s = min((time_s for time_s in run.sent.time_s if time_s >= lost_s), default=math.inf) - lost_s
+    return f"first after {first_s:.1f} s" if first_s > FAILSAFE_S else ""
+
+
+def _lost_s(run: Run) -> float:
+    with_gps = np.flatnonzero(run.track.gps)
+    return float(run.track.time_s[with_gps[-1]]) if len(with_gps) else 0.0

@@ -1,0 +1,85 @@
+"""The figures of the courses' drives, as lines and as a table in Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.trial.rules import Array, Run
+
+BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
+RMS = (0.8, 1.1)
+ENOUGH_RUNS = 20
+"""Below so many drives a small rms may be chance."""
+HEADER = (
+    "| course | drives passed | positions | error, median / 95 % / largest | in sigmas, rms / largest"
+    " | autopilot's error 95 %, alone | cross-track 95 %, alone | share sent | why not |\n"
+    "|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def line(name: str, run: Run) -> str:
+    """One drive, for people."""
+    verdict = "; ".join(f"{failure.rule}: {failure.found}" for failure in run.failures) or "passed"
+    return f"{name:<26} seed {run.seed:3d}  {len(run.sent.time_s):4d} positions  {_spread(run.sent.error_m)}  {verdict}"
+
+
+@dataclass(frozen=True)
+class CourseScore:
+    """All drives of one course."""
+
+    name: str
+    runs: tuple[Run, ...]
+
+    @property
+    def sigmas(self) -> Array:
+        """Error over sigma of all positions."""
+        return np.concatenate([run.sent.sigmas for run in self.runs])
+
+    @property
+    def failures(self) -> list[str]:
+        """What is not as required, of single drives and of all together, each with how often."""
+        counted = Counter(failure.rule for run in self.runs for failure in run.failures)
+        found = [f"{rule} ({count})" for rule, count in counted.items()]
+        sigmas = self.sigmas
+        if not len(sigmas):
+            return found
+        if (sigmas > BEYOND_SIGMAS).mean() > BEYOND_SHARE:
+            found.append(f"{1000 * (sigmas > BEYOND_SIGMAS).mean():.0f} in 1,000 beyond 3 sigma")
+        if not (RMS[0] if len(self.runs) >= ENOUGH_RUNS else 0.0) <= _rms(sigmas) <= RMS[1]:
+            found.append(f"rms {_rms(sigmas):.1f} sigma")
+        return found
+
+    def row(self) -> str:
+        """A row of the table."""
+        runs, sigmas = self.runs, self.sigmas
+        cells = (
+            self.name,
+            f"{sum(not run.failures for run in runs)} of {len(runs)}",
+            f"{len(sigmas)}",
+            _spread(np.concatenate([run.sent.error_m for run in runs])),
+            f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
+            _beside([run.track.error_m for run in runs], [run.alone.error_m for run in runs]),
+            _beside([abs(run.track.left_m) for run in runs], [abs(run.alone.left_m) for run in runs]),
+            f"{np.nanmean([run.share_sent for run in runs]):.2f}" if any(r.track.expected.any() for r in runs) else "-",
+            "; ".join(self.failures),
+        )
+        return "| " + " | ".join(cells) + " |"
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _spread(errors_m: Array) -> str:
+    if not len(errors_m):
+        return "-"
+    return f"{np.median(errors_m):.1f} / {np.percentile(errors_m, 95):.1f} / {errors_m.max():.1f} m"
+
+
+def _beside(ours: Sequence[Array], alone: Sequence[Array]) -> str:
+    return " m, ".join(f"{np.percentile(np.concatenate(values), 95):.1f}" for values in (ours, alone)) + " m"

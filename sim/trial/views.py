@@ -1,0 +1,107 @@
+"""What a camera sees of a road, as descriptors: rendered and described once for each cell of the road, then kept.
+
+A cell is a meter along the road, a meter across it and 4 degrees of heading, so that many drives share the minutes
+that rendering and the network cost. The matching of the recognizer itself works on these descriptors as on a vehicle.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.atomic_file import replacing
+from edge.config import DescriptorConfig
+from edge.descriptor.network import Network
+from edge.descriptor.regions import cut_regions
+from sim import Pose
+from sim.world.camera import open_renderer
+from sim.world.drive import Drive
+from sim.world.scenario import Scenario
+
+if TYPE_CHECKING:
+    from sim.world.renderer import Renderer
+
+CELL_DEG = 4.0
+MOST_LEFT_M = 25
+Cell: TypeAlias = tuple[int, int, int]
+
+
+class RoadViews:
+    """One camera on one road, in one light; close it in the end."""
+
+    def __init__(self, scenario: Scenario, network: Network, folder: Path) -> None:
+        """folder: where descriptors are kept, one file for each scenario."""
+        self.drive: Drive = scenario.drive()
+        self._scenario, self._network = scenario, network
+        self._renderer: Renderer | None = None
+        keys = ("seed", "length_m", "light", "view", "direction", "drive_seed")
+        self._path = folder / ("_".join(f"{getattr(scenario, key):}" for key in keys) + ".npz")
+        self._known: dict[Cell, NDArray[np.float16]] = {}
+        if self._path.exists():
+            with np.load(self._path) as kept:
+                self._known = dict(zip(map(tuple, kept["cells"].tolist()), kept["raw"], strict=True))
+        self._kept = len(self._known)
+
+    def raw(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.float32]:
+        """Raw descriptors (R, D) at an arc length, beside the lane, looking so far to the right of the lane."""
+        turns = round(((turn_deg + 180.0) % 360.0 - 180.0) / CELL_DEG)
+        cell = round(route_m), int(np.clip(round(left_m), -MOST_LEFT_M, MOST_LEFT_M)), turns
+        if cell not in self._known:
+            self._known[cell] = self._describe(*cell).astype(np.float16)
+        return self._known[cell].astype(np.float32)
+
+    def _describe(self, route_m: int, left_m: int, turns: int) -> NDArray[np.float32]:
+        if self._renderer is None:
+            self._renderer = open_renderer(self._scenario, self.drive)
+        sign = 1.0 if self.drive.direction == "forward" else -1.0
+        east_m, north_m, heading_rad = self.drive.route.at(route_m, sign * (self.drive.lane_m + left_m))
+        heading_deg = np.degrees(heading_rad) + (0.0 if sign > 0 else 180.0) + turns * CELL_DEG
+        # Cars are where they are on a drive at the middle of the lane.
+        covered_m = route_m if sign > 0 else self.drive.route.length_m - route_m
+        time_s = self.drive.time_at_s(covered_m)
+        image = self._renderer.render(Pose(east_m, north_m, float(heading_deg) % 360.0, 0.0, covered_m), time_s)
+        config = DescriptorConfig()
+        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width))
+
+    def save(self) -> None:
+        """Keep on disk what was described."""
+        if len(self._known) > self._kept:
+            self._kept = len(self._known)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(self._path) as file:
+                np.savez(file, cells=np.array(list(self._known)), raw=np.stack(list(self._known.values())))
+
+    def close(self) -> None:
+        """Release the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+class RoadLibrary:
+    """The views of all roads that were asked for."""
+
+    def __init__(self, network: Network, folder: Path) -> None:
+        self._network, self._folder = network, folder
+        self._views: dict[bytes, RoadViews] = {}
+
+    def __getitem__(self, scenario: Scenario) -> RoadViews:
+        """The views of a scenario."""
+        key = msgspec.msgpack.encode(scenario)
+        if key not in self._views:
+            self._views[key] = RoadViews(scenario, self._network, self._folder)
+        return self._views[key]
+
+    def save(self) -> None:
+        """See RoadViews."""
+        for views in self._views.values():
+            views.save()
+
+    def close(self) -> None:
+        """See RoadViews."""
+        for views in self._views.values():
+            views.close()

@@ -1,0 +1,236 @@
+"""The simulated autopilot's own estimate: a small Kalman filter that errs as real ones were recorded to err.
+
+With GPS the position is the receiver's. Without it the filter integrates a velocity, and its errors are those of the
+velocity's source: a wheel scale and a heading error (wheels), a scale alone (a velocity sensor), or an acceleration
+bias that nothing stops (none). Positions correct the estimate, and through the covariance also the heading or the
+velocity: a stream of correlated positions turns the heading, as on the real autopilot. docs/trial.md compares it with
+recorded flights.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import Pose
+
+VelocitySource: TypeAlias = Literal["wheels", "velocity sensor", "none"]
+KEPT_S = 16.0  # PX4 applies fixes that are up to 15 s old
+GPS_SIGMA_M = 1.0
+STARVED_S = 5.0  # EKF2_NOAID_TOUT: after this long without aiding, a rejected source resets the estimate
+COVARIANCE_S = 0.1
+SETTLES_S = 20.0
+EAST, NORTH, V_EAST, V_NORTH, HEADING = range(5)
+
+
+@dataclass(frozen=True)
+class OdometryErrors:
+    """What is wrong with an autopilot's velocity and heading.
+
+    scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
+    autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
+    acceleration_mps2: the bias, forward, of an accelerometer that no velocity aids.
+    """
+
+    source: VelocitySource = "wheels"
+    scale: float = 1.0
+    heading_deg: float = 0.0
+    reported_deg: float = 0.0
+    settled_deg: float = 0.0
+    acceleration_mps2: float = 0.15
+
+
+AS_FLOWN = OdometryErrors(scale=1.03, heading_deg=-0.5, reported_deg=2.7, settled_deg=1.3)
+"""Of ArduPilot Rover 4.6.3 with wheel encoders, on the recorded drives home at night."""
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """The noise that a firmware's filter assumes, and its gate; of EKF3 as its parameters are shipped, by default.
+
+    position: of dead reckoning, m^2/s. heading_rad: standard deviation of the heading, and compass_s the time within
+    which the compass corrects it. acceleration: m^2/s^3, without a velocity aid. gate_sigmas: of the innovation of a
+    stream.
+    """
+
+    position: float = 0.02
+    heading_rad: float = 0.09
+    compass_s: float = 60.0
+    acceleration: float = 0.0012
+    gate_sigmas: float = 5.0
+
+
+class Estimator:
+    """Position in meters east and north, velocity and heading error, moved by odometry and corrected by positions."""
+
+    def __init__(self, pose: Pose, time_s: float, errors: OdometryErrors, noise: FilterNoise) -> None:
+        self._errors, self._noise = errors, noise
+        self._pose, self._time_s = pose, time_s
+        self._past: list[tuple[float, float, float]] = [(time_s, pose.east_m, pose.north_m)]
+        self._shift_m = (0.0, 0.0)  # to be added to all that is past: what positions have moved the estimate by
+        self._heading_rad = math.radians(errors.heading_deg)
+        self._reported_rad = math.radians(errors.reported_deg)
+        self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
+        self._covariance_s = time_s
+        self._covariance: NDArray[np.float64] = np.zeros((5, 5))
+        self._gps = False
+        self._fused_s = -math.inf
+        self._restart(GPS_SIGMA_M)
+
+    @property
+    def east_m(self) -> float:
+        """Estimated meters east of the origin."""
+        return self._past[-1][1] + self._shift_m[0]
+
+    @property
+    def north_m(self) -> float:
+        """Estimated meters north of the origin."""
+        return self._past[-1][2] + self._shift_m[1]
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position, as the filter believes."""
+        return math.sqrt((self._covariance[EAST, EAST] + self._covariance[NORTH, NORTH]) / 2)
+
+    @property
+    def error_m(self) -> float:
+        """Distance from the truth of the last update."""
+        return math.hypot(self.east_m - self._pose.east_m, self.north_m - self._pose.north_m)
+
+    @property
+    def steering_error_rad(self) -> float:
+        """The error, clockwise, of the heading that the autopilot steers by."""
+        return self._heading_rad
+
+    @property
+    def heading_deg(self) -> float:
+        """Reported heading, clockwise from north."""
+        return (self._pose.heading_deg + math.degrees(self._heading_rad + self._reported_rad)) % 360.0
+
+    @property
+    def velocity_mps(self) -> tuple[float, float]:
+        """Reported velocity, east and north."""
+        return self._velocity_mps(self._heading_rad + self._reported_rad)
+
+    def _velocity_mps(self, turned_rad: float) -> tuple[float, float]:
+        errors = self._errors
+        heading_rad = math.radians(self._pose.heading_deg) + (turned_rad if errors.source == "wheels" else 0.0)
+        speed_mps = self._pose.speed_mps * (1.0 if self._gps or errors.source == "none" else errors.scale)
+        return (
+            speed_mps * math.sin(heading_rad) + self._bias_mps[0],
+            speed_mps * math.cos(heading_rad) + self._bias_mps[1],
+        )
+
+    @property
+    def driven_m(self) -> float:
+        """Distance by the wheel encoders."""
+        return self._pose.distance_m * self._errors.scale
+
+    def update(self, pose: Pose, time_s: float, gps: tuple[float, float] | None) -> None:
+        """Move on to the true `pose` at `time_s`, which must not go back; gps: the receiver's position, if usable."""
+        elapsed_s, self._time_s = time_s - self._time_s, time_s
+        unsettled_rad = math.radians(self._errors.settled_deg) - self._reported_rad
+        self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
+        self._pose, self._gps = pose, gps is not None
+        if gps is not None:
+            self._bias_mps = (0.0, 0.0)
+            east_m, north_m = gps
+            self._restart(GPS_SIGMA_M)
+        else:
+            self._drift(elapsed_s)
+            east_mps, north_mps = self._velocity_mps(self._heading_rad)
+            east_m, north_m = self.east_m + east_mps * elapsed_s, self.north_m + north_mps * elapsed_s
+        self._predict(time_s)
+        self._past.append((time_s, east_m - self._shift_m[0], north_m - self._shift_m[1]))
+        if self._past[0][0] < time_s - 2 * KEPT_S:
+            self._past = [entry for entry in self._past if entry[0] >= time_s - KEPT_S]
+
+    def reset(self, east_m: float, north_m: float, time_s: float, sigma_m: float = GPS_SIGMA_M) -> None:
+        """A hard reset: the vehicle was there at `time_s`; the estimates since then are shifted by the difference."""
+        then_east_m, then_north_m = self._at(time_s)
+        self.shift(east_m - then_east_m, north_m - then_north_m)
+        self._covariance[: NORTH + 1] = self._covariance[:, : NORTH + 1] = 0.0
+        self._covariance[EAST, EAST] = self._covariance[NORTH, NORTH] = sigma_m**2
+
+    def fuse(self, east_m: float, north_m: float, time_s: float, sigma_m: float, reset_gate: float = math.inf) -> bool:
+        """A gated correction by a measurement of `time_s`; False if the gate rejected it. See STARVED_S.
+
+        reset_gate: an innovation beyond so many standard deviations resets the position at once; no other gate then.
+        """
+        then_east_m, then_north_m = self._at(time_s)
+        innovation = np.array([east_m - then_east_m, north_m - then_north_m])
+        variance = self._covariance[:2, :2] + sigma_m**2 * np.eye(2)
+        gate = reset_gate if reset_gate < math.inf else self._noise.gate_sigmas
+        if innovation @ np.linalg.solve(variance, innovation) <= gate**2:
+            self._correct(innovation, self._covariance[:, :2] @ np.linalg.inv(variance), slice(2))
+        elif reset_gate < math.inf or not (self._gps or self._time_s - self._fused_s < STARVED_S):
+            self.reset(east_m, north_m, time_s, sigma_m)
+        else:
+            return False
+        self._fused_s = self._time_s
+        return True
+
+    def _correct(self, innovation: NDArray[np.float64], gain: NDArray[np.float64], measured: slice | int) -> None:
+        """Apply a Kalman gain (5, n) to the state and to its covariance; measured: the n states."""
+        change = gain @ innovation
+        self._covariance = self._covariance - gain @ self._covariance[measured].reshape(len(innovation), 5)
+        self.shift(float(change[EAST]), float(change[NORTH]))
+        self._bias_mps = self._bias_mps[0] + float(change[V_EAST]), self._bias_mps[1] + float(change[V_NORTH])
+        self._heading_rad += float(change[HEADING])
+
+    def _restart(self, sigma_m: float) -> None:
+        """The covariance while GPS is fused: the velocity is known, and the heading as well as a compass tells it."""
+        self._covariance = np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01, self._noise.heading_rad**2])
+        if self._errors.source != "none":
+            self._covariance[V_EAST, V_EAST] = self._covariance[V_NORTH, V_NORTH] = 0.0
+
+    def _drift(self, elapsed_s: float) -> None:
+        if self._errors.source == "none":
+            heading_rad = math.radians(self._pose.heading_deg)
+            gained_mps = self._errors.acceleration_mps2 * elapsed_s
+            self._bias_mps = (
+                self._bias_mps[0] + gained_mps * math.sin(heading_rad),
+                self._bias_mps[1] + gained_mps * math.cos(heading_rad),
+            )
+
+    def _predict(self, time_s: float) -> None:
+        """Predict the covariance up to `time_s`, in steps of COVARIANCE_S."""
+        step_s = time_s - self._covariance_s
+        if step_s < COVARIANCE_S or self._gps:
+            self._covariance_s = time_s if self._gps else self._covariance_s
+            return
+        self._covariance_s = time_s
+        moves, noise = np.eye(5), np.zeros(5)
+        if self._errors.source == "none":
+            moves[EAST, V_EAST] = moves[NORTH, V_NORTH] = step_s
+            noise[V_EAST] = noise[V_NORTH] = self._noise.acceleration * step_s
+        else:
+            noise[EAST] = noise[NORTH] = self._noise.position * step_s
+        if self._errors.source == "wheels":
+            east_mps, north_mps = self.velocity_mps
+            moves[EAST, HEADING], moves[NORTH, HEADING] = north_mps * step_s, -east_mps * step_s
+            noise[HEADING] = self._noise.heading_rad**2 / self._noise.compass_s * step_s
+        self._covariance = moves @ self._covariance @ moves.T + np.diag(noise)
+        self._fuse_compass(step_s)
+
+    def _fuse_compass(self, step_s: float) -> None:
+        """The compass turns the heading, and moves the position by what the heading's error had done to it."""
+        innovation = math.radians(self._errors.heading_deg) - self._heading_rad
+        variance = self._covariance[HEADING, HEADING] + self._noise.heading_rad**2 * self._noise.compass_s / step_s
+        self._correct(np.array([innovation]), self._covariance[:, [HEADING]] / variance, HEADING)
+
+    def shift(self, east_m: float, north_m: float) -> None:
+        """Move the estimate, also of the past."""
+        self._shift_m = self._shift_m[0] + east_m, self._shift_m[1] + north_m
+
+    def _at(self, time_s: float) -> tuple[float, float]:
+        """The estimate at a time of the past."""
+        index = min(max(bisect_right(self._past, (time_s, math.inf, math.inf)), 1), len(self._past) - 1)
+        (t0, e0, n0), (t1, e1, n1) = self._past[max(index - 1, 0)], self._past[index]
+        share = min(max((time_s - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
+        return e0 + share * (e1 - e0) + self._shift_m[0], n0 + share * (n1 - n0) + self._shift_m[1]

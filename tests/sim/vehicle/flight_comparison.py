@@ -1,0 +1,193 @@
+"""The simulated autopilot's estimate against recorded flights: the same truth and the same positions, replayed.
+
+`python -m tests.sim.vehicle.flight_comparison` prints the table of docs/trial.md.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from sim import Pose
+from sim.vehicle.estimator import AS_FLOWN, Estimator, OdometryErrors
+from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.position_inputs import Moment, PositionInputs, east_north_m
+
+STEP_S = 0.1
+SLOW = OdometryErrors(scale=0.97, heading_deg=-0.2, reported_deg=0.3, settled_deg=0.5)
+VELOCITY_SENSOR = OdometryErrors("velocity sensor", 1.03)
+FLIGHTS: dict[str, OdometryErrors] = {
+    "night_auto_daemon_off": AS_FLOWN,
+    "vision_auto_daemon_off": SLOW,
+    "px4_aided_mission_daemon_off": VELOCITY_SENSOR,
+    "night_auto_a": AS_FLOWN,
+    "night_auto_b": AS_FLOWN,
+    "night_auto_no_gps": AS_FLOWN,
+    "night_person": AS_FLOWN,
+    "dusk_auto": AS_FLOWN,
+    "dusk_person": AS_FLOWN,
+    "px4_aided_mission": VELOCITY_SENSOR,
+    "px4_aided_person": VELOCITY_SENSOR,
+    "vision_auto": AS_FLOWN,
+    "vision_auto_b": SLOW,
+    "px4_no_velocity_aid_person": OdometryErrors("none"),
+    "px4_external_position_person": OdometryErrors("none"),
+    "px4_rover_mission": OdometryErrors("none"),
+}
+Columns = dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors (N,) of the recorded and of the simulated autopilot from the loss of GPS on; fixes: how many it got."""
+
+    real_m: NDArray[np.float64]
+    simulated_m: NDArray[np.float64]
+    fixes: int
+
+    @property
+    def mean_ratio(self) -> float:
+        """Mean error of the simulated autopilot over that of the real one."""
+        return float(self.simulated_m.mean() / self.real_m.mean())
+
+    @property
+    def end_ratio(self) -> float:
+        """The same of the errors at the end of the drive."""
+        return float(self.simulated_m[-1] / self.real_m[-1])
+
+
+def read_columns(path: Path) -> Columns:
+    """A CSV file of numbers."""
+    with gzip.open(path, "rt", encoding="utf-8") as file:
+        rows = csv.reader(file)
+        names = next(rows)
+        values = np.array([[float(value or "nan") for value in row] for row in rows])
+    values = values[np.r_[True, np.diff(values[:, 0]) > 0]]
+    return {name: values[:, column] for column, name in enumerate(names)}
+
+
+def read_messages(path: Path) -> Iterator[tuple[float, Any]]:
+    """Unix time in seconds and message of a .tlog."""
+    data, at, codec = gzip.decompress(path.read_bytes()), 0, MavlinkCodec(1, 191)
+    while at + 20 <= len(data):
+        (stamp_us,) = struct.unpack_from(">Q", data, at)
+        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+        for message in codec.decode(data[at + 8 : at + 8 + size]):
+            yield stamp_us / 1e6, message
+        at += 8 + size
+
+
+def compare(folder: Path, errors: OdometryErrors) -> Comparison:
+    """Replay one recorded flight from the loss of GPS on."""
+    truth, own = (read_columns(folder / f"{name}.csv.gz") for name in ("truth", "autopilot_position"))
+    is_px4 = folder.name.startswith("px4")
+    messages = list(read_messages(folder / "telem2.tlog.gz"))
+    mono_of_boot_s = float(np.median(own["mono_s"] - own["boot_ms"] / 1e3))
+    unix_of_boot_s = np.median(
+        [at - m.time_boot_ms / 1e3 for at, m in messages if m.get_type() == "LOCAL_POSITION_NED"]
+    )
+    messages = [(at - unix_of_boot_s + mono_of_boot_s, message) for at, message in messages]
+    times_s = np.arange(truth["mono_s"][0], truth["mono_s"][-1], STEP_S)
+    lost_s = _gps_lost_s(messages, times_s, truth)
+    poses = _poses(truth, times_s, course_for_heading=is_px4)
+    at = int(np.searchsorted(times_s, lost_s))
+    own_m = np.stack([np.interp(times_s, own["mono_s"], own[name]) for name in ("east_m", "north_m")])
+    firmware = FIRMWARES["px4" if is_px4 else "ardupilot"]
+    estimate = Estimator(poses[at], times_s[at], errors, firmware.noise)
+    estimate.reset(*own_m[:, at], times_s[at])
+    inputs = PositionInputs(firmware, estimate)
+    inputs.source_set = 2
+    origin_m = _origin_m(messages)
+    positions = [(time_s, message) for time_s, message in messages if time_s > lost_s and _is_position(message)]
+    simulated_m, fixes = [], len(positions)
+    for time_s, pose in zip(times_s[at + 1 :], poses[at + 1 :], strict=True):
+        estimate.update(pose, float(time_s), None)
+        while positions and positions[0][0] <= time_s:
+            sent_s, message = positions.pop(0)
+            _give(inputs, message, sent_s, lost_s - 1.0, origin_m)
+        simulated_m.append(estimate.error_m)
+    true_m = np.array([(pose.east_m, pose.north_m) for pose in poses]).T
+    return Comparison(np.hypot(*(own_m - true_m))[at + 1 :], np.array(simulated_m), fixes)
+
+
+def _give(inputs: PositionInputs, message: Any, now_s: float, lost_s: float, origin_m: tuple[float, float]) -> None:
+    kind = message.get_type()
+    moment = Moment(now_s, message.param1 if kind == "COMMAND_INT" else 0.0, lost_s, origin_m)
+    if kind == "COMMAND_INT":
+        inputs.command(message, moment)
+    elif kind == "GLOBAL_POSITION_SENSOR":
+        inputs.sensor(message, moment)
+    else:
+        inputs.vision(message, moment)
+
+
+def _is_position(message: Any) -> bool:
+    kind = message.get_type()
+    is_fix = kind == "COMMAND_INT" and message.command == EXTERNAL_POSITION_ESTIMATE
+    return is_fix or kind in ("GLOBAL_POSITION_SENSOR", "VISION_POSITION_ESTIMATE")
+
+
+def _origin_m(messages: list[tuple[float, Any]]) -> tuple[float, float]:
+    origin = next((message for _, message in messages if message.get_type() == "GPS_GLOBAL_ORIGIN"), None)
+    if origin is None:
+        return 0.0, 0.0
+    return east_north_m(origin.latitude / 1e7, origin.longitude / 1e7)
+
+
+def _gps_lost_s(messages: list[tuple[float, Any]], times_s: NDArray[np.float64], truth: Columns) -> float:
+    """When GPS was lost; where there was none, when the vehicle set off."""
+    had_s = [
+        time_s
+        for time_s, message in messages
+        if message.get_type() == "GPS_RAW_INT" and message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+    ]
+    moved = np.hypot(truth["east_m"] - truth["east_m"][0], truth["north_m"] - truth["north_m"][0]) > 1.0
+    started_s = float(truth["mono_s"][np.argmax(moved)])
+    return max([time_s for time_s in had_s if time_s < times_s[-1]], default=started_s)
+
+
+def _poses(truth: Columns, times_s: NDArray[np.float64], *, course_for_heading: bool) -> list[Pose]:
+    """The true poses. course_for_heading: a multicopter's velocity does not follow its nose."""
+    east_m, north_m = (np.interp(times_s, truth["mono_s"], truth[name]) for name in ("east_m", "north_m"))
+    kernel = np.ones(5) / 5
+    v_east, v_north = (np.convolve(np.gradient(values, STEP_S), kernel, "same") for values in (east_m, north_m))
+    speeds = np.hypot(v_east, v_north)
+    headings = np.interp(times_s, truth["mono_s"], np.unwrap(np.radians(truth["heading_deg"])))
+    if course_for_heading:
+        headings = np.where(speeds > 0.5, np.arctan2(v_east, v_north), headings)
+    driven = np.cumsum(speeds) * STEP_S
+    return [
+        Pose(*map(float, values))
+        for values in zip(east_m, north_m, np.degrees(headings) % 360, speeds, driven, strict=True)
+    ]
+
+
+def table(flights: Path) -> str:
+    """The table, in Markdown."""
+    lines = [
+        "| drive | positions received | real: mean, at the end | simulated: mean, at the end | ratio of the means |",
+        "|---|---|---|---|---|",
+    ]
+    for name, errors in FLIGHTS.items():
+        found = compare(flights / name, errors)
+        real, simulated = found.real_m, found.simulated_m
+        lines.append(
+            f"| {name} | {found.fixes or 'none'} | {real.mean():.1f} m, {real[-1]:.1f} m"
+            f" | {simulated.mean():.1f} m, {simulated[-1]:.1f} m | {found.mean_ratio:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(table(Path(__file__).parents[4] / "shared" / "flights"))
