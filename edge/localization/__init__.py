@@ -1,8 +1,7 @@
 """From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
 `consensus` believes a place or not; `place_fix` makes positions of matches; `route_filter` follows the vehicle over
-the ground, by `line_middle` (what a match says best) and `route_estimate` (the Kalman filter); `dead_reckoning`
-integrates what the autopilot reports of its motion; `integrity` decides what may be published.
+the ground, with `route_estimate` as its Kalman filter; `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what may be published.
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@ from edge.config import RigConfig, TrackingConfig
 from edge.geodesy import Origin, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.line_middle import LineMiddle, LineReadings, line_middle, moved_alike
-from edge.localization.place_fix import position_on_route
+from edge.localization.place_fix import LineMiddle, LineReadings, line_middle, moved_alike, position_on_route
 from edge.localization.route_estimate import CORRELATION_M, RouteEstimate, Vector, VelocityErrors
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
@@ -133,7 +132,8 @@ class RouteFilter:
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
             self._track = self._exposure = None
-        if match is None or not match.accepted:
+        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
+        if match is None or not match.accepted or match.uniqueness < 1:
             return
         sighting = self._sighting(match)
         if sighting is not None:

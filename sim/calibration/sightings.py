@@ -15,7 +15,7 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.feed.traverse import traverse
 from edge.geodesy import east_north
-from edge.localization.line_middle import LineReadings, line_middle, moved_alike
+from edge.localization.place_fix import LineReadings, line_middle, moved_alike
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
