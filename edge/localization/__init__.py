@@ -1,7 +1,8 @@
 """From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
 `consensus` believes a place or not; `place_fix` makes positions of matches; `route_filter` follows the vehicle over
-the ground, with `route_estimate` as its Kalman filter; `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what may be published.
+the ground, with `route_estimate` as its Kalman filter; `dead_reckoning` integrates what the autopilot reports of its
+motion; `integrity` decides what may be published.
 """
 
 from __future__ import annotations

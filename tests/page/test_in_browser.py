@@ -70,7 +70,7 @@ def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = folder / "lookback.toml"
     file.write_text(
         '[camera]\nkind = "feed"\ndevice = "walk"\n[sampling]\nby = "frames"\n[map]\npath = "corridor.map"\n'
-        "[sequence]\nlength = 10\n[acceptance]\nuniqueness_min = 1.02\nwindow_places = 6\n"
+        "[sequence]\nlength = 10\n[acceptance]\nwindow_m = 10.0\n"
         f'[telemetry]\nconnection = "udpin:127.0.0.1:{link_port}"\njournal = ""\n[page]\nport = {port}\n'
     )
     return file
@@ -95,7 +95,7 @@ def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
 @contextlib.contextmanager
 def autopilot(config: Path) -> Iterator[None]:
     link = re.findall(r"udpin:([\d.:]+)", config.read_text())[0]
-    command = [sys.executable, "-m", "edge", "sim", "autopilot", "--udp", link, "--speed", "1"]
+    command = [sys.executable, "-m", "edge", "sim", "autopilot", "--udp", link, "--speed", "8"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
             yield
