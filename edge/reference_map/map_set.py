@@ -170,10 +170,19 @@ class MapSet:
     def statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) of the raw descriptors, of a few maps where there are many.
 
-        Alike for all regions, since the left of the query may be the map's right. MapError if they cannot be read.
+        Alike for all regions, since the left of the query may be the map's right. Maps whose file cannot be read are
+        skipped, since their checksums will exclude them; MapError if that is all.
         """
-        some = self.maps[:: -(-len(self.maps) // SAMPLED_MAPS)]
-        each = np.mean([one.statistics() for one in some], axis=0)
+        found: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        failed = MapError(f"{self.path}: no map")
+        for one in self.maps[:: -(-len(self.maps) // SAMPLED_MAPS)]:
+            try:
+                found.append(one.statistics())
+            except MapError as error:
+                failed = error
+        if not found:
+            raise failed
+        each = np.mean(found, axis=0)
         each[:] = each.mean(axis=1, keepdims=True)
         return each[0], each[1]
 

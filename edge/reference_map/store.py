@@ -164,6 +164,8 @@ class ReferenceMap:
             mean, deviation = np.fromfile(self.path / STATISTICS, dtype="<f8").reshape(shape)
         except (OSError, ValueError) as error:
             raise MapError(f"{self.path / STATISTICS}: cannot read it: {error}") from None
+        if not (np.isfinite(mean).all() and np.isfinite(deviation).all()):
+            raise MapError(f"{self.path / STATISTICS}: damaged (not a number); build or copy the map again")
         return mean, deviation
 
     def raw(self) -> NDArray[np.float16]:

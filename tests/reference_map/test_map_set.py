@@ -345,3 +345,17 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     ]
     assert len(believed) > 60
     assert all(abs(match - place) <= 1 for match, place in believed[-50:])
+
+
+def test_the_statistics_of_a_damaged_map_are_not_used(city: Path, tmp_path: Path) -> None:
+    whole = open_map_set(city / "tiles").statistics()
+    for number in ("00", "01"):
+        shutil.copytree(city / "tiles" / number, tmp_path / "tiles" / number)
+    maps = open_map_set(tmp_path / "tiles")
+    np.full(maps.maps[0].header.files[STATISTICS].bytes // 8, np.nan).tofile(tmp_path / "tiles" / "00" / STATISTICS)
+    np.testing.assert_allclose(maps.statistics(), whole, rtol=1e-12)
+    (tmp_path / "tiles" / "01" / STATISTICS).unlink()
+    with pytest.raises(MapError, match=f"{STATISTICS}: cannot read it"):
+        maps.statistics()
+    with pytest.raises(MapError, match="not a number"):
+        MapSet.of(maps.maps[0]).statistics()
