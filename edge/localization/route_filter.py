@@ -282,8 +282,9 @@ class RouteFilter:
         return PlaceFix(
             stamp_ns=stamp_ns,
             place=match.place,
-            lat_deg=lat_deg,
-            lon_deg=lon_deg,
+            # To a tenth of a millimeter, so that the last digits of a matrix product on this computer do not matter.
+            lat_deg=round(lat_deg, 9),
+            lon_deg=round(lon_deg, 9),
             heading_deg=found.heading_deg,
             sigma_along_m=round(math.sqrt(along_var), 2),
             sigma_across_m=round(math.sqrt(float(np.trace(covariance)) - along_var), 2),

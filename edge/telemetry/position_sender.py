@@ -198,7 +198,7 @@ class PositionSender:
         if boot_s is None or (message.needs_origin and vehicle.origin is None):
             return []
         own = vehicle.position(now_ns)
-        distance_m = distance_from(own, fix) if own else None
+        distance_m = round(distance_from(own, fix), 3) if own else None
         self._expect_jump(fix, now_ns, message)
         age_s = (now_ns - fix.stamp_ns) / 1e9
         down_m = vehicle.origin.alt_m - own.alt_m if own and vehicle.origin else 0.0
