@@ -185,7 +185,8 @@ class PositionSender:
         if refused.reason + why == self._withheld:
             return
         self._withheld = refused.reason + why
-        self._record(FixWithheld(fix.place, self._withheld, refused.distance_m, fix.map))
+        distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
+        self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
         if why not in ("", f": {UNSTEADY}"):
             self._send_text(f"Lookback: {self._withheld}")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
