@@ -184,10 +184,10 @@ class PlaceConsensus:
     def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which votes in other drives put the vehicle within `allowed_m` of where the newest one does."""
         near = np.zeros(CAPACITY, dtype=bool)
-        now_m = self._now_m()
-        others = (self._drives != self._drives[slot]) & self._in_reach() & (self._overrun_m(now_m) == 0)
+        others = (self._drives != self._drives[slot]) & self._in_reach()
         if self._positions_of is not None and others.any():
-            at = np.append(np.flatnonzero(others), slot)
+            now_m = self._now_m()
+            at = np.append(np.flatnonzero(others & (self._overrun_m(now_m) == 0)), slot)
             spots_m = self._positions_of(self._drives[at], now_m[at])
             near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= allowed_m[at[:-1]]
         return near
@@ -224,7 +224,7 @@ class PlaceConsensus:
         confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
         confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
         confidence *= self._moved_share(float(np.ptp(self._at_m[group])))
-        confidence *= min(1.0, self._support(leader, along_m) / FULL_SUPPORT)
+        confidence *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
         is_believed = confidence >= settings.threshold
         if is_believed:
             self._was_believed |= group
@@ -234,12 +234,12 @@ class PlaceConsensus:
     def _confidence(self, live: float, others: float) -> float:
         return max(0.0, (live - others) / (live + others + self._settings.prior * self._settings.length))
 
-    def _support(self, leader: int, along_m: float) -> float:
+    def _support(self, leader: int, along_m: float, now_m: NDArray[np.float64]) -> float:
         """Share of the newest votes, of half a sequence, that put the vehicle where the leader's group does."""
         newest = np.arange(self._count - min(self._count, CAPACITY, max(1, self._settings.length // 2)), self._count)
         slots = newest % CAPACITY
         there = (self._drives[slots] == self._drives[leader]) & (self._signs[slots] == self._signs[leader])
-        there &= np.abs(self._now_m()[slots] - along_m) <= self._settings.slack_m
+        there &= np.abs(now_m[slots] - along_m) <= self._settings.slack_m
         there |= (self._agree[leader, slots] > 0) & (self._drives[slots] != self._drives[leader])
         return float(there.mean())
 

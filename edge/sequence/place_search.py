@@ -41,6 +41,12 @@ Ring = Callable[[], NDArray[np.float32]]
 """All rows of the ring (n, R, D), oldest first, for where the newest one is not enough."""
 
 
+def with_measured_slopes(config: Config) -> Config:
+    """The slopes to search where the distance between places is measured."""
+    limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
+    return replace(config, sequence=replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES))
+
+
 @dataclass(frozen=True)
 class Near:
     """Where the vehicle may be: degrees, and how many meters the position may be wrong."""
@@ -72,6 +78,7 @@ class PlaceSearch:
         self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part was matched with no row of the ring yet
         self._unbelieved = 0  # frames since a place was believed
+        self._is_position_known = False  # of the autopilot, at the newest frame
         self._measured_frames = config.sequence.length  # in a row of which the distance driven is known
         self._search(self._everything(), None)
         orders = map_set.headers[0].regions.count
@@ -220,11 +227,8 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        sequence = self._config.sequence
-        if self._is_measured:
-            limit_rad = min(sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
-            sequence = replace(sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES)
-        return Submap(ranges, self._map_set, replace(self._config, sequence=sequence), self._frame)
+        config = with_measured_slopes(self._config) if self._is_measured else self._config
+        return Submap(ranges, self._map_set, config, self._frame)
 
     @property
     def _is_measured(self) -> bool:

@@ -22,7 +22,7 @@ from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
 from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
-from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
+from edge.sequence.place_search import with_measured_slopes
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
@@ -98,9 +98,7 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
     drives = Drives(map_set, config.sampling.spacing_m)
     settings = ConsensusSettings.of(config, drives)
     if drives.is_metric:
-        limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
-        measured = msgspec.structs.replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES)
-        config = msgspec.structs.replace(config, sequence=measured)
+        config = with_measured_slopes(config)
     for segment in header.segments:
         # With the view of the segment's own camera: the region orders of the other would match its mirror image.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
