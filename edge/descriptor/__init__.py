@@ -1,9 +1,9 @@
-"""From a picture to what a place means: regions, fc6 of each, and its normalization over the traverse.
+"""From a picture to what a place means: regions, a descriptor of each, and its normalization over the traverse.
 
-    image (H, W, 3) --regions--> (R, 224, 224, 3) --network--> raw fc6 (R, 4096) --normalize--> NSD (R, 4096)
+    image (H, W, 3) --regions--> (R, h, w, 3) --network--> raw descriptors (R, D) --normalize--> NSD (R, D)
 
-`model_import` and `quantize` make the network's file at a desk; the vehicle never loads them. A further descriptor
-is a class with `describe(images) -> (R, D) float32` that `recognizer.py` can be given in place of `Network`.
+The file of the network says h, w and D; for the shipped one they are 224, 224 and 4096 (an AlexNet). `sim/model_tools`
+makes such a file of any image network at a desk; `open_network` opens it on the provider that the config names.
 """
 
 from __future__ import annotations
@@ -12,6 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from edge.descriptor.statistics import RunningStatistics
+
+__all__ = ["NormalizedRows", "RunningStatistics"]
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 ONNX Runtime computes constants while it loads a model, and makes sparse weights dense even with all optimizations off,
 so a file of 200 bytes can fill the memory of the computer: the test
-`test_onnx_runtime_itself_fills_the_memory_for_a_small_file` shows both. What `lookback model import` writes needs few
-operators and no constants that are computed; anything else is refused here, before anything is allocated.
+`test_onnx_runtime_itself_fills_the_memory_for_a_small_file` shows both. What `lookback model import` writes has only
+the operators below and no constants that are computed; anything else is refused here, before anything is allocated.
+What the operators themselves may allocate is limited in `network.py`.
 The field numbers are those of onnx.proto (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
 """
 
@@ -19,16 +20,21 @@ import msgspec
 
 from edge.errors import ModelError
 
-FC6_FILE = "fc6_int8.onnx"
+FC6_FILE, NETWORK_FILE = "fc6_int8.onnx", "network_int8.onnx"
+"""The network file of a model folder: of an AlexNet, and of any other network."""
 HEAD_FILE = "head_int8.onnx"
 SHIPPED_MODEL = Path(__file__).with_name("models") / "alexnet_places100"
 
 METADATA_KEY = "lookback"
 MAX_FILE_BYTES = 512 * 2**20  # the float graph of AlexNet to fc6 is 161 MB
 MAX_ATTRIBUTE = 4096  # kernel, stride and padding of a convolution are far smaller
-OPERATORS = frozenset(
-    ["Conv", "DequantizeLinear", "Flatten", "Gemm", "Max", "MaxPool", "QuantizeLinear", "Relu", "Softmax", "Transpose"]
-)
+_INT8 = "DequantizeLinear QuantizeLinear"
+_ACTIVATIONS = "Clip Elu Erf Gelu HardSigmoid HardSwish LeakyRelu PRelu Relu Sigmoid Softmax Sqrt Tanh"
+_LAYERS = "AveragePool Conv Flatten Gemm GlobalAveragePool GlobalMaxPool MatMul MaxPool"
+_NORMALIZATIONS = "BatchNormalization InstanceNormalization LRN LayerNormalization LpNormalization"
+_ARITHMETIC = "Abs Add Div Exp Max Min Mul Neg Pow Reciprocal ReduceL2 ReduceMean ReduceSum Sub"
+_SHAPES = "Cast Concat Expand Gather Pad Reshape Resize Slice Split Squeeze Transpose Unsqueeze"
+OPERATORS = frozenset(" ".join((_INT8, _ACTIVATIONS, _LAYERS, _NORMALIZATIONS, _ARITHMETIC, _SHAPES)).split())
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _Value = int | memoryview
@@ -37,16 +43,18 @@ _Value = int | memoryview
 class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     """The description in a network file, as JSON under the key `lookback` of ONNX's metadata_props.
 
-    tap: the layer whose output (after ReLU) the network gives; `categories` for a head.
-    dimensions: values per region. weights_sha256: the weights file that it was made from.
-    fc6_sha256: of a head, the network file whose fc6 it understands. sha256: the file itself, set on reading.
+    tap: the tensor that the descriptor is made of (fc6 and conv3 of an AlexNet, after ReLU); `categories` for a head.
+    pool: the grid, such as 2x2, over whose cells a feature map is averaged; "" where the tap is used as it is.
+    dimensions: values per region. input_size: of the square image, or its height and width, in pixels.
+    channel_order: of the image that the file is given. weights_sha256: the weights file that it was made from.
+    fc6_sha256: of a head, the network file whose descriptor it understands. sha256: the file itself, set on reading.
     """
 
     name: str
-    tap: Literal["fc6", "conv3", "categories"]
+    tap: str
     dimensions: int
     precision: Literal["int8", "float32"]
-    input_size: int
+    input_size: int | tuple[int, int]
     channel_order: Literal["BGR"]
     mean_rgb: tuple[float, float, float]
     std_rgb: tuple[float, float, float]
@@ -57,6 +65,18 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     calibration: str
     fc6_sha256: str = ""
     sha256: str = ""
+    pool: str = ""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the image, in pixels."""
+        size = self.input_size
+        return (size, size) if isinstance(size, int) else size
+
+    @property
+    def output(self) -> str:
+        """What the network gives, as maps name it: the tap, and the grid if there is one."""
+        return f"{self.tap} {self.pool}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -68,10 +88,16 @@ class ModelFile:
     info: ModelInfo
 
 
-def resolve_model(path: Path | None, name: str) -> Path:
-    """The file `name` of the shipped model (None) or of a model folder; any other path is the file itself."""
+def resolve_model(path: Path | None, name: str = FC6_FILE) -> Path:
+    """The file `name` of the shipped model (None) or of a model folder; any other path is the file itself.
+
+    In a folder without `name`, its NETWORK_FILE if it has one.
+    """
     path = SHIPPED_MODEL if path is None else path
-    return path / name if path.is_dir() else path
+    if not path.is_dir():
+        return path
+    other = path / NETWORK_FILE
+    return other if name == FC6_FILE and not (path / name).exists() and other.exists() else path / name
 
 
 def read_model_file(path: Path) -> ModelFile:
@@ -79,7 +105,7 @@ def read_model_file(path: Path) -> ModelFile:
     try:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
-            raise ModelError(f"{path}: {size} bytes; an fc6 network has at most {MAX_FILE_BYTES}")
+            raise ModelError(f"{path}: {size} bytes; a network has at most {MAX_FILE_BYTES}")
         data = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot read the network: {error.strerror}") from None
@@ -146,7 +172,7 @@ def _check_node(node: memoryview, constants: set[bytes]) -> None:
             _check_attribute(_message(value))
         elif field == 7 and len(_message(value)):
             raise ModelError(f"has an operator of the domain {bytes(_message(value))[:40].decode()!r}")
-    if inputs and inputs[0] in constants:
+    if inputs and constants.issuperset(filter(None, inputs)):
         if operator != "DequantizeLinear":  # of weights: as many numbers come out as go in
             raise ModelError(f"has the operator {operator!r} on constants alone")
         constants.update(outputs)

@@ -1,4 +1,4 @@
-"""fc6 with ONNX Runtime: regions in, descriptors out; and the small head that gives the place category.
+"""Descriptors with ONNX Runtime: regions in, descriptors out; and the small head that gives the place category.
 
 The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
 import, and from 1.28 on it crashes at import on a Cortex-A76, so pyproject.toml requires an earlier version; a test
@@ -11,6 +11,7 @@ import os
 
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
+from functools import lru_cache
 from pathlib import Path
 
 import numkong
@@ -19,9 +20,30 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelFile, ModelInfo, read_model_file, resolve_model
-from edge.errors import ModelError
+from edge.errors import ConfigError, ModelError
 
 IMAGE = "image"
+CPU = "cpu"
+MAX_ARENA_BYTES = 2**30
+"""Memory that all networks on the CPU may allocate together. A small file can ask for any amount: the sum of a row and
+a column of 100,000 numbers each has 40 GB. A descriptor of two regions needs far less."""
+_SUFFIX = "ExecutionProvider"
+
+
+def provider_name(given: str) -> str:
+    """ONNX Runtime's name of a provider that is installed, such as OpenVINOExecutionProvider for "openvino".
+
+    ConfigError lists those that are.
+    """
+    available = onnxruntime.get_available_providers()
+    for name in available:
+        if given.lower() in (name.lower(), name.removesuffix(_SUFFIX).lower()):
+            return str(name)
+    short = ", ".join(f'"{name.removesuffix(_SUFFIX)}"' for name in available if name != f"CPU{_SUFFIX}")
+    raise ConfigError(
+        f'[descriptor] provider: "{given}" is not in this build of ONNX Runtime; there is "{CPU}"'
+        + (f" and {short}" if short else "")
+    )
 
 
 def lacks_int8_products() -> bool:
@@ -30,54 +52,67 @@ def lacks_int8_products() -> bool:
     return bool(has["haswell"] and not (has["icelake"] or has["alder"]))
 
 
-def open_session(model: bytes) -> onnxruntime.InferenceSession:
-    """A session that runs on the CPU, in the calling thread only."""
+@lru_cache(maxsize=1)
+def _limit_memory() -> None:
+    """Register the one allocator that all sessions on the CPU share; ONNX Runtime accepts it once in a process."""
+    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    memory = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
+    onnxruntime.create_and_register_allocator(memory, onnxruntime.OrtArenaCfg({"max_mem": MAX_ARENA_BYTES}))
+
+
+def open_session(model: bytes, provider: str = CPU) -> onnxruntime.InferenceSession:
+    """A session that runs in the calling thread only, on the CPU or where an installed provider runs it."""
     options = onnxruntime.SessionOptions()
     # A second thread gains little and adds jitter; spinning would use a core that other programs need.
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    _limit_memory()
+    options.add_session_config_entry("session.use_env_allocators", "1")
     if lacks_int8_products():
         # Its int8 kernels saturate at 16 bits: the same picture would give another fc6 than on other processors. The
         # precise ones give the same bytes as VNNI. Weights of 7 bits would need neither, and failed `model verify`.
         options.add_session_config_entry("session.x64quantprecision", "1")
-    options.log_severity_level = 3  # errors; they are raised as exceptions as well
-    # There are no other providers: a fallback would print several lines and fail again.
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    options.log_severity_level = 4  # errors are raised as exceptions, and need not be printed as well
+    providers = list(dict.fromkeys((provider_name(provider), f"CPU{_SUFFIX}")))  # the CPU runs what the other cannot
+    # A fallback to another provider would print several lines and fail again.
+    session = onnxruntime.InferenceSession(model, options, providers=providers, enable_fallback=0)
     session._model_bytes = None  # 40 MB, kept for that fallback alone
     return session
 
 
 class Network:
-    """Regions to fc6. Normalization and channel order are inside the graph: no float image exists outside it."""
+    """Regions to descriptors. Normalization and channel order are in the graph: no float image exists outside it."""
 
-    def __init__(self, file: ModelFile) -> None:
-        """file: as `read_model_file` returned it. ModelError if the graph does not agree with its metadata."""
-        size = file.info.input_size
+    def __init__(self, file: ModelFile, provider: str = CPU) -> None:
+        """file: as `read_model_file` returned it. provider: "cpu", or that of an accelerator.
+
+        ModelError if the graph does not agree with its metadata; ConfigError if the provider is not installed.
+        """
         if file.info.tap == "categories":
             raise ModelError(f"{file.path}: is the category head; name the network file, {FC6_FILE}")
         self.info = file.info
         self.path = file.path
-        self._session = _open_checked(file, IMAGE, "tensor(uint8)", [size, size, 3])
+        self.provider = provider
+        self._session = _open_checked(file, IMAGE, np.uint8, [*file.info.size, 3], provider)
 
     @classmethod
-    def load(cls, path: Path | None = None) -> Network:
+    def load(cls, path: Path | None = None, provider: str = CPU) -> Network:
         """The shipped network (None), or that of a file or model folder. Raises ModelError, in one line."""
-        return cls(read_model_file(resolve_model(path, FC6_FILE)))
+        return cls(read_model_file(resolve_model(path)), provider)
 
     def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """fc6 after ReLU, (B, dimensions) float32, of images (B, input_size, input_size, 3) uint8 BGR, contiguous.
+        """Raw descriptors (B, dimensions) float32 of images (B, height, width, 3) uint8 BGR, contiguous.
 
         A batch reads the weights once: two regions take far less than twice the time of one. The descriptor of an
         image does not depend on the others in its batch.
         """
-        descriptors: NDArray[np.float32] = self._session.run(None, {IMAGE: images})[0]
-        return descriptors
+        return _run(self._session, IMAGE, images)
 
 
 class Head:
-    """fc6 to place categories (fc7, fc8, softmax); works only with the fc6 of one network file."""
+    """Descriptors to place categories; works only with the descriptors of one network file."""
 
     def __init__(self, file: ModelFile, network: ModelInfo) -> None:
         """file: as `read_model_file` returned it; ModelError if it does not belong to the network."""
@@ -89,7 +124,8 @@ class Head:
         if len(file.info.labels) != file.info.dimensions:
             raise ModelError(f"{file.path}: {len(file.info.labels)} labels for {file.info.dimensions} categories")
         self.labels = file.info.labels
-        self._session = _open_checked(file, "fc6", "tensor(float)", [network.dimensions])
+        self._input = network.output
+        self._session = _open_checked(file, self._input, np.float32, [network.dimensions])
 
     @classmethod
     def load(cls, network: Network, path: Path | None = None) -> Head:
@@ -98,9 +134,8 @@ class Head:
         return cls(read_model_file(file), network.info)
 
     def probabilities(self, descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Softmax over the categories, (R, C) float32, of raw fc6 (R, dimensions) float32."""
-        probabilities: NDArray[np.float32] = self._session.run(None, {"fc6": descriptors})[0]
-        return probabilities
+        """Softmax over the categories, (R, C) float32, of raw descriptors (R, dimensions) float32."""
+        return _run(self._session, self._input, descriptors)
 
     def categories(self, descriptors: NDArray[np.float32]) -> tuple[str, float]:
         """Label and probability of the category with the highest mean over the R regions of one frame."""
@@ -109,16 +144,38 @@ class Head:
         return self.labels[best], float(mean[best])
 
 
-def _open_checked(file: ModelFile, name: str, dtype: str, shape: list[int]) -> onnxruntime.InferenceSession:
-    """Open a session and check that its input and output agree with the metadata; the first axis is the batch."""
+def _run(session: onnxruntime.InferenceSession, name: str, batch: NDArray[np.generic]) -> NDArray[np.float32]:
+    """The output for a batch; one after the other where the graph works only with a batch of one."""
+    pieces = [batch] if session.get_inputs()[0].shape[0] != 1 else np.split(batch, len(batch))
+    found: list[NDArray[np.float32]] = [session.run(None, {name: piece})[0] for piece in pieces]
+    return found[0] if len(found) == 1 else np.concatenate(found)
+
+
+def _open_checked(
+    file: ModelFile, name: str, dtype: type[np.generic], shape: list[int], provider: str = CPU
+) -> onnxruntime.InferenceSession:
+    """Open a session, check that input and output agree with the metadata, and run it once; the first axis is B."""
     try:
-        session = open_session(file.data)
+        session = open_session(file.data, provider)
         tensors = [*session.get_inputs(), *session.get_outputs()]
         found = [(tensor.name, tensor.type, tensor.shape[1:]) for tensor in tensors]
+    except ConfigError:
+        raise
     except Exception as error:  # ONNX Runtime's own classes share only Exception
-        reason = str(error).replace("\n", " ")
-        raise ModelError(f"{file.path}: ONNX Runtime rejects it: {reason[:300]}") from None
-    wanted = [(name, dtype, shape), (file.info.tap, "tensor(float)", [file.info.dimensions])]
-    if found != wanted or isinstance(tensors[0].shape[0], int):
+        raise _rejected(file, error) from None
+    kind = "uint8" if dtype is np.uint8 else "float"
+    wanted = [(name, f"tensor({kind})", shape), (file.info.output, "tensor(float)", [file.info.dimensions])]
+    if found != wanted or (tensors[0].shape[0] != 1 and isinstance(tensors[0].shape[0], int)):
         raise ModelError(f"{file.path}: has inputs and outputs {found}, its metadata needs {wanted}")
+    try:
+        given = _run(session, name, np.zeros((2, *shape), dtype)).shape
+    except Exception as error:
+        raise _rejected(file, error) from None
+    if given != (2, file.info.dimensions):
+        raise ModelError(f"{file.path}: gives {given} for two images, its metadata needs (2, {file.info.dimensions})")
     return session
+
+
+def _rejected(file: ModelFile, error: Exception) -> ModelError:
+    reason = str(error).replace("\n", " ")
+    return ModelError(f"{file.path}: ONNX Runtime rejects it: {reason[:300]}")

@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor import NormalizedRows
+from edge.descriptor import NormalizedRows, RunningStatistics
 
 DEAD_DEVIATION = 1e-4
 """A dimension whose deviation is below this fraction of the mean deviation is dead after ReLU, and is set to 0."""
@@ -37,38 +38,6 @@ def normalize(
     scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=sound).astype(np.float32)
     normalized: NDArray[np.float32] = (raw - mean.astype(np.float32)) * scale
     return normalized
-
-
-class RunningStatistics:
-    """Mean and deviation of every dimension so far, updated a frame at a time (Welford), in float64."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self.count = 0
-        self.mean = np.zeros(shape)
-        self._squares = np.zeros(shape)
-
-    @classmethod
-    def of_another_run(
-        cls, count: int, mean: NDArray[np.float64], deviation: NDArray[np.float64], *, at_most: int
-    ) -> RunningStatistics:
-        """Statistics (R, D) of `count` frames of another run, with the weight of at most `at_most` frames."""
-        statistics = cls((mean.shape[0], mean.shape[1]))
-        statistics.count = min(count, at_most)
-        statistics.mean = mean.copy()
-        statistics._squares = deviation**2 * statistics.count
-        return statistics
-
-    def update(self, raw: NDArray[np.float32]) -> None:
-        """Add one raw descriptor (R, D)."""
-        self.count += 1
-        difference = raw - self.mean
-        self.mean += difference / self.count
-        self._squares += difference * (raw - self.mean)
-
-    @property
-    def deviation(self) -> NDArray[np.float64]:
-        """Standard deviation (R, D) over the frames so far; 0 everywhere after one frame."""
-        return np.sqrt(self._squares / max(self.count, 1))
 
 
 @dataclass
@@ -132,9 +101,10 @@ class OnlineNormalizer:
         self._ring.append(_RingRow(nothing, nothing, math.inf))
         return True
 
-    def rows(self) -> NDArray[np.float32]:
-        """The whole ring as it was last normalized, (n, R, D), oldest first."""
-        return np.stack([row.normalized for row in self._ring])
+    def rows(self, newest: int | None = None) -> NDArray[np.float32]:
+        """The ring as it was last normalized, (n, R, D), oldest first; only the newest so many rows of it if given."""
+        first = 0 if newest is None else max(0, len(self._ring) - newest)
+        return np.stack([row.normalized for row in islice(self._ring, first, None)])
 
     @property
     def statistics(self) -> RunningStatistics | None:

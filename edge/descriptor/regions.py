@@ -16,9 +16,7 @@ LARGEST_STEP = 2.5
 pixels a side, and what lies between them would be lost."""
 
 
-def cut_regions(
-    image: NDArray[np.uint8], regions: Regions, width: float, size: tuple[int, int] = (224, 224)
-) -> NDArray[np.uint8]:
+def cut_regions(image: NDArray[np.uint8], regions: Regions, width: float, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Cut an image (H, W, 3) into R regions resized to `size` (height, width): (R, height, width, 3) uint8.
 
     "left-right" uses the outer `width` (fraction of W) at each side, left first, at full height; "whole" ignores

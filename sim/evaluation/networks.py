@@ -28,7 +28,7 @@ def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision
     """
     wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
     for one in wanted:
-        file = resolve_model(folder / plan.model if plan.model else None, f"{tap}_{one}.onnx")
+        file = _file_of(folder / plan.model if plan.model else None, tap, one)
         if file.is_file():
             return Network.load(file)
         if plan.weights and (one == "float32" or plan.ranges):
@@ -39,10 +39,19 @@ def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision
     )
 
 
+def _file_of(model: Path | None, tap: Tap, precision: Precision) -> Path:
+    """The file of an AlexNet's layer; of another network its own descriptor stands for fc6."""
+    file = resolve_model(model, f"{tap}_{precision}.onnx")
+    other = file.with_name(f"network_{precision}.onnx")
+    return other if tap == "fc6" and not file.exists() and model is not None and model.is_dir() else file
+
+
 def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> Head:
     """The categories of a network's fc6. ConfigError if neither its folder nor its weights have them."""
     if network.path.with_name(HEAD_FILE).is_file():
         return Head.load(network)
+    if not plan.weights:
+        raise ConfigError(f"[networks.{name}]: {network.path} has no categories; import it with --labels")
     weights, sha256 = _weights(folder / plan.weights)
     if not has_head(weights):
         raise ConfigError(f"[networks.{name}]: neither {HEAD_FILE} nor weights of fc7 and fc8, so no categories")

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -28,13 +28,15 @@ PAD_LEVEL = 114
 The networks were trained with zeros there, after normalization, which is up to 10 levels from this gray. A gray
 that all channels share lets the pixels enter the int8 network as they are, without rounding them again.
 """
+NORMALIZE = "normalize"
+"""How the names of nodes begin that stay in float: what prepares an image, and what averages a feature map."""
 OPSET, IR_VERSION = 17, 8  # read by ONNX Runtime since 1.12
 DIMENSIONS = {"fc6": FC6_SHAPE[0], "conv3": 384 * 13 * 13}
 
 
 def alexnet_info(
     name: str,
-    tap: Literal["fc6", "conv3"] = "fc6",
+    tap: str = "fc6",
     *,
     labels: tuple[str, ...] = (),
     licence: str = "not stated",
@@ -146,15 +148,25 @@ class GraphBuilder:
         return self.add("Gemm", [self.last, weight, self.constant(f"{layer}.bias", weights[f"{layer}.bias"])], layer)
 
     def finish(self, name: str, shape: list[int], dtype: type[np.generic], info: ModelInfo) -> onnx.ModelProto:
-        """The model with one input and, as its one output, the tensor that was added last."""
+        """The model with one input and, as its one output, the tensor that was added last; with its metadata."""
+        model = self.model("alexnet", [(name, dtype, shape)], info.dimensions)
+        set_info(model, info)
+        return model
+
+    def model(
+        self, name: str, inputs: list[tuple[str, type[np.generic], list[int]]], dimensions: int
+    ) -> onnx.ModelProto:
+        """The model; each input has a name, a type, and a shape without its first axis, the batch."""
         helper, kinds = self._onnx.helper, self._onnx.TensorProto
-        given = helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), ["B", *shape])
-        result = helper.make_tensor_value_info(self.last, kinds.FLOAT, ["B", info.dimensions])
-        graph = helper.make_graph(self._nodes, "alexnet", [given], [result], self._constants)
+        given = [
+            helper.make_tensor_value_info(key, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), ["B", *shape])
+            for key, dtype, shape in inputs
+        ]
+        result = helper.make_tensor_value_info(self.last, kinds.FLOAT, ["B", dimensions])
+        graph = helper.make_graph(self._nodes, name, given, [result], self._constants)
         model: onnx.ModelProto = helper.make_model(
             graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
         )
-        set_info(model, info)
         self._onnx.checker.check_model(model)
         return model
 
@@ -163,4 +175,14 @@ def set_info(model: onnx.ModelProto, info: ModelInfo) -> None:
     """Write what the file says of itself into its metadata."""
     import onnx
 
-    onnx.helper.set_model_props(model, {METADATA_KEY: msgspec.json.encode(info).decode()})
+    fields = msgspec.structs.asdict(info)
+    if not info.pool:
+        del fields["pool"]  # networks that were made before there was a pool keep their bytes
+    onnx.helper.set_model_props(model, {METADATA_KEY: msgspec.json.encode(fields).decode()})
+
+
+def get_info(model: onnx.ModelProto) -> ModelInfo:
+    """What `set_info` wrote."""
+    return msgspec.json.decode(
+        next(one.value for one in model.metadata_props if one.key == METADATA_KEY), type=ModelInfo
+    )

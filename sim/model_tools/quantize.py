@@ -6,34 +6,38 @@ Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tens
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import ModelInfo
-from edge.descriptor.network import open_session
+from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
-from sim.model_tools.onnx_graph import PAD_LEVEL, set_info
+from sim.model_tools.onnx_graph import NORMALIZE, set_info
 from sim.model_tools.weights import CONVS, FC6, FC8
 
 if TYPE_CHECKING:
     import onnx
 
+Decoded = TypeVar("Decoded")
 Ranges = dict[str, tuple[float, float]]
 """Least and greatest value by tensor name."""
 
 _LAYERS = (*(conv.layer for conv in CONVS), FC6)
 RANGE_SHARE = 0.8
-"""Share of a layer's greatest value that int8 spans; what is above is clipped.
+"""Share of a tensor's least and greatest value that int8 spans; what is beyond is clipped.
 
 The greatest value of many images is an outlier, and the finer step gains more than clipping it loses: cosine to
 float after NSD 0.9963 to 0.9970 (mean over the corridor and track feeds), 0.967 to 0.978 on darkened frames.
 """
-QUANTIZED_OPERATORS = ["Conv", "Relu", "MaxPool", "Flatten", "Gemm"]
+QUANTIZED_OPERATORS = ["Conv", "Relu", "Clip", "Add", "Mul", "MaxPool", "Flatten", "Gemm", "Concat"]
+_SAME_RANGE = ("MaxPool", "Flatten")
+_PIXELS = "input"  # the tensor of pixels less the gray that stands for nothing
 
 
 class LayerRange(msgspec.Struct, frozen=True):
@@ -43,47 +47,83 @@ class LayerRange(msgspec.Struct, frozen=True):
     max: Annotated[float, msgspec.Meta(gt=0)]
 
 
-def read_ranges(path: Path) -> dict[str, float]:
-    """Greatest output by layer from a JSON file {layer: {min, max}}. ModelError names file and layer."""
-    try:
-        given = msgspec.json.decode(path.read_bytes(), type=dict[str, msgspec.Raw])
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: {error}") from None
-    greatest = {}
+class TensorRange(msgspec.Struct, frozen=True):
+    """Least and greatest value of a tensor over all calibration images."""
+
+    min: float
+    max: float
+
+
+def read_ranges(path: Path) -> Ranges:
+    """Ranges of AlexNet's layers after ReLU, from a JSON file {layer: {min, max}}. ModelError names file and layer."""
+    given = _decode(path, dict[str, msgspec.Raw])
+    ranges = {}
     for layer in _LAYERS:
         if layer not in given:
             raise ModelError(f"{path}: no range of {layer}; it needs {{min, max}} of {', '.join(_LAYERS)}")
         try:
-            greatest[layer] = msgspec.json.decode(given[layer], type=LayerRange).max
+            ranges[layer] = (0.0, msgspec.json.decode(given[layer], type=LayerRange).max)
         except msgspec.ValidationError as error:
             raise ModelError(f"{path}: {layer}: {error}") from None
-    return greatest
+    return ranges
 
 
-def measure_ranges(float_model: onnx.ModelProto, images: Iterable[NDArray[np.uint8]]) -> dict[str, float]:
-    """Greatest output by layer of the fc6 float graph over images (224, 224, 3) uint8 BGR."""
+def read_tensor_ranges(path: Path) -> Ranges:
+    """Ranges by tensor from a JSON file {tensor: {min, max}}. ModelError names the file."""
+    given = _decode(path, dict[str, TensorRange])
+    return {name: (one.min, one.max) for name, one in given.items()}
+
+
+def write_tensor_ranges(path: Path, ranges: Ranges) -> None:
+    """The file that `read_tensor_ranges` reads, with four significant digits."""
+    rows = (f'"{name}": {{"min": {low:.4g}, "max": {high:.4g}}}' for name, (low, high) in ranges.items())
+    path.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
+
+
+def _decode(path: Path, kind: type[dict[str, Decoded]]) -> dict[str, Decoded]:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: {error}") from None
+
+
+def measure_ranges(float_model: onnx.ModelProto, images: Iterable[NDArray[np.uint8]]) -> Ranges:
+    """Least and greatest value of each tensor that is quantized, over images (H, W, 3) uint8 BGR."""
     import onnx
 
     model = onnx.ModelProto()
     model.CopyFrom(float_model)
-    layers = [layer for layer in _LAYERS if any(layer in node.output for node in model.graph.node)]
+    names = _tensors(model)
     del model.graph.output[:]
-    model.graph.output.extend(onnx.helper.make_tensor_value_info(n, onnx.TensorProto.FLOAT, None) for n in layers)
+    model.graph.output.extend(onnx.helper.make_tensor_value_info(n, onnx.TensorProto.FLOAT, None) for n in names)
     session = open_session(model.SerializeToString())
-    greatest = np.zeros(len(layers))
+    low, high = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     for image in images:
-        greatest = np.maximum(greatest, [output.max() for output in session.run(layers, {"image": image[None]})])
-    if not greatest.all():
-        raise ModelError(f"no output of {layers[int(greatest.argmin())]} over the calibration images; use real ones")
-    return dict(zip(layers, greatest.tolist(), strict=True))
+        found = session.run(names, {IMAGE: image[None]})
+        low = np.minimum(low, [one.min() for one in found])
+        high = np.maximum(high, [one.max() for one in found])
+    if not (np.isfinite(low) & np.isfinite(high) & (high > low)).all():
+        flat = names[int((np.isfinite(low) & np.isfinite(high) & (high > low)).argmin())]
+        raise ModelError(f"no output of {flat} over the calibration images; use real ones")
+    return dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
 
 
-def quantize(float_model: onnx.ModelProto, greatest: dict[str, float], info: ModelInfo) -> onnx.ModelProto:
-    """int8 model of a network (greatest output by layer) or of a head (greatest fc6 under classifier.1).
+def quantize(
+    float_model: onnx.ModelProto,
+    ranges: Ranges,
+    info: ModelInfo,
+    *,
+    signed: bool = True,
+    share: float = RANGE_SHARE,
+    float_layers: int = 0,
+) -> onnx.ModelProto:
+    """int8 model of a network or head, with the ranges of its tensors (of a head: of fc6, under classifier.1).
 
-    Every output of the last fully connected layer stays float32: its accumulators are int32 anyway.
+    Every output of a fully connected layer stays float32: its accumulators are int32 anyway. signed: of activations;
+    ONNX Runtime fuses additions only where they are not. share: see RANGE_SHARE. float_layers: so many of the first
+    convolutions and fully connected layers stay in float.
     """
     import onnx
     from onnxruntime.quantization import CalibrationMethod, QuantType
@@ -92,38 +132,91 @@ def quantize(float_model: onnx.ModelProto, greatest: dict[str, float], info: Mod
 
     model = onnx.ModelProto()
     model.CopyFrom(float_model)
-    ranges = {
+    spans = {
         name: TensorData(lowest=np.float32(low), highest=np.float32(high))
-        for name, (low, high) in _tensor_ranges(model, greatest).items()
+        for name, (low, high) in _tensor_ranges(model, ranges, share).items()
     }
     quantizer = QDQQuantizer(
         model,
         per_channel=True,
         reduce_range=False,
         weight_qType=QuantType.QInt8,
-        activation_qType=QuantType.QInt8,
-        tensors_range=TensorsData(CalibrationMethod.MinMax, ranges),
+        activation_qType=QuantType.QInt8 if signed else QuantType.QUInt8,
+        tensors_range=TensorsData(CalibrationMethod.MinMax, spans),
         nodes_to_quantize=[],
-        nodes_to_exclude=[FC8],  # of a head: small, and no range of its input is known
+        # Of a head: small, and no range of its input is known. The average over a grid: small as well.
+        nodes_to_exclude=[FC8, *_in_float(model, float_layers)],
         op_types_to_quantize=QUANTIZED_OPERATORS,
         extra_options={"OpTypesToExcludeOutputQuantization": ["Gemm"]},
     )
-    quantized: onnx.ModelProto = quantizer.quantize_model()
+    logging.disable(logging.WARNING)  # a line for each channel whose weights are tiny
+    try:
+        quantized: onnx.ModelProto = quantizer.quantize_model()
+    finally:
+        logging.disable(logging.NOTSET)
     set_info(quantized, info)
     return quantized
 
 
-def _tensor_ranges(model: onnx.ModelProto, greatest: dict[str, float]) -> Ranges:
-    """Ranges of every tensor between nodes: after ReLU from 0, and the same through pooling and flattening."""
-    is_head = model.graph.input[0].name == "fc6"
-    ranges: Ranges = (
-        {"fc6": (0.0, RANGE_SHARE * greatest[FC6])} if is_head else {"input": (-PAD_LEVEL, 255 - PAD_LEVEL)}
-    )
+def unknown_tensors(model: onnx.ModelProto, ranges: Ranges) -> list[str]:
+    """Tensors that are quantized and have no range."""
+    known = _tensor_ranges(model, ranges, 1.0)
+    dense = {node.output[0] for node in model.graph.node if node.op_type == "Gemm"}
+    return [name for name in _tensors(model) if name not in known and name not in dense]
+
+
+def _tensors(model: onnx.ModelProto) -> list[str]:
+    """What enters and leaves the operators that are quantized, without constants and pixels."""
+    constants = {tensor.name for tensor in model.graph.initializer}
+    names = [
+        name
+        for node in model.graph.node
+        if node.op_type in QUANTIZED_OPERATORS and not node.name.startswith(NORMALIZE)
+        for name in [*node.input, *node.output]
+    ]
+    return [name for name in dict.fromkeys(names) if name and name not in constants and name != _PIXELS]
+
+
+def layer_count(model: onnx.ModelProto) -> int:
+    """How many convolutions and fully connected layers there are to quantize."""
+    return sum(_is_layer(node) for node in model.graph.node)
+
+
+def _is_layer(node: onnx.NodeProto) -> bool:
+    return node.op_type in ("Conv", "Gemm") and not node.name.startswith(NORMALIZE)
+
+
+def _in_float(model: onnx.ModelProto, layers: int) -> list[str]:
+    """Names of the nodes before the layer of that number, and of those that are never quantized."""
+    names, passed = [], 0
+    for node in model.graph.node:
+        passed += _is_layer(node)
+        if (passed <= layers and layers) or node.name.startswith(NORMALIZE):
+            names.append(node.name)
+    return names
+
+
+def _tensor_ranges(model: onnx.ModelProto, given: Ranges, share: float) -> Ranges:
+    """Ranges of every tensor between nodes: what enters a ReLU has the range of what leaves it."""
+    import onnx
+
+    spans = {name: (share * low, share * high) for name, (low, high) in given.items()}
+    ranges: Ranges = {}
+    if model.graph.input[0].name == "fc6":
+        ranges["fc6"] = spans[FC6]
+    else:
+        grey = next(tensor for tensor in model.graph.initializer if tensor.name == "grey")
+        level = float(onnx.numpy_helper.to_array(grey))
+        ranges[_PIXELS] = (-level, 255 - level)
     for node in model.graph.node:
         source, result = node.input[0], node.output[0]
-        if node.op_type == "Relu" and result in greatest:
-            # The ReLU is the lower end of the range, so a convolution's own output shares it.
-            ranges[source] = ranges[result] = (0.0, RANGE_SHARE * greatest[result])
-        elif node.op_type in ("MaxPool", "Flatten"):
+        for name in node.input:
+            if name in spans:
+                ranges.setdefault(name, spans[name])
+        if node.op_type in _SAME_RANGE and source in ranges:
             ranges[result] = ranges[source]
+        elif result in spans:
+            ranges[result] = spans[result]
+            if node.op_type in ("Relu", "Clip"):
+                ranges[source] = spans[result]
     return ranges

@@ -2,14 +2,12 @@
 
 The layout is that of torchvision.models.alexnet
 (https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py) and of the published Places365 network; fc7
-and fc8 may have any width. `torch` is imported only for .pth files.
-"""
+and fc8 may have any width."""
 
 from __future__ import annotations
 
 import hashlib
 import io
-import pickle
 import re
 import zipfile
 import zlib
@@ -22,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ModelError
-from edge.extras import install_command
+from sim.model_tools.torch_file import read_state
 
 Weights = Mapping[str, NDArray[np.float32]]
 
@@ -59,7 +57,7 @@ def read_weights(path: Path) -> tuple[Weights, str]:
         data = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot read the weights: {error.strerror}") from None
-    raw = _read_npz(path, data) if path.suffix == ".npz" else _read_torch(path, data)
+    raw = _read_npz(path, data) if path.suffix == ".npz" else read_state(path, data)
     # Published checkpoints were saved from DataParallel, which puts "module." into the names.
     weights = {name.replace("module.", ""): np.asarray(value, dtype=np.float32) for name, value in raw.items()}
     _check_weights(path, weights)
@@ -76,19 +74,6 @@ def _read_npz(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
             return dict(arrays)
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, MemoryError, NotImplementedError) as error:
         raise ModelError(f"{path}: not a whole .npz file: {error}") from None
-
-
-def _read_torch(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
-    try:
-        import torch
-    except ImportError:
-        raise ModelError(f"{path}: needs PyTorch to be read: {install_command('torch')}") from None
-    try:
-        checkpoint = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        state = checkpoint.get("state_dict", checkpoint)
-        return {name: value.numpy() for name, value in state.items()}
-    except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
-        raise ModelError(f"{path}: not a PyTorch checkpoint of weights: {str(error).splitlines()[0]}") from None
 
 
 def _check_weights(path: Path, weights: Weights) -> None:
@@ -123,13 +108,18 @@ def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
     count = weights[f"{FC8}.weight"].shape[0]
     if path is None:
         return tuple(f"category {number}" for number in range(count))
+    labels = read_label_lines(path)
+    if len(labels) != count:
+        raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
+    return labels
+
+
+def read_label_lines(path: Path) -> tuple[str, ...]:
+    """The names of a file, one a line; ModelError names it."""
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
     except OSError as error:
         raise ModelError(f"{path}: cannot read the labels: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ModelError(f"{path}: not UTF-8 text") from None
-    labels = tuple(re.sub(r"^/\w/|\s+\d+$", "", line) for line in lines if line)
-    if len(labels) != count:
-        raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
-    return labels
+    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

@@ -77,7 +77,7 @@ def test_too_large_file_is_not_read(tmp_path: Path) -> None:
     file = tmp_path / "model.onnx"
     with file.open("wb") as stream:
         stream.truncate(MAX_FILE_BYTES + 1)  # sparse: takes no room on the disk
-    assert_refused(file, "bytes; an fc6 network has at most")
+    assert_refused(file, "bytes; a network has at most")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])

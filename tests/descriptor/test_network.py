@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
 from edge.descriptor.network import Head, Network, onnxruntime
 from edge.descriptor.regions import Regions, cut_regions
 from edge.errors import ModelError
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.fidelity import NSD_COSINE_MIN, compare, matching_accuracy
+from sim.model_tools.fidelity import matching_accuracy
 from sim.model_tools.onnx_graph import MEAN_RGB, build_float
 from sim.model_tools.weights import read_weights
 
@@ -39,7 +40,7 @@ def images() -> NDArray[np.uint8]:
 def read_regions(feed: Path, kind: Regions) -> NDArray[np.uint8]:
     """All frames of a feed as (N, R, 224, 224, 3)."""
     rows = FeedImages(read_feed(feed))
-    return np.stack([cut_regions(rows.read(row), kind, 0.4) for row in range(len(read_feed(feed).rows))])
+    return np.stack([cut_regions(rows.read(row), kind, 0.4, (224, 224)) for row in range(len(read_feed(feed).rows))])
 
 
 def describe(network: Network, regions: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.normalize import (
-    RENEWED_AT_ONCE,
-    STALE_GROWTH,
-    OnlineNormalizer,
-    RunningStatistics,
-    normalize,
-)
+from edge.descriptor import RunningStatistics
+from edge.descriptor.normalize import RENEWED_AT_ONCE, STALE_GROWTH, OnlineNormalizer, normalize
 
 
 def descriptors(count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -19,6 +14,18 @@ def descriptors(count: int, seed: int = 0) -> NDArray[np.float32]:
     raw = np.maximum(np.random.default_rng(seed).normal(size=(count, 2, 50)), 0).astype(np.float32)
     raw[:, 0, 7], raw[:, 0, 9] = 0, 3
     return raw
+
+
+def test_statistics_of_many_at_once_are_those_of_one_after_another() -> None:
+    raw = descriptors(60)
+    one_by_one, in_blocks = RunningStatistics((2, 50)), RunningStatistics((2, 50))
+    for row in raw:
+        one_by_one.update(row)
+    for start, end in ((0, 1), (1, 1), (1, 20), (20, 60)):
+        in_blocks.update_all(raw[start:end])
+    np.testing.assert_allclose(in_blocks.mean, one_by_one.mean, rtol=1e-12)
+    np.testing.assert_allclose(in_blocks.deviation, one_by_one.deviation, rtol=1e-12, atol=1e-12)
+    assert in_blocks.count == one_by_one.count
 
 
 def nsd(raw: NDArray[np.float32]) -> NDArray[np.float64]:

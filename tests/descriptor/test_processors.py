@@ -28,7 +28,7 @@ harsh = rng.integers(0, 2, (1080, 1920, 3)) * 255  # black and white at random: 
 network = Network.load()
 raw = []
 for image in (soft, harsh):
-    regions = cut_regions(image.astype(np.uint8), "left-right", 0.4)
+    regions = cut_regions(image.astype(np.uint8), "left-right", 0.4, (224, 224))
     raw.append(network.describe(regions))
     print("regions", hashlib.sha256(regions.tobytes()).hexdigest())
     print("fc6", hashlib.sha256(raw[-1].tobytes()).hexdigest())

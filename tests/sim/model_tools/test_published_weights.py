@@ -11,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.__main__ import main
+from edge.descriptor.fidelity import compare
 from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import cut_regions
 from edge.feed import Feed, FeedImages, read_feed
-from sim.model_tools.fidelity import compare, matching_accuracy
+from sim.model_tools.fidelity import matching_accuracy
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from sim.model_tools.weights import read_weights
 
@@ -70,7 +71,9 @@ def float_fc6(net: Any, images: NDArray[np.uint8]) -> NDArray[np.float32]:
 def described(feed: Feed, describe: Callable[[NDArray[np.uint8]], NDArray[np.float32]]) -> NDArray[np.float32]:
     """Raw descriptors (N, 1, 4096) of all whole frames."""
     images = FeedImages(feed)
-    found = np.stack([describe(cut_regions(images.read(row), "whole", 0.4)) for row in range(len(feed.rows))])
+    found = np.stack(
+        [describe(cut_regions(images.read(row), "whole", 0.4, (224, 224))) for row in range(len(feed.rows))]
+    )
     images.close()
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -131,13 +130,6 @@ def test_checkpoint_that_would_run_code(tmp_path: Path) -> None:
     torch.save({"state_dict": Path("/")}, file)
     with pytest.raises(ModelError, match=r"bad\.pth: not a PyTorch checkpoint of weights"):
         read_weights(file)
-
-
-def test_checkpoint_without_pytorch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)  # as Python itself marks a module that cannot be imported
-    (tmp_path / "alexnet.pth").write_bytes(b"")
-    with pytest.raises(ModelError, match=r"alexnet\.pth: needs PyTorch to be read: .*\[torch\]"):
-        read_weights(tmp_path / "alexnet.pth")
 
 
 def test_labels_of_places365_lose_path_and_number(tmp_path: Path) -> None:

@@ -1,0 +1,310 @@
+"""`lookback model import`: AlexNet weights, an ONNX or PyTorch network, or a recipe, to the network of a vehicle."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.atomic_file import replacing
+from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
+from edge.descriptor.model_file import HEAD_FILE, NETWORK_FILE, ModelFile, ModelInfo, read_model_file
+from edge.descriptor.network import Network
+from edge.descriptor.regions import REGION_COUNT
+from edge.errors import ConfigError, ModelError
+from edge.feed import read_feed
+from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
+from sim.model_tools.frames import regions_of
+from sim.model_tools.torch_file import export_onnx
+from sim.model_tools.weights import has_head, read_label_lines, read_labels, read_weights
+
+if TYPE_CHECKING:
+    import onnx
+
+MAX_CALIBRATION_FRAMES = 500  # of each feed, evenly spread; more move the ranges by little
+MAX_COMPARED = 60  # regions on which int8 is compared with float while it is chosen what stays in float
+FLOAT_LAYERS = (0, 2, 4, 6, 8, 12, 16, 24, 32)
+"""How many of the first layers are tried in float until int8 is close enough; the first ones lose most by rounding."""
+MARGIN = 0.001
+"""By how much the calibration images must exceed NSD_COSINE_MIN: other images do a little worse."""
+RECIPE_RANGES = Path(__file__).with_name("efficientnet_lite0_ranges.json")
+RECIPE_FLOAT_LAYERS = 12
+
+
+def add_import(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `lookback model import`."""
+    parser.add_argument(
+        "weights",
+        type=Path,
+        metavar="MODEL",
+        help="an image network (.onnx, TorchScript .pt, exported program .pt2); AlexNet weights (.npz, .pth, .pth.tar);"
+        f" or {efficientnet.NAME}, whose weights are in the extra efficientnet",
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
+    parser.add_argument("--labels", type=Path, help="names of the categories, one per line")
+    ranges = parser.add_mutually_exclusive_group()
+    ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
+    ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
+    parser.add_argument("--name", help="name of the network (default: that of the file)")
+    parser.add_argument("--licence", help="terms of the weights, kept in the file")
+    parser.add_argument("--source", help="origin of the weights, kept in the file")
+    parser.add_argument("--tap", help="the tensor to use (default: the network's output; AlexNet: fc6, or conv3)")
+    parser.add_argument("--float", action="store_true", help="write the float network beside it, for `model verify`")
+    parser.add_argument("--float-only", action="store_true", help="write the float network instead of an int8 one")
+    image = parser.add_argument_group("image networks")
+    image.add_argument("--pool", metavar="RxC", help="average a feature map over a grid, such as 1x1, 2x2 or 4x4")
+    image.add_argument("--size", metavar="HxW", help="height and width of the image, where the file leaves them open")
+    image.add_argument("--layout", choices=("nchw", "nhwc"), help="order of the axes (default: by the axis of size 3)")
+    image.add_argument("--channels", choices=("RGB", "BGR"), default="RGB", help="order of the colors (default RGB)")
+    image.add_argument(
+        "--mean", type=float, nargs=3, metavar=("R", "G", "B"), help="subtracted first (default: of ImageNet)"
+    )
+    image.add_argument(
+        "--std", type=float, nargs=3, metavar=("R", "G", "B"), help="divided by then (default: of ImageNet)"
+    )
+    image.add_argument(
+        "--white", type=float, default=1.0, help="value of a white pixel before --mean and --std: 1 (default) or 255"
+    )
+    image.add_argument(
+        "--float-layers", type=int, metavar="N", help="keep the first N layers in float (default: found)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the network file, and its head if there is one."""
+    if not (args.ranges or args.calibrate or args.float_only or str(args.weights) == efficientnet.NAME):
+        raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
+    if str(args.weights) == efficientnet.NAME or args.weights.suffix in (".onnx", ".pt", ".pt2"):
+        return _import_network(args)
+    return _import_alexnet(args)
+
+
+def _import_alexnet(args: argparse.Namespace) -> int:
+    weights, sha256 = read_weights(args.weights)
+    tap = args.tap or "fc6"
+    if tap not in onnx_graph.DIMENSIONS:
+        raise ConfigError(f"--tap: {tap!r} is not a layer of AlexNet that can be used; fc6 and conv3 are")
+    info = onnx_graph.alexnet_info(
+        args.name or args.weights.name.partition(".")[0],
+        tap,
+        labels=read_labels(args.labels, weights),
+        licence=args.licence or "not stated",
+        source=args.source or "not stated",
+        weights_sha256=sha256,
+        calibration=_spell_calibration(args, quantize.RANGE_SHARE),
+    )
+    file = _output_file(args, f"{tap}_int8.onnx")
+    exact = onnx_graph.build_float(weights, info)
+    if args.float or args.float_only:
+        _write(exact, file.with_name(f"{tap}_float32.onnx"))
+    if args.float_only:
+        return 0
+    ranges = (
+        quantize.read_ranges(args.ranges)
+        if args.ranges
+        else quantize.measure_ranges(exact, _images(args.calibrate, info))
+    )
+    info = msgspec.structs.replace(info, precision="int8")
+    network_sha256 = _write(quantize.quantize(exact, ranges, info), file)
+    if tap == "fc6" and has_head(weights):
+        head_info = msgspec.structs.replace(
+            info, tap="categories", dimensions=len(info.labels), fc6_sha256=network_sha256
+        )
+        head = onnx_graph.build_head(weights, head_info)
+        _write(quantize.quantize(head, ranges, head_info), file.with_name(HEAD_FILE))
+    return 0
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A float ONNX file, and what is known of it."""
+
+    data: bytes
+    sha256: str
+    name: str
+    licence: str
+    source: str
+    wanted: onnx_import.ImageInput
+    tap: str
+    pool: tuple[int, int] | None
+
+
+def _import_network(args: argparse.Namespace) -> int:
+    labels = read_label_lines(args.labels) if args.labels else ()
+    source = _recipe(args) if str(args.weights) == efficientnet.NAME else _file(args)
+    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, bool(labels))
+    if labels and len(labels) != found.classes:
+        raise ModelError(f"{args.labels}: {len(labels)} labels, but the network has {found.classes} categories")
+    info = _info(args, source, found, labels)
+    file = _output_file(args, NETWORK_FILE)
+    exact = found.model
+    onnx_graph.set_info(exact, info)
+    if args.float or args.float_only:
+        written = file if args.float_only and args.output.suffix == ".onnx" else file.with_name("network_float32.onnx")
+        sha256 = _write(exact, written)
+    if not args.float_only:
+        sha256 = _write(_rounded(args, exact, info), file)
+    if found.head is not None:
+        head_info = msgspec.structs.replace(info, tap="categories", pool="", dimensions=len(labels), fc6_sha256=sha256)
+        onnx_graph.set_info(found.head, head_info)
+        _write(found.head, file.with_name(HEAD_FILE))
+    return 0
+
+
+def _file(args: argparse.Namespace) -> _Source:
+    """An ONNX or PyTorch file, prepared as the options say."""
+    if not (args.white > 0 and min(args.std or (1.0,)) > 0):
+        raise ConfigError("--white and --std: need numbers above 0")
+    scale = 1 / args.white
+    mean = [scale * one for one in args.mean] if args.mean else onnx_graph.MEAN_RGB
+    std = [scale * one for one in args.std] if args.std else onnx_graph.STD_RGB
+    size = _pair("--size", args.size)
+    wanted = onnx_import.ImageInput(
+        size, args.layout, (mean[0], mean[1], mean[2]), (std[0], std[1], std[2]), args.channels
+    )
+    try:
+        data = args.weights.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{args.weights}: cannot read the network: {error.strerror}") from None
+    sha256 = hashlib.sha256(data).hexdigest()
+    if args.weights.suffix != ".onnx":
+        data = export_onnx(args.weights, size or (onnx_import.DEFAULT_SIZE,) * 2)
+    name = args.name or args.weights.name.partition(".")[0]
+    terms = args.licence or "not stated", args.source or args.weights.name
+    return _Source(data, sha256, name, *terms, wanted, args.tap or "", _pair("--pool", args.pool))
+
+
+def _recipe(args: argparse.Namespace) -> _Source:
+    """EfficientNet-Lite0, tapped where it serves best unless the options say otherwise."""
+    weights, sha256 = efficientnet.read_packaged_weights()
+    wanted = onnx_import.ImageInput(None, None, efficientnet.MEAN_RGB, efficientnet.STD_RGB)
+    tap = args.tap or efficientnet.TAP
+    pool = _pair("--pool", args.pool or ("" if args.tap else efficientnet.POOL))
+    data = efficientnet.build(weights).SerializeToString(deterministic=True)
+    name = args.name or efficientnet.NAME
+    return _Source(data, sha256, name, efficientnet.LICENCE, efficientnet.SOURCE, wanted, tap, pool)
+
+
+def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported, labels: tuple[str, ...]) -> ModelInfo:
+    height, width = found.size
+    return ModelInfo(
+        name=source.name,
+        tap=found.tap,
+        dimensions=found.dimensions,
+        precision="float32",
+        input_size=height if height == width else (height, width),
+        channel_order="BGR",
+        mean_rgb=source.wanted.mean_rgb,
+        std_rgb=source.wanted.std_rgb,
+        labels=labels,
+        licence=source.licence,
+        source=source.source,
+        weights_sha256=source.sha256,
+        calibration="" if args.float_only else _spell_calibration(args, 1.0),
+        pool=onnx_import.spell(source.pool) if source.pool else "",
+    )
+
+
+def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) -> onnx.ModelProto:
+    """The int8 network, with as many of its first layers in float as it needs to pass the check on the feeds."""
+    info = msgspec.structs.replace(info, precision="int8")
+    is_recipe = str(args.weights) == efficientnet.NAME and not args.calibrate
+    layers = args.float_layers if args.float_layers is not None or not is_recipe else RECIPE_FLOAT_LAYERS
+    if args.calibrate:
+        images = [list(_images([path], info)) for path in args.calibrate]
+        ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
+    else:
+        ranges = quantize.read_tensor_ranges(args.ranges or RECIPE_RANGES)
+        ranges |= {f"{info.tap}.map": ranges[info.tap]} if info.tap in ranges else {}  # its name before the grid
+        images = []
+    missing = quantize.unknown_tensors(exact, ranges)
+    if missing:
+        raise ModelError(f"{args.ranges or RECIPE_RANGES}: no range of the tensor {missing[0]!r}; use --calibrate")
+    tries = [layers] if layers is not None else [0] if not images else FLOAT_LAYERS
+    best = None
+    for count in tries:
+        said = f"{info.calibration}, first {count} layers in float" if count else info.calibration
+        as_made = msgspec.structs.replace(info, calibration=said)
+        model = quantize.quantize(exact, ranges, as_made, signed=False, share=1.0, float_layers=count)
+        if not images:
+            return model
+        cosine = min(_agreement(exact, model, feed[:: -(-len(feed) // MAX_COMPARED)]) for feed in images)
+        print(f"int8 with {count} layers in float: cosine to float after NSD {cosine:.4f}")
+        if best is None or cosine > best[0]:
+            best = cosine, model
+        if cosine >= NSD_COSINE_MIN + MARGIN or count >= quantize.layer_count(exact):
+            break
+    assert best is not None
+    if best[0] < NSD_COSINE_MIN:
+        print(f"int8 loses too much of this network ({NSD_COSINE_MIN} is needed); --float-only keeps it in float")
+    return best[1]
+
+
+def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[NDArray[np.uint8]]) -> float:
+    """Mean cosine after NSD over the images."""
+    described = []
+    for model in (exact, rounded):
+        data = model.SerializeToString()
+        network = Network(ModelFile(Path("network"), data, onnx_graph.get_info(model)))
+        described.append(np.stack([network.describe(image[np.newaxis]) for image in images]))
+    return compare(described[0], described[1]).nsd_mean
+
+
+def _spell_calibration(args: argparse.Namespace, share: float) -> str:
+    if not args.calibrate:
+        found = (args.ranges or RECIPE_RANGES).name
+    else:
+        found = "feeds " + ", ".join(path.name for path in args.calibrate)
+    return f"{share:g} of the greatest values in {found}"
+
+
+def _images(paths: list[Path], info: ModelInfo) -> Iterator[NDArray[np.uint8]]:
+    """Whole images and both sides of the feeds' frames."""
+    for feed in [read_feed(path) for path in paths]:
+        step = -(-len(feed.rows) // MAX_CALIBRATION_FRAMES)
+        for kind in REGION_COUNT:
+            for regions in regions_of(feed, kind, info.size, step):
+                yield from regions
+
+
+def _pair(option: str, text: str | None) -> tuple[int, int] | None:
+    """Two whole numbers as 2x3, or one for both; ConfigError names the option."""
+    if not text or text == "none":
+        return None
+    match = re.fullmatch(r"(\d{1,4})(?:x(\d{1,4}))?", text)
+    pair = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+    if min(pair) < 1:
+        raise ConfigError(f"{option}: {text!r} is not two numbers such as 4x4")
+    return pair
+
+
+def _output_file(args: argparse.Namespace, name: str) -> Path:
+    """The network file; its folder is made before the long work."""
+    file = args.output if args.output.suffix == ".onnx" else args.output / name
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
+    return Path(file)
+
+
+def _write(model: onnx.ModelProto, file: Path) -> str:
+    """Write a network in one step, read it back, and return its sha256."""
+    try:
+        with replacing(file) as stream:
+            stream.write(model.SerializeToString(deterministic=True))
+    except OSError as error:
+        raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
+    info = read_model_file(file).info
+    print(f"{file}: {info.output}, {info.precision}, {file.stat().st_size / 1e6:.1f} MB, sha256 {info.sha256}")
+    return info.sha256

@@ -1,0 +1,449 @@
+"""Any ONNX image network to a float graph that Lookback can use: pixels in, one descriptor per image out.
+
+    image (B, H, W, 3) uint8 BGR -> normalization, channel order, layout -> the network up to the tap -> grid -> (B, D)
+
+The network is first simplified for a batch of one, so that everything that does not depend on the image becomes a
+constant; then its batch is made free again. `onnx` and `onnxruntime` run the file, so it must be one that you trust.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.descriptor.model_file import OPERATORS
+from edge.descriptor.network import IMAGE, open_session
+from edge.errors import ModelError
+from edge.extras import install_command
+from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
+
+if TYPE_CHECKING:
+    import onnx
+
+DIMENSIONS = (64, 32_768)
+"""Least and greatest number of dimensions of a descriptor."""
+OLDEST_OPSET = 13  # from which on a scale per channel can be written
+INPUT = "input"
+DEFAULT_SIZE = 224
+Layout = Literal["nchw", "nhwc"]
+
+
+@dataclass(frozen=True)
+class ImageInput:
+    """How the network wants its image. size: height and width; None for what the file says.
+
+    mean_rgb, std_rgb: over 0..1. channels: the order that the network expects. layout: None for what the file says.
+    """
+
+    size: tuple[int, int] | None = None
+    layout: Layout | None = None
+    mean_rgb: tuple[float, float, float] = MEAN_RGB
+    std_rgb: tuple[float, float, float] = STD_RGB
+    channels: Literal["RGB", "BGR"] = "RGB"
+
+    @property
+    def gray(self) -> int:
+        """The gray level that stands for nothing: the mean, which is also what lies beyond the edge of the picture."""
+        return int(np.clip(round(255 * float(np.mean(self.mean_rgb))), 0, 255))
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A float graph without metadata. size: height and width. head: descriptors to categories, if it was asked for."""
+
+    model: onnx.ModelProto
+    size: tuple[int, int]
+    dimensions: int
+    tap: str
+    head: onnx.ModelProto | None = None
+    classes: int = 0
+
+
+def import_onnx(
+    path: Path, data: bytes, wanted: ImageInput, tap: str = "", pool: tuple[int, int] | None = None, head: bool = False
+) -> Imported:
+    """Cut the network at `tap` ("" is its output), average over a grid (rows, columns), and put pixels in front.
+
+    ModelError names the file, and the tensor with what is there instead.
+    """
+    try:
+        model = _load(data)
+        image, size, layout = _image_input(model, wanted)
+        output = model.graph.output[0].name
+        tap = tap or output
+        _check_tap(model, tap)
+        folded = _fold(model, image, size, layout, [tap, output] if head and tap != output else [tap])
+        cut = _cut(folded, image, tap)
+        _check_operators(cut)
+        dimensions, one = _add_pool(cut, tap, pool, _run(cut, image, size, layout))
+        _add_pixels(cut, image, size, layout, wanted)
+        _free_batch(cut, size, one, dimensions)
+        cut_head, classes = _head(folded, image, tap, output, one, dimensions) if head else (None, 0)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
+    return Imported(cut, size, dimensions, tap, cut_head, classes)
+
+
+def _load(data: bytes) -> onnx.ModelProto:
+    try:
+        import onnx
+        from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+    except ImportError:
+        raise ModelError(f"importing a model needs the onnx package: {install_command('model')}") from None
+    try:
+        model = onnx.load_model_from_string(data)
+    except (DecodeError, ValueError):
+        raise ModelError("not a whole ONNX file") from None
+    if not model.graph.node or not model.graph.output:
+        raise ModelError("not an ONNX network: it has no operators or no output")
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in model.graph.initializer):
+        raise ModelError("keeps weights in another file; save it as one file (onnx.save without external data)")
+    opset = next((one.version for one in model.opset_import if one.domain in ("", "ai.onnx")), 0)
+    if opset < OLDEST_OPSET:
+        try:
+            return onnx.version_converter.convert_version(model, OPSET)
+        except Exception as error:  # the converter is C++ and raises several kinds
+            raise ModelError(f"has opset {opset}, which cannot be converted to {OPSET}: {_line(error)}") from None
+    return model
+
+
+def _image_input(model: onnx.ModelProto, wanted: ImageInput) -> tuple[str, tuple[int, int], Layout]:
+    """Name, height and width, and layout of the one input."""
+    constants = {tensor.name for tensor in model.graph.initializer}
+    inputs = [one for one in model.graph.input if one.name not in constants]
+    if len(inputs) != 1:
+        names = ", ".join(one.name for one in inputs)
+        raise ModelError(f"has {len(inputs)} inputs ({names}); a network with one image as its input is needed")
+    name, tensor = inputs[0].name, inputs[0].type.tensor_type
+    shape = [one.dim_value if one.dim_value > 0 else None for one in tensor.shape.dim]
+    spelled = f"({', '.join('?' if one is None else str(one) for one in shape)})"
+    if tensor.elem_type != 1 or len(shape) != 4:
+        raise ModelError(f"input {name!r} is {_type_name(tensor.elem_type)} {spelled}; float of 4 dimensions is needed")
+    found: Layout | None = "nchw" if shape[1] == 3 else "nhwc" if shape[3] == 3 else None
+    layout = wanted.layout or found
+    if layout is None:
+        raise ModelError(f"input {name!r} has the shape {spelled}, with no axis of 3 channels; give --layout")
+    axis = 1 if layout == "nchw" else 3
+    if shape[axis] not in (3, None):
+        raise ModelError(f"input {name!r} has the shape {spelled}, which is not {layout} with 3 channels")
+    given = shape[2:] if layout == "nchw" else shape[1:3]
+    size = tuple(one or two for one, two in zip(given, wanted.size or (DEFAULT_SIZE,) * 2, strict=True))
+    if wanted.size and size != wanted.size:
+        raise ModelError(f"input {name!r} has the fixed shape {spelled}, which is not --size {spell(wanted.size)}")
+    return name, (size[0], size[1]), layout
+
+
+def _type_name(number: int) -> str:
+    import onnx
+
+    return str(onnx.TensorProto.DataType.Name(number)).lower()
+
+
+def spell(size: Iterable[int]) -> str:
+    """Such as 4x4."""
+    return "x".join(str(one) for one in size)
+
+
+def _check_tap(model: onnx.ModelProto, tap: str) -> None:
+    names = [name for node in model.graph.node for name in node.output if name]
+    if tap not in names:
+        near = difflib.get_close_matches(tap, names, 3, 0.3) or names[-3:]
+        raise ModelError(f"has no tensor {tap!r}; near it is {', '.join(map(repr, near))}")
+
+
+def _fold(
+    model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, outputs: list[str]
+) -> onnx.ModelProto:
+    """The network for a batch of one, with all that does not depend on the image computed, in standard operators."""
+    import onnx
+    import onnxruntime  # by now with its telemetry disabled
+
+    _set_shape(_input_of(model, image), [1, *([3, *size] if layout == "nchw" else [*size, 3])])
+    del model.graph.output[:]
+    del model.graph.value_info[:]
+    model.graph.output.extend(onnx.helper.make_tensor_value_info(one, onnx.TensorProto.FLOAT, None) for one in outputs)
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+    options.log_severity_level = 4
+    with tempfile.TemporaryDirectory() as folder:
+        options.optimized_model_filepath = str(Path(folder) / "folded.onnx")
+        try:
+            onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+            folded = onnx.load(options.optimized_model_filepath)
+        except Exception as error:  # ONNX Runtime's own classes share only Exception
+            raise ModelError(f"ONNX Runtime rejects it with an image of {spell(size)}: {_line(error)}") from None
+    del folded.graph.value_info[:]
+    return folded
+
+
+def _cut(model: onnx.ModelProto, image: str, tap: str) -> onnx.ModelProto:
+    """What the tap is computed from, with the tap as the one output."""
+    import onnx
+
+    cut = onnx.ModelProto()
+    cut.CopyFrom(model)
+    nodes, constants = _upstream(model, {tap}, image)
+    for field, kept in ((cut.graph.node, nodes), (cut.graph.initializer, constants)):
+        del field[:]
+        field.extend(kept)
+    del cut.graph.output[:]
+    cut.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
+    for number, node in enumerate(cut.graph.node):
+        node.name = f"{number} {node.op_type}"  # exporters need not name them
+    del cut.metadata_props[:]
+    domains = [one for one in model.opset_import if one.domain in ("", "ai.onnx")]
+    del cut.opset_import[:]
+    cut.opset_import.extend(domains)
+    return cut
+
+
+def _upstream(model: onnx.ModelProto, needed: set[str], begin: str) -> tuple[list[Any], list[Any]]:
+    """The nodes, in order, and the constants that some tensors are computed from, given the tensor `begin`."""
+    needed, nodes = set(needed), list[Any]()
+    for node in reversed(model.graph.node):
+        if needed.intersection(node.output) - {begin}:
+            nodes.append(node)
+            needed.update(node.input)
+    return nodes[::-1], [tensor for tensor in model.graph.initializer if tensor.name in needed]
+
+
+def _check_operators(model: onnx.ModelProto) -> None:
+    for node in model.graph.node:
+        if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
+            raise ModelError(
+                f"tensor {node.output[0]!r} is computed by {node.op_type}, which Lookback does not run; tap it before"
+            )
+
+
+def _run(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout) -> tuple[int, ...]:
+    """The shape of the tap for one image."""
+    shape = (1, 3, *size) if layout == "nchw" else (1, *size, 3)
+    try:
+        session = open_session(model.SerializeToString())
+        found = session.run(None, {image: np.zeros(shape, np.float32)})[0]
+    except Exception as error:  # ONNX Runtime's own classes share only Exception
+        raise ModelError(f"ONNX Runtime rejects it: {_line(error)}") from None
+    if found.dtype != np.float32 or found.shape[:1] != (1,) or found.ndim < 2:
+        tap = model.graph.output[0].name
+        raise ModelError(
+            f"tensor {tap!r} is {found.dtype} {found.shape}; float32 with a first axis for the batch is needed"
+        )
+    return tuple(found.shape)
+
+
+def _add_pool(
+    model: onnx.ModelProto, tap: str, pool: tuple[int, int] | None, shape: tuple[int, ...]
+) -> tuple[int, str]:
+    """Average a feature map over a grid, or flatten what has more axes than two; dimensions, and the output's name."""
+    import onnx
+
+    cells = pool[0] * pool[1] if pool else 1
+    if pool and len(shape) != 4:
+        raise ModelError(f"tensor {tap!r} has the shape {_batched(shape)}; only a feature map (B, C, H, W) has a grid")
+    if pool and (pool[0] > shape[2] or pool[1] > shape[3]):
+        raise ModelError(f"tensor {tap!r} has the shape {_batched(shape)}, which is smaller than --pool {spell(pool)}")
+    dimensions = shape[1] * cells if pool else int(np.prod(shape[1:]))
+    if not DIMENSIONS[0] <= dimensions <= DIMENSIONS[1]:
+        raise ModelError(
+            f"tensor {tap!r} has the shape {_batched(shape)}, which gives {dimensions} dimensions;"
+            f" {DIMENSIONS[0]} to {DIMENSIONS[1]} can be used" + ("" if len(shape) < 4 else ": choose another --pool")
+        )
+    if len(shape) == 2:
+        return dimensions, tap
+    inner, name = f"{tap}.map", f"{tap} {spell(pool)}" if pool else tap
+    for node in model.graph.node:
+        node.output[:] = [inner if one == tap else one for one in node.output]
+        node.input[:] = [inner if one == tap else one for one in node.input]
+    make = onnx.helper.make_node
+    if pool:
+        grid, sizes = _grid(shape[2:], pool), np.array([-1, dimensions], np.int64)
+        constants = (grid, f"{NORMALIZE}.grid"), (sizes, f"{NORMALIZE}.sizes")
+        model.graph.initializer.extend(onnx.numpy_helper.from_array(*one) for one in constants)
+        model.graph.node.extend(
+            [
+                make("Flatten", [inner], [f"{inner}.flat"], f"{NORMALIZE}.flat", axis=2),
+                make("Gemm", [f"{inner}.flat", constants[0][1]], [f"{inner}.cells"], f"{NORMALIZE}.cells"),
+                make("Reshape", [f"{inner}.cells", constants[1][1]], [name], f"{NORMALIZE}.reshape"),
+            ]
+        )
+    else:
+        model.graph.node.append(make("Flatten", [inner], [name], f"{NORMALIZE}.flat", axis=1))
+    return dimensions, name
+
+
+def _batched(shape: tuple[int, ...]) -> str:
+    return f"(B, {', '.join(map(str, shape[1:]))})"
+
+
+def _grid(size: tuple[int, ...], pool: tuple[int, int]) -> NDArray[np.float32]:
+    """(H * W, cells): the share of each pixel of a map in each cell, of cells that cover it as evenly as they can."""
+    shares = []
+    for length, count in zip(size, pool, strict=True):
+        edges = np.arange(count + 1) * length / count
+        cells = [(int(np.floor(a)), int(np.ceil(b))) for a, b in pairwise(edges)]
+        share = np.array([[(a <= at < b) / (b - a) for a, b in cells] for at in range(length)])
+        shares.append(share)
+    return np.asarray(np.kron(shares[0], shares[1]), np.float32)
+
+
+def _add_pixels(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, wanted: ImageInput) -> None:
+    """Put in front what makes the network's input of pixels: into its first convolution where that is possible."""
+    import onnx
+
+    make, array = onnx.helper.make_node, onnx.numpy_helper.from_array
+    graph = model.graph
+    weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    readers = [node for node in graph.node if image in node.input]
+    front = [
+        make("DequantizeLinear", ["image", "step", "grey"], ["image.pixels"], "pixels"),
+        make("Transpose", ["image.pixels"], [INPUT], INPUT, perm=[0, 3, 1, 2]),
+    ]
+    graph.initializer.extend([array(np.array(1, np.float32), "step"), array(np.array(wanted.gray, np.uint8), "grey")])
+    if layout == "nchw" and all(node.op_type == "Conv" and node.input[1] in weights for node in readers):
+        for node in readers:
+            _prepare(graph, node, weights, wanted)
+            node.input[0] = INPUT
+    else:
+        graph.initializer.append(array(np.eye(3, dtype=np.float32)[:, :, None, None], f"{NORMALIZE}.eye"))
+        channels = make("Conv", [INPUT, f"{NORMALIZE}.eye"], [f"{NORMALIZE}.nchw"], NORMALIZE, kernel_shape=[1, 1])
+        perm = [0, 1, 2, 3] if layout == "nchw" else [0, 2, 3, 1]
+        front += [channels, make("Transpose", [f"{NORMALIZE}.nchw"], [image], f"{NORMALIZE}.layout", perm=perm)]
+        _prepare(graph, channels, {f"{NORMALIZE}.eye": np.eye(3, dtype=np.float32)[:, :, None, None]}, wanted)
+        front[-2] = channels
+    nodes = [*front, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)
+    if image == "image":
+        for node in graph.node[len(front) :]:
+            node.input[:] = ["image.normalized" if one == "image" else one for one in node.input]
+        for node in graph.node[: len(front)]:
+            node.output[:] = ["image.normalized" if one == "image" else one for one in node.output]
+    del graph.input[:]
+    graph.input.append(onnx.helper.make_tensor_value_info("image", onnx.TensorProto.UINT8, ["B", *size, 3]))
+
+
+def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: ImageInput) -> None:
+    """Put the normalization of RGB, and the order BGR of what comes in, into a convolution's weights and bias.
+
+    w (x / 255 - mean) / std + b = w' (x - gray) + b', with w' = w / (255 std), b' = b + sum w' (gray - 255 mean)
+    """
+    import onnx
+
+    weight = weights[node.input[1]].astype(np.float64)
+    old = weights[node.input[2]] if len(node.input) > 2 else np.zeros(len(weight))
+    order = slice(None, None, -1) if wanted.channels == "BGR" else slice(None)
+    mean, std = (255 * np.array(given)[order].reshape(1, 3, 1, 1) for given in (wanted.mean_rgb, wanted.std_rgb))
+    scaled = weight / std
+    bias = old + (scaled * (wanted.gray - mean)).sum(axis=(1, 2, 3))
+    bgr = scaled if wanted.channels == "BGR" else scaled[:, ::-1]
+    names = [f"{node.output[0]}.{kind}" for kind in ("pixel_weight", "pixel_bias")]
+    arrays = (np.ascontiguousarray(bgr, np.float32), bias.astype(np.float32))
+    graph.initializer.extend(onnx.numpy_helper.from_array(*one) for one in zip(arrays, names, strict=True))
+    node.input[1:] = names
+
+
+def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, dimensions: int) -> None:
+    """Let the batch be of any size where that gives what single images give; otherwise it stays one."""
+    import onnx
+
+    free = onnx.ModelProto()
+    free.CopyFrom(model)
+    arrays = {tensor.name: tensor for tensor in free.graph.initializer}
+    for node in free.graph.node:
+        if node.op_type == "Reshape" and node.input[1] in arrays and not node.name.startswith(NORMALIZE):
+            sizes = onnx.numpy_helper.to_array(arrays[node.input[1]]).copy()
+            if sizes[0] == 1:
+                sizes[0] = 0  # as the input has it
+            elif (sizes > 0).all():
+                sizes[0] = -1  # a multiple of the batch
+            name = f"{node.output[0]}.free_sizes"
+            free.graph.initializer.append(onnx.numpy_helper.from_array(sizes, name))
+            node.input[1] = name
+    _set_output(free, output, ["B", dimensions])
+    _set_output(model, output, [1, dimensions])
+    pixels = np.random.default_rng(0).integers(0, 256, (2, *size, 3), dtype=np.uint8)
+    exact = np.concatenate([_describe(model, pixels[index : index + 1]) for index in range(2)])
+    try:
+        both = _describe(free, pixels)
+    except Exception:  # ONNX Runtime's own classes share only Exception
+        both = np.empty(0, np.float32)
+    if both.shape == (2, dimensions) and np.allclose(both, exact, rtol=1e-3, atol=1e-3 * float(np.abs(exact).max())):
+        model.CopyFrom(free)
+    else:
+        _set_shape(model.graph.input[0], [1, *size, 3])
+    _prune_constants(model)
+    try:
+        onnx.checker.check_model(model)
+    except onnx.checker.ValidationError as error:
+        raise ModelError(f"the simplified network is not valid: {_line(error)}") from None
+
+
+def _describe(model: onnx.ModelProto, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = open_session(model.SerializeToString()).run(None, {IMAGE: pixels})[0]
+    return found
+
+
+def _head(
+    folded: onnx.ModelProto, image: str, tap: str, output: str, descriptor: str, dimensions: int
+) -> tuple[onnx.ModelProto, int]:
+    """The network from the tap to its output, with a softmax, and how many categories it has."""
+    import onnx
+
+    nodes, constants = _upstream(folded, {output}, tap)
+    reaches = {name for node in nodes for name in node.input}
+    if descriptor != tap or tap == output or image in reaches:
+        raise ModelError(f"--labels: the categories cannot be computed from the descriptor {descriptor!r} alone")
+    make, info = onnx.helper.make_node, onnx.helper.make_tensor_value_info
+    if nodes[-1].op_type != "Softmax":
+        nodes.append(make("Softmax", [output], ["categories"], "categories", axis=1))
+    else:
+        nodes[-1].output[:] = ["categories"]
+    graph = onnx.helper.make_graph(
+        nodes,
+        "head",
+        [info(tap, onnx.TensorProto.FLOAT, ["B", dimensions])],
+        [info("categories", onnx.TensorProto.FLOAT, None)],
+        constants,
+    )
+    model = onnx.helper.make_model(graph, opset_imports=folded.opset_import, ir_version=folded.ir_version)
+    session = open_session(model.SerializeToString())
+    classes = session.run(None, {tap: np.zeros((2, dimensions), np.float32)})[0].shape[-1]
+    _set_output(model, "categories", ["B", classes])
+    return model, int(classes)
+
+
+def _input_of(model: onnx.ModelProto, name: str) -> Any:
+    return next(one for one in model.graph.input if one.name == name)
+
+
+def _set_shape(value: Any, shape: list[int | str]) -> None:
+    import onnx
+
+    kind = value.type.tensor_type.elem_type
+    value.CopyFrom(onnx.helper.make_tensor_value_info(value.name, kind, shape))
+
+
+def _set_output(model: onnx.ModelProto, name: str, shape: list[int | str]) -> None:
+    import onnx
+
+    del model.graph.output[:]
+    model.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape))
+
+
+def _prune_constants(model: onnx.ModelProto) -> None:
+    used = {name for node in model.graph.node for name in node.input}
+    kept = [tensor for tensor in model.graph.initializer if tensor.name in used]
+    del model.graph.initializer[:]
+    model.graph.initializer.extend(kept)
+
+
+def _line(error: Exception) -> str:
+    return str(error).replace("\n", " ")[:300]

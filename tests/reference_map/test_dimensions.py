@@ -1,0 +1,67 @@
+"""Descriptors of any dimension that a network may have, from the map on the disk to the recognized place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import edge
+from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
+from edge.descriptor.normalize import RunningStatistics, normalize
+from edge.recognizer import SequenceMatcher
+from edge.reference_map import MapSet, ModelKey, open_map
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from edge.warm_start import KeptState, Moment, StateFile, StateKey
+
+PLACES, LENGTH = 40, 10
+
+
+@pytest.mark.parametrize("regions", ["left-right", "whole"])
+@pytest.mark.parametrize("kept", [None, 48])
+@pytest.mark.parametrize("dimensions", [64, 112, 1000, 5120, 32_768])
+def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(dimensions)
+    descriptor = DescriptorConfig(regions=regions)  # type: ignore[arg-type]
+    key = RegionsKey(descriptor.regions, descriptor.region_width, "set")
+    raw = rng.gamma(0.5, 3.0, (PLACES, key.count, dimensions)).astype(np.float32)  # positive and skewed, as after ReLU
+    with MapBuilder(
+        tmp_path / "map", ModelKey("any", "0" * 64, "tap", dimensions), key, SamplingConfig(), dimensions=kept
+    ) as builder:
+        builder.begin_segment("drive", "front")
+        for row, one in enumerate(raw):
+            builder.add(one, Place(row, route_m=2.0 * row))
+        builder.finish(normalize, edge.__version__)
+    reference_map = open_map(tmp_path / "map", every_file=True)
+    assert reference_map.descriptors.shape == (key.count, PLACES, kept or dimensions)
+
+    config = Config(descriptor=descriptor, sequence=SequenceConfig(length=LENGTH))
+    matcher = SequenceMatcher(MapSet.of(reference_map), config)
+    noisy = raw + rng.normal(0, 1.0, raw.shape).astype(np.float32)
+    matches = [matcher.push(one, distance_m=2.0 * row) for row, one in enumerate(noisy)]
+    found = [match.place_index for match in matches[LENGTH:] if match is not None]
+    assert len(found) == PLACES - LENGTH
+    assert np.abs(np.array(found) - np.arange(LENGTH, PLACES)).max() <= 1
+
+    statistics = matcher.statistics
+    assert isinstance(statistics, RunningStatistics)
+    file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
+    file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, "on the map", 1), Moment.now())
+    again = file.read(Moment.now(), 60.0)
+    assert again is not None
+    np.testing.assert_array_equal(again.mean, statistics.mean)
+
+
+def test_the_greatest_products_do_not_overflow(tmp_path: Path) -> None:
+    """All values of the greatest dimension at the end of int8: the squared length has to fit int32."""
+    from edge.reference_map.costs import CostMatcher, encode, squared_norms
+
+    ones = np.ones((3, 2, 32_768), np.float32)
+    ones[1] = -1
+    encoded = encode(ones)
+    norms = squared_norms(encoded)
+    assert norms.tolist() == [32_768 * 127**2] * 3
+    costs = CostMatcher(encoded, norms).costs(ones[:1])
+    np.testing.assert_array_equal(costs[0, 0], [0, 32_768, 0])
