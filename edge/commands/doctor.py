@@ -26,7 +26,7 @@ from edge.commands.doctor_computer import (
     check_ports,
 )
 from edge.commands.doctor_service import act_as_service, check_home_folders
-from edge.commands.doctor_setup import check_links, check_model_and_map
+from edge.commands.doctor_setup import check_links, check_mapping, check_model_and_map
 from edge.config import DEFAULT_TOML, Config, load_config
 from edge.errors import EXIT_SETUP, LookbackError
 
@@ -85,6 +85,7 @@ def examine(
     if acting:
         yield from check_home_folders(config)
     yield from check_model_and_map(config)
+    yield from check_mapping(config)
     yield from check_links(config.telemetry)
     if not offline:
         yield from check_camera(config.camera)

@@ -5,31 +5,29 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import edge
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands import map_files, map_sign
+from edge.commands import map_coverage, map_files, map_list, map_sign
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
+from edge.descriptor.open_network import open_network
 from edge.descriptor.regions import cut_regions
 from edge.errors import ConfigError
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.feed.traverse import TraverseFrame, driven_m, traverse
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place
+from edge.reference_map.place_picture import thumbnail
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
-
-THUMBNAIL_WIDTH_PX = 120
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `lookback map` to the command line."""
-    actions = commands.add_parser("map", help="build, inspect, split and sign reference maps").add_subparsers(
+    actions = commands.add_parser("map", help="build, inspect, list, split and sign reference maps").add_subparsers(
         required=True
     )
 
@@ -64,7 +62,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
+    map_list.add_actions(actions)
     map_sign.add_actions(actions)
+    map_coverage.add_action(actions)
 
 
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:
@@ -127,7 +127,7 @@ def build_map(
 
     network: instead of the one that `descriptor` names.
     """
-    network = network or Network.load(Path(descriptor.model) if descriptor.model else None)
+    network = network or open_network(descriptor)
     is_set = descriptor.normalization == "online"
     regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
     if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:
@@ -136,7 +136,14 @@ def build_map(
     with MapBuilder(output, key, regions, sampling, dimensions=dimensions, replace=replace) as builder:
         for feed in feeds:
             _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
-        return builder.finish(normalize, edge.__version__)
+        header = builder.finish(normalize, edge.__version__)
+        _print_unused(builder)
+        return header
+
+
+def _print_unused(builder: MapBuilder) -> None:
+    for why, count in builder.unused.items():
+        print(f"{count} positions are not used, since they {why}; their places are recognized, without a position")
 
 
 def _add_feed(
@@ -152,7 +159,7 @@ def _add_feed(
     chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for item in chosen:
-            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width))
+            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.info.size))
             builder.add(raw, _place(item))
             progress.update(item.frame.index + 1 - progress.n)
         progress.update(len(feed.rows) - progress.n)
@@ -171,15 +178,10 @@ def _place(item: TraverseFrame) -> Place:
         alt_m=known(row.alt_m),
         heading_deg=known(row.heading_deg),
         route_m=known(item.distance_m),
-        thumbnail=_thumbnail(item.frame.image),
+        thumbnail=thumbnail(item.frame.image),
+        position_sigma_m=known(row.position_sigma_m),
+        position_source=row.position_source,
     )
-
-
-def _thumbnail(image: NDArray[np.uint8]) -> bytes:
-    """A small JPEG of the frame, for people."""
-    height = max(1, round(image.shape[0] * THUMBNAIL_WIDTH_PX / image.shape[1]))
-    small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
 
 
 def _build(args: argparse.Namespace) -> int:
@@ -214,14 +216,15 @@ def _build(args: argparse.Namespace) -> int:
 
 def _extend(args: argparse.Namespace) -> int:
     old = open_map(args.map, every_file=True)
-    network = Network.load(args.model)
     feeds = [read_feed(path) for path in args.feeds]
     header = old.header
+    network = open_network(DescriptorConfig(model=str(args.model or ""), provider=header.model.provider))
     key, kept = model_key(network), header.dimensions
     with MapBuilder(args.map, key, header.regions, header.sampling, dimensions=kept, replace=True) as builder:
         builder.add_map(old)
         for feed in feeds:
             _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
         header = builder.finish(normalize, edge.__version__)
+        _print_unused(builder)
     print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")
     return 0

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import MapError
+from edge.map_agreement import disagreements
 from edge.reference_map import ReferenceMap, open_map, open_map_set
+from edge.reference_map.place_records import spell_accuracy
 from edge.reference_map.store import MapHeader
 from edge.reference_map.tiles import split_map
 
@@ -20,7 +22,7 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     info.set_defaults(run=_info)
 
     verify = actions.add_parser(
-        "verify", help="check every byte of a map, or of a folder of maps, against its checksums"
+        "verify", help="check every byte of a map or a folder of maps, and whether its drives agree about the road"
     )
     verify.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
     verify.set_defaults(run=_verify)
@@ -38,6 +40,7 @@ def _info(args: argparse.Namespace) -> int:
         _tell_of_map(open_map(args.map))
         return 0
     print(f"maps      {maps}, in {args.map}")
+    print(f"accuracy  {spell_accuracy(maps.places)}")
     for name, header in zip(maps.names, maps.headers, strict=True):
         print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
     for excluded in maps.excluded:
@@ -54,6 +57,7 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
     }
     print(f"map       {reference_map.path}, format version {header.version}, written by lookback {header.lookback}")
     print(f"model     {header.model.name}, tap {header.model.tap}, sha256 {header.model.sha256}")
+    print(f"provider  {header.model.provider}")
     print(
         f"regions   {header.regions.kind}, width {header.regions.width:g}, normalization {header.regions.normalization}"
     )
@@ -61,6 +65,7 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
         print(f"reduced   to {header.dimensions} of {header.model.dimensions} dimensions per region")
     print(f"sampling  {sampling[header.sampling.by]}")
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
+    print(f"accuracy  {spell_accuracy(places)}")
     print(f"bounds    {_spell_bounds(header)}")
     if header.tile is not None:
         print(f"tile      of the map {header.tile.map_sha256[:12]}, from its place {header.tile.start} on")
@@ -91,7 +96,10 @@ def _verify(args: argparse.Namespace) -> int:
         raise MapError(f"{args.map}: {len(maps.excluded)} of its maps would be excluded: {names}")
     count = sum(len(header.files) for header in maps.headers)
     print(f"{args.map}: valid; all {count} checksums match")
-    return 0
+    found = disagreements(maps)
+    for one in found:
+        print(f"{args.map}: {one}; one of the two drives is wrong, so both count as that uncertain")
+    return 1 if found else 0
 
 
 def _split(args: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from edge.camera.newest import NewestFrame
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
-from edge.feed.recorder import DISK_FULL, Recorder, free_bytes_at
+from edge.feed.recorder import DISK_FULL, FramesAwaitingPosition, Recorder, free_bytes_at
 from edge.feed.sampling import Sampler
 from edge.health.service import on_stop_signal
 from edge.telemetry.autopilot import AutopilotConnection
@@ -119,7 +119,7 @@ def _fill(
     clock_ns: Callable[[], int],
 ) -> Why:
     """Move frames from the camera to the recorder until `ended` says why to stop."""
-    camera_state = ""
+    camera_state, waiting = "", FramesAwaitingPosition(recorder, autopilot)
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:
@@ -128,9 +128,11 @@ def _fill(
             if frame is not None:
                 distance_m = autopilot.vehicle.distance_m(frame.stamp_ns)
                 if sampler.is_place(frame.stamp_ns, distance_m):
-                    recorder.record(frame, autopilot.vehicle.position(clock_ns()), distance_m)
+                    waiting.add(frame, distance_m)
+            waiting.record()
             counter.update(recorder.written - counter.n)
             camera_state = _log_camera(camera, camera_state)
+    waiting.record(all_of_them=True)
     return why
 
 

@@ -3,30 +3,49 @@
 `map_set`  a map, or a folder of them, opened as plain arrays; `place_index` counts their places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
-`spatial_index`  which places a known position allows; `route` positions along the map's drives
+`closure`  which drives are closed laps; `spatial_index` which places a known position allows; `route` positions along
+           the drives
 `checksums`  a piece at a time, between frames; `signature` who made a map
+`growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically (`atomic_folder`)
 `tiles`    one map cut into several; `pca` descriptors of fewer dimensions
 """
 
+from edge.reference_map.builder import MapBuilder, Normalize, Place
 from edge.reference_map.costs import COST_ONE
+from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.map_set import ExcludedMap, MapSet, open_map_set
-from edge.reference_map.route import Drive, Drives, Position, Route
+from edge.reference_map.place_picture import thumbnail
+from edge.reference_map.place_records import sigmas_m
+from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
+from edge.reference_map.signature import is_signed
 from edge.reference_map.spatial_index import Bounds, Ranges
-from edge.reference_map.store import ModelKey, ReferenceMap, open_map
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
 
 __all__ = [
     "COST_ONE",
+    "NO_LAP_M",
     "Bounds",
     "Drive",
     "Drives",
     "ExcludedMap",
+    "GrowingMap",
+    "MapBuilder",
+    "MapHeader",
     "MapSet",
+    "MapSoFar",
     "ModelKey",
+    "Normalize",
+    "Place",
     "Position",
     "Ranges",
     "ReferenceMap",
+    "RegionsKey",
     "Route",
+    "is_signed",
     "open_map",
     "open_map_set",
+    "read_header",
+    "sigmas_m",
+    "thumbnail",
 ]

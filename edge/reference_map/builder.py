@@ -7,8 +7,10 @@ from there in blocks.
 from __future__ import annotations
 
 import contextlib
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
@@ -19,15 +21,19 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.reference_map import store
 from edge.reference_map.atomic_folder import AtomicFolder
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import encode, squared_norms
 from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import Bounds, bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
 
 BLOCK = 256
+USABLE_SIGMA_M = 25.0
+"""A position of less accuracy is not used: GPS of that kind counts as unhealthy as well."""
 NAN = float("nan")
 
 Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
@@ -36,7 +42,10 @@ Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float
 
 @dataclass(frozen=True)
 class Place:
-    """Where a place is, as far as it is known (NaN where not), and what people see of it."""
+    """Where a place is, as far as it is known (NaN where not), and what people see of it.
+
+    position_sigma_m: one standard deviation of the position's distance from the truth.
+    """
 
     row: int
     lat_deg: float = NAN
@@ -45,6 +54,14 @@ class Place:
     heading_deg: float = NAN
     route_m: float = NAN
     thumbnail: bytes = b""
+    position_sigma_m: float = NAN
+    position_source: PositionSource = "unknown"
+
+    def record(self, thumbnail_at: int = 0) -> tuple[float | int, ...]:
+        """The place as a record of PLACE before its descriptor is encoded; thumbnail_at: where its picture begins."""
+        position = (self.lat_deg, self.lon_deg, self.alt_m, self.heading_deg, self.route_m)
+        accuracy = self.position_sigma_m, POSITION_SOURCES.index(self.position_source)
+        return (*position, self.row, 0, thumbnail_at, len(self.thumbnail), *accuracy)
 
 
 class MapBuilder:
@@ -74,6 +91,8 @@ class MapBuilder:
         self._records: list[tuple[float | int, ...]] = []
         self._segments: list[Segment] = []
         self._thumbnail_at = 0
+        self.unused: Counter[str] = Counter()
+        """Positions that were given and are not used, by the reason; their places have none."""
         self._new = AtomicFolder(path)
         self._folder = self._new.path
         self._raw = (self._folder / store.RAW).open("wb")
@@ -85,11 +104,17 @@ class MapBuilder:
         self._segments.append(Segment(count, count, view, source))
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
-        """Add one place with its raw descriptor (R, D) to the current segment."""
+        """Add one place with its raw descriptor (R, D) to the current segment.
+
+        Its position is not used where that would be no truth for other drives, see `unused`.
+        """
+        why = _unusable(place)
+        if why and not math.isnan(place.lat_deg):
+            self.unused[why] += 1
+            place = replace(place, lat_deg=NAN, lon_deg=NAN, alt_m=NAN)
         self._raw.write(raw.astype("<f2").tobytes())
         self._thumbnails.write(place.thumbnail)
-        position = (place.lat_deg, place.lon_deg, place.alt_m, place.heading_deg, place.route_m)
-        self._records.append((*position, place.row, 0, self._thumbnail_at, len(place.thumbnail)))
+        self._records.append(place.record(self._thumbnail_at))
         self._thumbnail_at += len(place.thumbnail)
         self._segments[-1] = msgspec.structs.replace(self._segments[-1], end=len(self._records))
 
@@ -110,6 +135,8 @@ class MapBuilder:
                     heading_deg=float(record["heading_deg"]),
                     route_m=float(record["route_m"]),
                     thumbnail=other.thumbnail(index),
+                    position_sigma_m=float(record["position_sigma_m"]),
+                    position_source=POSITION_SOURCES[record["position_source"]],
                 )
                 self.add(raw[index].astype(np.float32), place)
 
@@ -122,7 +149,7 @@ class MapBuilder:
         self._thumbnails.close()
         mean, deviation = self._statistics()
         np.stack([mean, deviation]).astype("<f8").tofile(self._folder / store.STATISTICS)
-        places = np.array(self._records, dtype=store.PLACE)
+        places = np.array(self._records, dtype=PLACE)
         places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
         places.tofile(self._folder / store.PLACES)
         header = self._header(lookback_version, bounds_of(places))
@@ -196,3 +223,12 @@ class MapBuilder:
         with contextlib.suppress(OSError):
             self._thumbnails.close()
         self._new.__exit__(kind, error, trace)
+
+
+def _unusable(place: Place) -> str:
+    """Why a position is no truth for other drives; "" if it is."""
+    if place.position_source == "place_fixes":
+        return "rest on positions that Lookback sent"
+    if place.position_source == "dead_reckoning" and math.isnan(place.position_sigma_m):
+        return "are dead reckoning of unknown accuracy"
+    return f"are less accurate than {USABLE_SIGMA_M:g} m" if place.position_sigma_m > USABLE_SIGMA_M else ""

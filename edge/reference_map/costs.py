@@ -78,7 +78,7 @@ class CostMatcher:
         projection: (D, dimensions of the network), of a map with shrunk descriptors.
         """
         self._planes = descriptors
-        self._inverse = COST_ONE / _lengths(norms_sq)
+        self._inverse = inverse_lengths(norms_sq)
         self._projection = projection
         self.orders = len(descriptors)
 
@@ -86,6 +86,13 @@ class CostMatcher:
     def of(cls, reference_map: ReferenceMap) -> CostMatcher:
         """The matcher of an open map."""
         return cls(reference_map.descriptors, reference_map.places["norm_sq"], reference_map.projection)
+
+    @classmethod
+    def live(cls, descriptors: NDArray[np.int8], inverse: NDArray[np.float64]) -> CostMatcher:
+        """The matcher of descriptors that change while it is used, and with them `inverse`, of `inverse_lengths`."""
+        matcher = cls(descriptors[:, :0], np.zeros(0, np.int32))
+        matcher._planes, matcher._inverse = descriptors, inverse
+        return matcher
 
     def costs(self, query: NDArray[np.float32], ranges: Sequence[tuple[int, int]] | None = None) -> NDArray[np.int32]:
         """Normalized query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".
@@ -124,6 +131,27 @@ class CostMatcher:
             at += end - start
         return costs
 
+    def region_costs(self, query: NDArray[np.float32], start: int, end: int) -> NDArray[np.float64]:
+        """Cosine distance of each region alone, left and right, to the same region of places [start, end).
+
+        (n, 2, D) -> (2, n, end - start). The left region is the sum of what is kept, the right one the difference.
+        """
+        sums, differences = self.encoded(query)
+        of_sums, of_differences = (np.asarray(plane[start:end]) for plane in self._planes)
+        alike = _dots(of_sums, sums) + _dots(of_differences, differences)
+        across = _dots(of_differences, sums) + _dots(of_sums, differences)
+        costs = np.empty((2, *alike.shape))
+        for cost, sign in zip(costs, (1, -1), strict=True):
+            lengths = np.outer(_region_lengths(sums, differences, sign), _region_lengths(of_sums, of_differences, sign))
+            cost[:] = 1.0 - (alike + sign * across) / lengths
+        return costs
+
+
+def _region_lengths(sums: NDArray[np.int8], differences: NDArray[np.int8], sign: int) -> NDArray[np.float64]:
+    """Lengths (n,) of one region of rows (n, D) as they are kept; 1 for a row that is all zero."""
+    regions = sums.astype(np.int32) + sign * differences.astype(np.int32)
+    return _lengths(np.einsum("nd,nd->n", regions, regions, dtype=np.int64))
+
 
 def _blocks(ranges: Sequence[tuple[int, int]], size: int) -> Iterator[tuple[int, int]]:
     """The ranges in pieces of at most `size` places."""
@@ -141,6 +169,11 @@ def _dots(plane: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.float64
     return np.ascontiguousarray(np.asarray(numkong.dots_packed(plane, packed)).T, dtype=np.float64)
 
 
-def _lengths(norms_sq: NDArray[np.int32]) -> NDArray[np.float64]:
+def inverse_lengths(norms_sq: NDArray[np.int32]) -> NDArray[np.float64]:
+    """COST_ONE over the lengths (n,) of a map's rows, from their squares."""
+    return COST_ONE / _lengths(norms_sq)
+
+
+def _lengths(norms_sq: NDArray[np.int32] | NDArray[np.int64]) -> NDArray[np.float64]:
     """Lengths (n,) of rows; 1 for a row that is all zero, so that its cosine to anything is 0."""
     return np.sqrt(np.maximum(norms_sq, 1).astype(np.float64))

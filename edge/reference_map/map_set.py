@@ -1,4 +1,4 @@
-"""A map, or a folder of maps, as one: all of them opened at the start, and never changed afterwards.
+"""A map, or a folder of maps, as one: all of them opened at the start, and a map of this drive that grows.
 
 Maps of a folder are taken in the order of their names, and their places are counted through (`PlaceIndex`). One that
 cannot be used is excluded with the reason; a single map that cannot be used is an error.
@@ -11,8 +11,10 @@ import logging
 import resource
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +22,16 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig
 from edge.errors import MapError
 from edge.geodesy import east_north, first_known
-from edge.reference_map.checksums import ChecksumSchedule
+from edge.reference_map.checksums import Checksums, ChecksumSchedule
+from edge.reference_map.closure import lap_places
 from edge.reference_map.costs import CostMatcher
+from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.signature import check_signature
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
     HEADER,
+    PLACES,
     PROJECTION,
     MapHeader,
     ModelKey,
@@ -34,7 +39,6 @@ from edge.reference_map.store import (
     matching_files,
     open_map,
     open_unverified,
-    read_thumbnail,
 )
 
 SAMPLED_MAPS = 16
@@ -79,8 +83,9 @@ class MapSet:
         maps: ReferenceMap | Sequence[ReferenceMap],
         folder: Path | None = None,
         excluded: Iterable[ExcludedMap] = (),
+        matchers: Mapping[Path, CostMatcher] = MappingProxyType({}),
     ) -> MapSet:
-        """One open map, or those of a folder."""
+        """One open map, or those of a folder. matchers: of some of them, by path, that need not be made again."""
         several = [maps] if isinstance(maps, ReferenceMap) else maps
         index = PlaceIndex([one.header for one in several])
         places = several[0].places
@@ -89,15 +94,32 @@ class MapSet:
             places = np.concatenate([one.places for one in several])
             several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(several, index.rows, strict=True)]
         bounds = [(*rows, one.header.bounds) for one, rows in zip(several, index.rows, strict=True)]
-        matchers = tuple(map(CostMatcher.of, several))
+        all_matchers = tuple(matchers.get(one.path) or _matcher_of(one) for one in several)
         blocks = SpatialIndex(places, bounds)
         path = several[0].path if folder is None else folder
-        return cls(path, folder is not None, tuple(several), matchers, places, index, blocks, tuple(excluded))
+        return cls(path, folder is not None, tuple(several), all_matchers, places, index, blocks, tuple(excluded))
+
+    def with_newest(self, newest: MapSoFar) -> MapSet:
+        """A new set with the map of this drive as it now is, after all others; places that were there stay theirs."""
+        matchers = {one.path: one_matcher for one, one_matcher in zip(self.maps, self.matchers, strict=True)}
+        matchers.pop(newest.path, None)
+        others = [one for one in self.maps if one.path in matchers]
+        grown = MapSet.of([*others, newest], self.path, self.excluded, matchers)
+        known = len(grown.index.segments) - len(newest.header.segments)
+        vars(grown)["laps"] = (*self.laps[:known], *[None] * len(newest.header.segments))  # not computed again
+        return grown
 
     @property
     def headers(self) -> tuple[MapHeader, ...]:
         """Of all maps."""
         return tuple(one.header for one in self.maps)
+
+    @cached_property
+    def laps(self) -> tuple[int | None, ...]:
+        """How many places a lap has, of each segment; None where it is not closed, or grows."""
+        growing = len(self.maps[-1].header.segments) if isinstance(self.maps[-1], MapSoFar) else 0
+        segments = self.index.segments[: len(self.index.segments) - growing]
+        return (*lap_places(self.maps, self.places, self.index, segments), *[None] * growing)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -134,6 +156,11 @@ class MapSet:
         """Of the maps that a match rests on: that of its place, and the tiles that its line may have come from."""
         return self.folders_of(self.index.widened([(place_index, place_index + 1)], sequence_length))
 
+    def check_places(self, ranges: Ranges) -> None:
+        """Check where some places are against the checksums of their maps, if on the disk. MapError for damage."""
+        for one in (self.maps[index] for index in self.index.maps_of(ranges)):
+            Checksums(one.path, one.header.files, [name for name in (PLACES,) if name in one.header.files]).finish()
+
     def checksum_schedule(self) -> ChecksumSchedule:
         """What must be checked before anything that rests on a map is published."""
         return ChecksumSchedule({one.path: (one.header.files, matching_files(one.header)) for one in self.maps})
@@ -149,6 +176,12 @@ class MapSet:
                 encoded[alike] = matcher.encoded(query)
             costs.append(matcher.costs_of_encoded(encoded[alike], [(start, end) for _, start, end in pieces]))
         return costs[0] if len(costs) == 1 else np.concatenate(costs, axis=2)
+
+    def region_costs(self, query: NDArray[np.float32], start: int, end: int) -> NDArray[np.float64]:
+        """Each region of rows (n, 2, D) alone against places [start, end) of one map, see `CostMatcher`."""
+        index = self.index.map_of(start)
+        first = self.index.starts[index]
+        return self.matchers[index].region_costs(query, start - first, end - first)
 
     def east_north_m(self, ranges: Ranges) -> NDArray[np.float64]:
         """Meters (n, 2) of some places, from an origin close to them all; NaN where unknown."""
@@ -190,8 +223,8 @@ class MapSet:
         """The place's small JPEG, for people; b"" where there is none. Read from the disk; any thread may ask."""
         index = self.index.map_of(place_index)
         try:
-            return read_thumbnail(self.maps[index].path, place_index - self.index.starts[index])
-        except MapError:
+            return self.maps[index].thumbnail(place_index - self.index.starts[index])
+        except OSError:
             return b""
 
     def without(self, damaged: Mapping[Path, str]) -> MapSet:
@@ -204,6 +237,13 @@ class MapSet:
         reasons = [ExcludedMap(_name_of(path), printable(why)) for path, why in damaged.items()]
         return _of_folder(self.path, kept, [*self.excluded, *reasons])
 
+    def with_accuracy(self, sigma_m: NDArray[np.float32]) -> MapSet:
+        """The same maps, with other accuracies (N,) of the positions."""
+        places = self.places.copy()
+        places["position_sigma_m"] = sigma_m
+        maps = [replace(one, places=places[slice(*rows)]) for one, rows in zip(self.maps, self.index.rows, strict=True)]
+        return replace(self, maps=tuple(maps), places=places)
+
     def fitting(self, model: ModelKey, descriptor: DescriptorConfig) -> MapSet:
         """A set without the maps whose descriptors this model and these regions cannot be compared with; MapError."""
         unfit = ((one.path, _misfit(one, model, descriptor)) for one in self.maps)
@@ -215,8 +255,14 @@ class MapSet:
         return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
 
 
-def open_map_set(path: Path, *, require_signature_by: Path | None = None, every_file: bool = False) -> MapSet:
-    """Open the map at a path, or all maps of a folder.
+def open_map_set(
+    path: Path,
+    *,
+    require_signature_by: Path | None = None,
+    every_file: bool = False,
+    newest: MapSoFar | None = None,
+) -> MapSet:
+    """Open the map at a path, or all maps of a folder. newest: of this drive, searched after all others, if any.
 
     Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
     them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
@@ -232,15 +278,18 @@ def open_map_set(path: Path, *, require_signature_by: Path | None = None, every_
             check_signature(folder, one.header, require_signature_by)
         return one
 
-    if not folders:
+    if not folders and newest is None:
         return MapSet.of(open_one(path))
-    maps, excluded = [], []
+    if newest is not None and (path / HEADER).exists():
+        folders = [path]
+    maps: list[ReferenceMap] = []
+    excluded = []
     for folder in folders:
         try:
             maps.append(open_one(folder))
         except MapError as error:
             excluded.append(ExcludedMap(_name_of(folder), printable(str(error))))
-    return _of_folder(path, maps, excluded)
+    return _of_folder(path, maps if newest is None else [*maps, newest], excluded)
 
 
 def _of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
@@ -300,6 +349,10 @@ def _allow_open_files(path: Path, maps: int) -> None:
             " raise the limit (LimitNOFILE= of the service, or `ulimit -Hn`), or make larger tiles"
         )
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+
+
+def _matcher_of(one: ReferenceMap) -> CostMatcher:
+    return one.matcher if isinstance(one, MapSoFar) else CostMatcher.of(one)
 
 
 def _name_of(folder: Path) -> str:

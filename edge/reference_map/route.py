@@ -10,22 +10,27 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known, unwrapped, wrapped
 from edge.reference_map.map_set import MapSet
+from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
 
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
 KEPT_DRIVES = 16
+NO_LAP_M = 1e12
+"""Meters after which a drive that is not closed would go on at its beginning: never."""
 
 
 @dataclass(frozen=True)
 class Position:
     """WGS 84 position in degrees, and the heading (clockwise from north) of the drive that made the map there.
 
-    heading_deg: None where the map does not know it, and there is no drive from which to compute it.
+    heading_deg: None where the map does not know it, and there is no drive from which to compute it. sigma_m: one
+    standard deviation of the map's distance from the truth there.
     """
 
     lat_deg: float
     lon_deg: float
     heading_deg: float | None
+    sigma_m: float = ASSUMED_SIGMA_M
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class Drive:
     lat_deg: NDArray[np.float64]
     lon_deg: NDArray[np.float64]
     heading_deg: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
 
 
 class Route:
@@ -53,6 +59,11 @@ class Route:
     def __init__(self, map_set: MapSet) -> None:
         self._places, self._index = map_set.places, map_set.index
         self._drives: dict[tuple[int, int], Drive] = {}  # those asked for, the one of longest ago first
+
+    def grow(self, map_set: MapSet) -> None:
+        """Follow a set from now on that has further places after those of the last one."""
+        self._places, self._index = map_set.places, map_set.index
+        self._drives.clear()
 
     def route_m(self, place_index: int) -> float:
         """Meters along the place's drive, NaN where unknown."""
@@ -75,11 +86,12 @@ class Route:
         record = self._places[place_index]
         if math.isnan(record["lat_deg"]):
             return None
+        sigma_m = float(sigmas_m(self._places[place_index : place_index + 1])[0])
         knows_heading, knows_route = not math.isnan(record["heading_deg"]), not math.isnan(record["route_m"])
         if knows_heading and (offset_m == 0 or not knows_route):
-            return Position(float(record["lat_deg"]), float(record["lon_deg"]), float(record["heading_deg"]))
+            return Position(float(record["lat_deg"]), float(record["lon_deg"]), float(record["heading_deg"]), sigma_m)
         if not knows_route:
-            return Position(float(record["lat_deg"]), float(record["lon_deg"]), None)
+            return Position(float(record["lat_deg"]), float(record["lon_deg"]), None, sigma_m)
         drive = self.drive(place_index)
         target_m = float(record["route_m"]) + offset_m
         after = int(np.searchsorted(drive.route_m, target_m).clip(1, max(1, len(drive.route_m) - 1)))
@@ -89,6 +101,7 @@ class Route:
             float(np.interp(target_m, drive.route_m, drive.lat_deg)),
             wrapped(float(np.interp(target_m, drive.route_m, drive.lon_deg))),
             None if math.isnan(heading_deg) else heading_deg,
+            _sigma_between_m(drive, target_m, after),
         )
 
     def drive(self, place_index: int) -> Drive:
@@ -115,7 +128,21 @@ class Route:
         if np.isnan(heading_deg).any():
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
-        return Drive(segment, len(records), *extent_m, spacing_m, route_m, lat_deg, unwrapped_deg, heading_deg)
+        lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigmas_m(known)
+        return Drive(segment, len(records), *extent_m, spacing_m, *lines)
+
+
+def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:
+    """Of a position interpolated before the drive's place number `after`; the road may bend between places far apart.
+
+    Then a straight line is wrong by at most the distance to the nearer place.
+    """
+    sigma_m = float(np.interp(target_m, drive.route_m, drive.sigma_m))
+    around_m = drive.route_m[after - 1 : after + 1]
+    if not around_m[0] <= target_m <= around_m[-1]:
+        return sigma_m
+    nearest_m = float(np.abs(around_m - target_m).min())
+    return math.hypot(sigma_m, max(0.0, nearest_m - drive.spacing_m))
 
 
 class Drives:
@@ -127,7 +154,7 @@ class Drives:
 
     def __init__(self, map_set: MapSet, spacing_m: float) -> None:
         """spacing_m: what a place counts as where the maps know no meters."""
-        self._index, self._places = map_set.index, map_set.places
+        self._index, self._places, self._laps = map_set.index, map_set.places, map_set.laps
         self._route_m = map_set.places["route_m"]
         self._origin: tuple[float, float] | None = None
         self._grounds: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
@@ -170,6 +197,15 @@ class Drives:
         """Where the first and the last place of a drive lie along it."""
         start, end = self._index.segment(drive)
         return self.along_m(start), self.along_m(end - 1)
+
+    def lap_m(self, drive: int) -> float:
+        """After how much of a drive it goes on at its beginning, NO_LAP_M where it does not."""
+        lap = self._laps[drive]
+        start, end = self._index.segment(drive)
+        if lap is None:
+            return NO_LAP_M
+        last = min(start + lap, end - 1)
+        return abs(self.along_m(last) - self.along_m(start)) + (start + lap - last) * self.spacing_m
 
     def places_within(self, drive: int, along_m: float, reach_m: float) -> tuple[int, int]:
         """Places [first, end) of a drive that lie within `reach_m` of a point along it."""

@@ -49,6 +49,11 @@ def sign_map(path: Path, key_file: Path) -> None:
         raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
 
 
+def is_signed(path: Path) -> bool:
+    """Whether there is a signature of a map, by whomever."""
+    return (path / SIGNATURE).exists()
+
+
 def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:
     """MapError unless a map is signed by the owner of the public key; ConfigError for the key.
 

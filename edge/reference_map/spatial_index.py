@@ -47,7 +47,7 @@ class SpatialIndex:
         """
         starts = [np.arange(start, end, BLOCK) for start, end, _ in maps]
         self._starts = np.concatenate(starts)
-        self._ends = np.append(self._starts[1:], maps[-1][1])
+        self._ends = np.append(self._starts[1:], maps[-1][1])[: len(self._starts)]
         self._edges = _block_bounds(places, self._starts)
         of_maps = np.repeat([_edges(bounds) for _, _, bounds in maps], [len(blocks) for blocks in starts], axis=0).T
         unknown = np.isnan(self._edges).any(axis=0) | np.isnan(of_maps).any(axis=0)

@@ -3,7 +3,7 @@
     map.json         header: format, model, regions, sampling, counts, segments, bounds, checksums; its own last
     descriptors.i8   (R, N, K) int8, normalized over the whole set, as `costs.encode` has it; memory-mapped, the only
                      file that matching reads
-    places.bin       (N,) records of PLACE: where the place is, and its thumbnail
+    places.bin       (N,) records of PLACE (`place_records`): where the place is, how well that is known, its thumbnail
     statistics.f64   (2, R, D) mean and deviation of the raw set
     projection.f32   (K, D) of a map whose descriptors were shrunk to K < D dimensions
     raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalized again without images
@@ -31,10 +31,13 @@ from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.geodesy import Origin
 from edge.reference_map.checksums import Checksums, FileKey
+from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
 
 FORMAT = "lookback-map"
-VERSION = 3
+VERSION = 4
+RECORDS = {3: PLACE_OF_FORMAT_3, VERSION: PLACE}
+"""The versions that are read, and what a place of each has."""
 HEADER = "map.json"
 DESCRIPTORS = "descriptors.i8"
 PLACES = "places.bin"
@@ -47,28 +50,18 @@ MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION)
 
 MAX_HEADER_BYTES = 16 << 20
 
-PLACE = np.dtype(
-    [
-        ("lat_deg", "<f8"),  # NaN where the position is not known, as in all columns but the last four
-        ("lon_deg", "<f8"),
-        ("alt_m", "<f8"),
-        ("heading_deg", "<f8"),  # of the vehicle, clockwise from north
-        ("route_m", "<f8"),  # along the drive that made the segment
-        ("row", "<i4"),  # of the feed
-        ("norm_sq", "<i4"),  # squared length of the int8 descriptor
-        ("thumbnail_at", "<i8"),  # where in thumbnails.jpgs, and how long
-        ("thumbnail_bytes", "<i4"),
-    ]
-)
 
+class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Which network and which of its layers made the descriptors; a query must come from the very same.
 
-class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which network and which of its layers made the descriptors; a query must come from the very same."""
+    provider: what ran the network. A query may come from another, since each is compared with the CPU at the start.
+    """
 
     name: str
     sha256: str
     tap: str
     dimensions: int
+    provider: str = "cpu"
 
 
 class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -145,11 +138,11 @@ class ReferenceMap:
     projection: NDArray[np.float32] | None = None
 
     def thumbnail(self, place: int) -> bytes:
-        """The place's small JPEG, for people."""
+        """The place's small JPEG, for people; unverified. OSError if it cannot be read."""
         record = self.places[place]
         with (self.path / THUMBNAILS).open("rb") as file:
-            file.seek(int(record["thumbnail_at"]))
-            return file.read(int(record["thumbnail_bytes"]))
+            file.seek(max(0, int(record["thumbnail_at"])))
+            return file.read(max(0, int(record["thumbnail_bytes"])))
 
     def release(self) -> None:
         """Give back the memory that the descriptors' file takes in this process; what is read again comes anew."""
@@ -191,21 +184,6 @@ def matching_files(header: MapHeader) -> list[str]:
     return [name for name in sorted(header.files) if name in MATCHING_FILES]
 
 
-def read_thumbnail(path: Path, row: int) -> bytes:
-    """The small JPEG of a place of a map that need not be open, unverified. MapError if it cannot be read."""
-    try:
-        for name in (PLACES, THUMBNAILS):
-            plain_size(path / name)
-        record = np.fromfile(path / PLACES, dtype=PLACE, count=1, offset=row * PLACE.itemsize)[0]
-        with (path / THUMBNAILS).open("rb") as file:
-            file.seek(max(0, int(record["thumbnail_at"])))
-            return file.read(max(0, int(record["thumbnail_bytes"])))
-    except OSError as error:
-        raise MapError(f"{path}: cannot read it: {error.strerror}") from None
-    except IndexError:
-        raise MapError(f"{path / PLACES}: too short; build or copy the map again") from None
-
-
 def open_unverified(path: Path, projections: dict[str, NDArray[np.float32]] | None = None) -> ReferenceMap:
     """Open a map of which the header and the sizes hold; nothing that rests on its other files may be published yet.
 
@@ -216,12 +194,11 @@ def open_unverified(path: Path, projections: dict[str, NDArray[np.float32]] | No
     _check_sizes(path, header)
     regions, kept = header.regions.count, header.dimensions
     try:
-        places = np.fromfile(path / PLACES, dtype=PLACE)
+        places = read_places(path / PLACES, RECORDS[header.version])
         descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
         projection = _read_projection(path, header, {} if projections is None else projections)
     except OSError as error:  # too many open files, or no memory to map it
         raise MapError(f"{path}: cannot open it: {error.strerror}") from None
-    _check_places(path / PLACES, places)
     return ReferenceMap(path, header, descriptors, places, projection)
 
 
@@ -239,18 +216,6 @@ def _read_projection(
     return known[sha256]
 
 
-def _check_places(file: Path, places: NDArray[np.void]) -> None:
-    """What is known of a place must be possible, whatever its checksum says: positions are computed with it."""
-    limits = {"lat_deg": 90.0, "lon_deg": 360.0, "alt_m": 1e5, "heading_deg": 720.0, "route_m": 1e9}
-    for name, most in limits.items():
-        bad = np.flatnonzero(np.abs(places[name]) > most)  # of NaN, which is not known, this is False
-        if bad.size:
-            raise MapError(f"{file}: place {bad[0]} has {name} {places[name][bad[0]]:g}; build or copy the map again")
-    half = np.flatnonzero(np.isnan(places["lat_deg"]) != np.isnan(places["lon_deg"]))
-    if half.size:
-        raise MapError(f"{file}: place {half[0]} has half a position; build or copy the map again")
-
-
 def read_header(path: Path) -> MapHeader:
     """Read and check `map.json` alone."""
     file = path / HEADER
@@ -264,10 +229,10 @@ def read_header(path: Path) -> MapHeader:
         raise MapError(f"{file}: cannot read it: {error.strerror}") from None
     try:
         kind = msgspec.json.decode(data, type=_Kind)
-        if kind != _Kind(FORMAT, VERSION):
+        if kind.format != FORMAT or kind.version not in RECORDS:
             raise MapError(
-                f"{file}: format {kind.format!r} version {kind.version}; this program reads {VERSION};"
-                " build the map again"
+                f"{file}: format {kind.format!r} version {kind.version}; this program reads"
+                f" {' and '.join(map(str, RECORDS))}; build the map again"
             )
         header = msgspec.json.decode(data, type=MapHeader)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -296,12 +261,12 @@ def encode_header(header: MapHeader) -> bytes:
     return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(header, header_sha256=digest)), indent=1)
 
 
-def expected_sizes(places: int, regions: int, dimensions: int, kept: int) -> dict[str, int]:
+def expected_sizes(places: int, regions: int, dimensions: int, kept: int, version: int = VERSION) -> dict[str, int]:
     """Bytes of the files whose size follows from the counts; `kept` of the model's `dimensions` are matched."""
     values = places * regions
     sizes = {
         DESCRIPTORS: values * kept,
-        PLACES: places * PLACE.itemsize,
+        PLACES: places * RECORDS[version].itemsize,
         STATISTICS: 2 * regions * dimensions * 8,
         RAW: values * dimensions * 2,
     }
@@ -312,7 +277,8 @@ def _check_header(file: Path, header: MapHeader) -> None:
     """Hold the header's own claims against each other, before anything is read by them."""
     if not 1 <= header.dimensions <= header.model.dimensions:
         raise MapError(f"{file}: dimensions: {header.dimensions} of the model's {header.model.dimensions}")
-    sizes = expected_sizes(header.places, header.regions.count, header.model.dimensions, header.dimensions)
+    counts = header.places, header.regions.count, header.model.dimensions, header.dimensions
+    sizes = expected_sizes(*counts, header.version)
     if set(header.files) != {*sizes, THUMBNAILS}:
         raise MapError(f"{file}: files: not the list of files of a map")
     for name, size in sizes.items():

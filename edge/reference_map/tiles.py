@@ -80,6 +80,7 @@ def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapH
             shutil.copyfile(whole.path / name, folder / name)
     header = msgspec.structs.replace(
         whole.header,
+        version=store.VERSION,
         places=end - start,
         segments=tuple(_segments(whole.header, start, end)),
         bounds=bounds_of(records),

@@ -14,13 +14,13 @@ import cv2
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
-from sim.bench import frame_rows, map_rows, memory_rows, network_rows, page_rows, search_rows
+from sim.bench import frame_rows, map_rows, mapping_rows, memory_rows, network_rows, page_rows, search_rows
 from sim.bench.machine import Machine, measure_machine
 from sim.bench.rows import Section, page
 
 FULL = (1_000, 10_000, 100_000)
 QUICK = (1_000, 10_000)
-QUICK_PARTS = ("network", "matching", "search", "frames", "maps", "memory")
+QUICK_PARTS = ("network", "matching", "search", "frames", "mapping", "maps", "memory")
 FULL_MAPS = (1_000, 10_000, 100_000, 1_000_000)
 
 
@@ -36,7 +36,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
     parser.add_argument(
-        "--only", nargs="+", metavar="PART", help="network, matching, search, frames, maps, page, memory"
+        "--only", nargs="+", metavar="PART", help="network, matching, search, frames, mapping, maps, page, memory"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
@@ -76,6 +76,7 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
         "matching": lambda: matching_rows.measure(machine, places, rounds),
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(machine, folder, usual, args.frames or (60 if args.quick else 300)),
+        "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "maps": lambda: map_rows.measure(folder, maps, rounds, model),
         "page": lambda: page_rows.measure(folder, usual, args.page_s, 1 if args.quick else 5, model),
         "memory": lambda: memory_rows.measure(folder, usual, args.frames or (100 if args.quick else 1200), model),

@@ -15,6 +15,7 @@ from edge.config import SamplingConfig
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import squared_norms
+from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -26,7 +27,7 @@ BLOCK = 4096
 
 def map_bytes(places: int, dimensions: int) -> int:
     """What a map takes on the disk, and in memory when all of it is matched; raw descriptors are a hole in a file."""
-    return places * (REGIONS.count * dimensions + store.PLACE.itemsize)
+    return places * (REGIONS.count * dimensions + PLACE.itemsize)
 
 
 def write_simulated_tiles(folder: Path, places: int, tiles: int, model: ModelKey) -> None:
@@ -69,13 +70,14 @@ def write_simulated_map(path: Path, places: int, model: ModelKey, first: int = 0
 
 def _places(first: int, places: int) -> NDArray[np.void]:
     """Places every 2 m along streets of 10 km that lie 100 m apart."""
-    records = np.zeros(places, dtype=store.PLACE)
+    records = np.zeros(places, dtype=PLACE)
     street, along_m = np.divmod((first + np.arange(places)) * SPACING_M, STREET_M)
     records["lat_deg"], records["lon_deg"], _ = pymap3d.enu2geodetic(
         street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0
     )
     records["route_m"] = along_m
     records["row"] = np.arange(places)
+    records["position_sigma_m"] = 1.0
     return records
 
 

@@ -18,14 +18,15 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import LinkLost
 from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME
 from edge.telemetry.link import Link
 from sim import Pose
 from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
 from sim.vehicle.estimator import Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.gps import NO_FIX, GpsReport
-from sim.vehicle.position_inputs import Moment, PositionInputs, Reset, east_north_m
+from sim.vehicle.mission_store import KINDS, MissionStore
+from sim.vehicle.position_inputs import VISION_SET, Moment, PositionInputs, Reset, east_north_m
 
 __all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
 
@@ -81,10 +82,15 @@ class SimulatedAutopilot:
         self.reject_fixes_with: int | None = None
         """A MAV_RESULT to answer every position estimate with instead of using it; SILENT for no answer, as PX4
         1.15."""
+        self.base_mode = 0
+        """MAV_MODE_FLAG bits of its heartbeats."""
+        self.has_script = False
+        """Whether firmware_config/lookback_gps.lua runs on it, with LKG_ACTION 1."""
         self._link = link
         self._pose_at = pose_at
         self._clock_ns = clock_ns
         self._firmware = FIRMWARES[firmware]
+        self.mission = MissionStore(is_ardupilot=self._firmware.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
         self._codec = codec or MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)
@@ -129,18 +135,25 @@ class SimulatedAutopilot:
         if now_s >= self._gps_fails_s:
             self.gps = False
         self._report = self._gps_at(now_s) if self.gps else NO_FIX
-        self.estimate.update(self._pose, now_s, self._report.position(self._pose) if self._report.usable else None)
-        if self._report.usable:
+        self.estimate.update(self._pose, now_s, self._report.position(self._pose) if self._uses_gps else None)
+        if self._uses_gps:
             self._gps_lost_s = now_s
             self._origin_m = self._origin_m or (0.0, 0.0)
         for message in self._codec.decode(self._link.receive()):
             if not self.loses(message, False):
                 self.received.append(Received(now_s, message))
                 self._handle(message)
+        for message in self.mission.step(now_s):
+            self.send(message)
         for message_id, due_s in list(self._due_s.items()):
             if now_s >= due_s:
                 self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
                 self._send_kind(message_id)
+
+    @property
+    def _uses_gps(self) -> bool:
+        """GPS is in the first set of sources only."""
+        return self._report.usable and self.inputs.source_set != VISION_SET
 
     @property
     def origin_m(self) -> tuple[float, float] | None:
@@ -161,30 +174,37 @@ class SimulatedAutopilot:
         """Send one message of that kind; False where there is nothing to send."""
         message = ENCODERS[message_id](self._snapshot())
         if message is not None:
-            self._send(message)
+            self.send(message)
         return message is not None
 
-    def _send(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
+        """Send any message, as the autopilot itself."""
         if not self.loses(message, True):
             self._link.send(self._codec.encode(message))
 
     def _handle(self, message: Message) -> None:
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
-            self._send(mavlink.MAVLink_timesync_message(self._clock_ns() - self._boot_ns, message.ts1))
+            self.send(mavlink.MAVLink_timesync_message(self._clock_ns() - self._boot_ns, message.ts1))
         elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
             self.inputs.sensor(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
             self.inputs.vision(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self._set_origin(message)
+        elif kind == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and self.has_script:
+            if message.name == GPS_DOUBT_NAME.decode() and message.value >= 1.0:
+                self.inputs.source_set = VISION_SET
         elif kind in COMMANDS and message.target_system in (0, self._codec.system_id):
             self._acknowledge(message, self._execute(message))
+        elif kind in KINDS and (message.target_system, message.target_component) == (self._codec.system_id, 1):
+            for answer in self.mission.handle(message, self._clock_ns() / 1e9):
+                self.send(answer)
 
     def _acknowledge(self, command: Message, result: int) -> None:
         if result == SILENT:
             return
-        self._send(
+        self.send(
             mavlink.MAVLink_command_ack_message(
                 command.command, result, 0, 0, command.get_srcSystem(), command.get_srcComponent()
             )
@@ -229,7 +249,7 @@ class SimulatedAutopilot:
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _moment(self) -> Moment:
-        gps_lost_s = math.inf if self._report.usable else self._gps_lost_s
+        gps_lost_s = math.inf if self._uses_gps else self._gps_lost_s
         return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self._origin_m)
 
     def _snapshot(self) -> Snapshot:
@@ -238,6 +258,7 @@ class SimulatedAutopilot:
             boot_ns=self._clock_ns() - self._boot_ns,
             pose=self._pose,
             gps=self._report,
+            uses_gps=self._uses_gps,
             east_m=self.estimate.east_m,
             north_m=self.estimate.north_m,
             sigma_m=self.estimate.sigma_m,
@@ -245,6 +266,7 @@ class SimulatedAutopilot:
             origin_m=self._origin_m,
             velocity_mps=self.estimate.velocity_mps,
             driven_m=self.estimate.driven_m,
-            aided=self._errors.source != "none" or self._report.usable,
+            aided=self._errors.source != "none" or self._uses_gps,
             lon_shift_deg=self._lon_shift_deg,
+            base_mode=self.base_mode,
         )

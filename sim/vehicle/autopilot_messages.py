@@ -14,6 +14,11 @@ from sim.vehicle.firmware import Firmware
 from sim.vehicle.gps import GpsReport
 
 NOT_AIDED_FLAGS = 0x65
+CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
 RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
 
 
@@ -21,15 +26,17 @@ RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlin
 class Snapshot:
     """The state of the autopilot at one moment.
 
-    pose: the truth, for GPS only. east_m, north_m, sigma_m, heading_deg: the filter's estimate in the simulation's
-    frame. origin_m: the filter's local origin there, None while it has none. velocity_mps: of the filter, east and
-    north. driven_m: distance by the wheel encoders. aided: whether anything measures its velocity.
+    pose: the truth, for GPS only. uses_gps: whether the filter fuses it. east_m, north_m, sigma_m, heading_deg: the
+    filter's estimate in the simulation's frame. origin_m: the filter's local origin there, None while it has none.
+    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders. aided: whether anything
+    measures its velocity. base_mode: flags of MAV_MODE_FLAG.
     """
 
     firmware: Firmware
     boot_ns: int
     pose: Pose
     gps: GpsReport
+    uses_gps: bool
     east_m: float
     north_m: float
     sigma_m: float
@@ -39,6 +46,7 @@ class Snapshot:
     driven_m: float
     aided: bool
     lon_shift_deg: float
+    base_mode: int
 
     @property
     def boot_ms(self) -> int:
@@ -63,7 +71,7 @@ class Snapshot:
 
 def _heartbeat(state: Snapshot) -> Message:
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_GROUND_ROVER, state.firmware.autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+        mavlink.MAV_TYPE_GROUND_ROVER, state.firmware.autopilot, state.base_mode, 0, mavlink.MAV_STATE_ACTIVE, 3
     )
 
 
@@ -164,7 +172,7 @@ def _filter_flags(state: Snapshot) -> int:
     """As recorded: velocity and relative position while anything aids them, absolute position with GPS."""
     if not state.aided:
         return NOT_AIDED_FLAGS
-    return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.gps.usable else 0)
+    return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.uses_gps else 0)
 
 
 def _ekf_status(state: Snapshot) -> Message:
@@ -188,7 +196,9 @@ def _origin(state: Snapshot) -> Message | None:
 def _version(state: Snapshot) -> Message:
     major, minor, patch = state.firmware.version
     software = major << 24 | minor << 16 | patch << 8 | 255
-    return mavlink.MAVLink_autopilot_version_message(0, software, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    return mavlink.MAVLink_autopilot_version_message(
+        CAPABILITIES, software, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
+    )
 
 
 ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {

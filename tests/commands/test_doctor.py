@@ -276,6 +276,18 @@ def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pyte
     assert kinds == {"config", "model", "map", "link"}
 
 
+def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(), 0.1, tmp_path / "dev"))
+    assert not [one for one in findings if one.what == "way home"]
+    findings = list(examine(write_config(home={"enabled": True}), 0.1, tmp_path / "dev"))
+    assert "back along drive 1 (feed), 2 waypoints for 80 places" in told(findings, "way home", "good")
+    findings = list(examine(write_config(home={"enabled": True, "max_gap_m": 1.0}), 0.1, tmp_path / "dev"))
+    assert told(findings, "way home", "good") == ""
+    assert "from 0 m to 158 m: no position for 2 m; max_gap_m is 1 -> docs/home.md" in told(
+        findings, "way home", "note"
+    )
+
+
 def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tmp_path: Path) -> None:
     findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
     assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")

@@ -92,6 +92,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
         assert row.speed_mps == pytest.approx(speed_mps, abs=0.1)
         assert row.heading_deg == pytest.approx(0.0, abs=0.1)
         assert row.lon_deg == pytest.approx(153.0283, abs=1e-4)
+    assert {row.position_source for row in rows[-2:]} == {"gps"}
 
 
 def test_it_stops_when_the_time_is_over(config: Config, tmp_path: Path) -> None:

@@ -144,6 +144,7 @@ SPEAKS = {
     "health/service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
     "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
     "telemetry/port.py": {"socket"},  # the names of their hosts
+    "telemetry/local_socket.py": {"socket"},  # a Unix socket, where [home] socket says
     "telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
 }
 

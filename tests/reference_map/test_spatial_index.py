@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from edge.geodesy import apart_m
 from edge.reference_map.place_index import widened
+from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import SpatialIndex, bounds_of
-from edge.reference_map.store import PLACE
 
 
 def in_ranges(index: SpatialIndex, lat_deg: float, lon_deg: float, radius_m: float, places: int) -> np.ndarray:

@@ -8,23 +8,29 @@ import resource
 import shutil
 import signal
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
+from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.checksums import Checksums
+from edge.reference_map.checksums import Checksums, FileKey, sha256_of
 from edge.reference_map.costs import encode
+from edge.reference_map.place_records import ASSUMED_SIGMA_M, PLACE, PLACE_OF_FORMAT_3
 from edge.reference_map.store import (
     DESCRIPTORS,
-    PLACE,
+    HEADER,
     PLACES,
     ModelKey,
     RegionsKey,
+    encode_header,
     open_unverified,
     read_header,
 )
@@ -95,6 +101,86 @@ def test_a_map_grows_without_its_images(tmp_path: Path) -> None:
     grown = open_map(tmp_path / "first", every_file=True)
     np.testing.assert_array_equal(grown.descriptors, open_map(tmp_path / "whole").descriptors)
     assert grown.thumbnail(3) == b"3333"
+
+
+def place(row: int, **known: Any) -> Place:
+    """A place 2 m further north than the one before."""
+    return Place(row, -27.0 + row * 2 / 110_800, 153.0, heading_deg=0.0, route_m=row * 2.0, **known)
+
+
+def build_of(path: Path, places: list[Place]) -> MapBuilder:
+    raw = raw_descriptors(len(places))
+    with MapBuilder(path, MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
+        builder.begin_segment("drive", "rear")
+        for descriptor, one in zip(raw, places, strict=True):
+            builder.add(descriptor, one)
+        builder.finish(normalize, "test")
+    return builder
+
+
+def test_the_accuracy_and_source_of_each_position_are_kept(tmp_path: Path) -> None:
+    sources = POSITION_SOURCES[:7]
+    given = [place(row, position_sigma_m=row + 0.5, position_source=source) for row, source in enumerate(sources)]
+    build_of(tmp_path / "map", given)
+    whole = open_map(tmp_path / "map", every_file=True)
+    with MapBuilder(tmp_path / "again", MODEL, REGIONS, SamplingConfig(), dimensions=4) as builder:
+        builder.add_map(whole)
+        builder.finish(normalize, "test")
+    for path in ("map", "again"):
+        found = open_map(tmp_path / path).places
+        np.testing.assert_array_equal(found["position_sigma_m"], np.arange(7) + 0.5)
+        assert [POSITION_SOURCES[code] for code in found["position_source"]] == list(sources)
+
+
+def test_positions_that_are_no_truth_for_other_drives_are_not_used(tmp_path: Path) -> None:
+    refused = [
+        place(1, position_sigma_m=2.0, position_source="place_fixes"),
+        place(2, position_sigma_m=25.1, position_source="gps"),
+        place(3, position_source="dead_reckoning"),
+        Place(4, route_m=8.0, position_source="place_fixes"),
+    ]
+    used = [place(0), place(5, position_sigma_m=8.0, position_source="dead_reckoning")]
+    builder = build_of(tmp_path / "map", [used[0], *refused, used[1]])
+    assert sum(builder.unused.values()) == len(builder.unused) == 3
+    places = open_map(tmp_path / "map").places
+    np.testing.assert_array_equal(np.isnan(places["lat_deg"]), [False, True, True, True, True, False])
+    np.testing.assert_array_equal(places["route_m"], np.arange(6) * 2.0)
+
+
+def as_format_3(path: Path) -> None:
+    """Write a map's places and header as Lookback did before positions had an accuracy."""
+    places = np.fromfile(path / PLACES, dtype=PLACE)
+    old = np.zeros(len(places), dtype=PLACE_OF_FORMAT_3)
+    for name in PLACE_OF_FORMAT_3.names or ():
+        old[name] = places[name]
+    old.tofile(path / PLACES)
+    header = read_header(path)
+    files = header.files | {PLACES: FileKey(old.nbytes, sha256_of(path / PLACES))}
+    (path / HEADER).write_bytes(encode_header(replace(header, version=3, files=files, header_sha256="")))
+
+
+def test_a_map_of_format_3_is_read_with_the_assumed_accuracy(small_map: Path, tmp_path: Path) -> None:
+    new = open_map(small_map)
+    as_format_3(small_map)
+    old = open_map(small_map, every_file=True)
+    assert (old.header.version, new.header.version) == (3, 4)
+    assert np.isnan(old.places["position_sigma_m"]).all()
+    np.testing.assert_array_equal(old.places["lat_deg"], new.places["lat_deg"])
+    position = Route(MapSet.of(old)).position(2, 3.0)
+    assert position and position.sigma_m == ASSUMED_SIGMA_M
+    assert MapSet.of(old).thumbnail(8) == b"222"
+    with MapBuilder(tmp_path / "grown", MODEL, REGIONS, SamplingConfig()) as builder:
+        builder.add_map(old)
+        builder.finish(normalize, "test")
+    assert open_map(tmp_path / "grown").header.version == 4
+
+
+def test_a_position_between_places_far_apart_is_less_accurate(tmp_path: Path) -> None:
+    rows = (0, 1, 2, 22, 23, 24)
+    build_of(tmp_path / "map", [place(row, position_sigma_m=1.0, position_source="gps") for row in rows])
+    route = Route(MapSet.of(open_map(tmp_path / "map")))
+    positions = [route.position(2, offset_m) for offset_m in (-1.0, 0.0, 2.0, 20.0, 41.0)]
+    assert [round(one.sigma_m, 1) for one in positions if one] == [1.0, 1.0, 1.0, 18.0, 1.0]
 
 
 def test_every_bit_flip_of_the_header_and_every_file_is_noticed(small_map: Path) -> None:
@@ -181,6 +267,10 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
         ("heading_deg", -np.inf, "place 1 has heading_deg -inf"),
         ("route_m", 1e300, "place 1 has route_m 1e"),
         ("lat_deg", np.nan, "place 1 has half a position"),
+        ("position_sigma_m", 0.0, "place 1 has position_sigma_m 0"),
+        ("position_sigma_m", np.inf, "place 1 has position_sigma_m inf"),
+        ("position_source", 10, "place 1 has position_source 10"),
+        ("position_source", -1, "place 1 has position_source -1"),
     ],
 )
 def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: str, value: float, told: str) -> None:
@@ -195,7 +285,7 @@ def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: st
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"version": 2}, "version 2; this program reads 3; build the map again"),
+        ({"version": 2}, "version 2; this program reads 3 and 4; build the map again"),
         ({"format": "other"}, "format"),
         ({"places": 10**12}, "descriptors.i8 should have"),
         ({"places": -1}, "should have"),
@@ -211,8 +301,6 @@ def test_a_header_that_claims_nonsense_is_refused_before_anything_is_read(
     small_map: Path, change: dict[str, object], told: str
 ) -> None:
     import hashlib
-
-    import msgspec
 
     claims = json.loads((small_map / "map.json").read_bytes()) | change | {"header_sha256": ""}
     digest = hashlib.sha256(msgspec.json.encode(claims)).hexdigest()

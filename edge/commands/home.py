@@ -1,0 +1,144 @@
+"""`lookback home`: the way back along a drive of a map, checked; as a file, or uploaded to the autopilot."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import closing
+from pathlib import Path
+
+from edge.config import Config, HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
+from edge.errors import ConfigError, LinkLost
+from edge.mission import Start, WayHome, plan_way_home
+from edge.mission.files import encoder_of, write_way_home
+from edge.reference_map import open_map_set
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.home_requests import Answer, Plan
+from edge.telemetry.link import parse_connection
+from edge.telemetry.local_socket import ask_for_home
+
+TURN_S = 0.02
+CONNECT_S = 20.0
+"""How long to wait for the autopilot and its position."""
+LIMITS = {
+    "turning_radius_m": "the vehicle's smallest turning radius",
+    "tolerance_m": "by how much waypoints may deviate from the drive",
+    "speed_mps": "speed on the way home; 0 is the autopilot's own",
+    "altitude_m": "height above the autopilot's home; 0 permits ground vehicles and boats only",
+    "max_start_m": "greatest distance of the vehicle from the drive",
+    "max_gap_m": "greatest distance between two places of the drive",
+    "max_sigma_m": "worst accuracy of the drive's positions, one standard deviation",
+    "max_length_m": "greatest length of the way home",
+}
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `lookback home` to the command line."""
+    parser = commands.add_parser(
+        "home",
+        help="plan the way home along a map's drive, for a ground station or the autopilot",
+        description="Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
+        " Nothing else happens without -o, --upload or --ask. Nothing here starts a mission or changes a mode.",
+    )
+    parser.add_argument("map", type=Path, nargs="?", metavar="MAP", help="a map, or a folder of maps")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints (QGC WPL 110), .plan or .geojson"
+    )
+    where.add_argument("--upload", metavar="CONNECTION", help="upload it while the daemon is not running")
+    where.add_argument("--ask", type=Path, metavar="CONFIG", help="have the running daemon of this config upload it")
+    parser.add_argument(
+        "--from", dest="start", metavar="LAT,LON", help="where the vehicle is (default: end of the drive)"
+    )
+    parser.add_argument("--drive", type=int, metavar="N", help="number of the drive, from 1 (default: the newest)")
+    parser.add_argument(
+        "--left-m", type=float, default=0.0, metavar="M", help="drive M meters left of the drive, seen on the way home"
+    )
+    for key, about in LIMITS.items():
+        default = getattr(HomeConfig(), key)
+        parser.add_argument(
+            f"--{key.replace('_', '-')}", type=float, metavar="M", help=f"{about} (default {default:g})"
+        )
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.ask is not None:
+        return _ask(load_config(args.ask), args.ask)
+    if args.map is None:
+        raise ConfigError("home: name a map, or ask the daemon with --ask CONFIG")
+    config = HomeConfig(enabled=True)
+    for key in LIMITS:
+        if getattr(args, key) is not None:
+            config = checked_option(config, f"--{key.replace('_', '-')}", **{key: getattr(args, key)})
+    left_m = checked_option(RigConfig(), "--left-m", left_reverse_m=args.left_m).left_reverse_m
+    maps = open_map_set(args.map)
+
+    def plan(start: Start | None) -> WayHome:
+        way = plan_way_home(maps, start, config, left_m, args.drive)
+        _show(way)
+        return way
+
+    if args.upload is not None:
+        if args.start is not None:
+            raise ConfigError("--from: the autopilot reports the position itself with --upload")
+        return _upload(args.upload, config, plan)
+    if args.output is not None:
+        encoder_of(args.output)  # before the work
+    way = plan(_start(args.start))
+    if way.refusals:
+        return 1
+    if args.output is not None:
+        write_way_home(args.output, way, config)
+        print(f"written   {args.output}")
+    return 0
+
+
+def _show(way: WayHome) -> None:
+    print(f"way home  {way}")
+    for finding in way.findings:
+        print(finding)
+
+
+def _start(text: str | None) -> Start | None:
+    """A position from the command line."""
+    if text is None:
+        return None
+    try:
+        lat_deg, lon_deg = (float(part) for part in text.split(","))
+        if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):
+            raise ValueError
+    except ValueError:
+        raise ConfigError(f"--from: {text!r} is not LAT,LON in degrees") from None
+    return Start(lat_deg, lon_deg)
+
+
+def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
+    """Upload it over a link of our own, which the daemon must not have."""
+    parse_connection(connection, "--upload")
+    link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""), home=config)
+    answers: list[Answer] = []
+    with closing(link):
+        link.plan_home_by(plan)
+        deadline_s = time.monotonic() + CONNECT_S
+        while not link.is_ready_for_home:
+            if time.monotonic() > deadline_s:
+                raise LinkLost(f"{connection}: {link.why_closed or 'no autopilot that knows its position answers'}")
+            _turn(link)
+        link.request_home(answers.append)
+        while not answers[-1].is_final:
+            _turn(link)
+    print(answers[-1].text)
+    return 0 if answers[-1].is_accepted else 1
+
+
+def _turn(link: AutopilotConnection) -> None:
+    link.poll()
+    time.sleep(TURN_S)
+
+
+def _ask(config: Config, path: Path) -> int:
+    """Have the running daemon do it, which has the map, the position and the link."""
+    if not (config.home.enabled and config.home.socket):
+        raise ConfigError(f"{path}: [home] enabled and socket must be set for the daemon to be asked")
+    return 0 if ask_for_home(Path(config.home.socket), print) else 1

@@ -1,0 +1,159 @@
+"""Live mapping for the daemon: which frames of which camera become places of the map of this drive.
+
+With a second camera ([mapping.camera]) its frames are chosen by [sampling] and described by the same network, in turns
+of the daemon in which no frame is recognized. With one camera, the frames that are recognized are mapped as well.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from msgspec import UNSET
+from numpy.typing import NDArray
+
+from edge.camera import Frame, Frames
+from edge.camera.frozen_picture import PictureCheck
+from edge.camera.newest import NewestFrame
+from edge.config import Config
+from edge.descriptor.normalize import normalize
+from edge.feed.sampling import Sampler
+from edge.health.service import notify
+from edge.journal.records import MappingChanged, Record
+from edge.mapping import LiveMap, MappingStatus, MappingView, Usage, header_of
+from edge.reference_map import MapSoFar, ModelKey, RegionsKey
+from edge.sequence import PlaceMatch
+from edge.telemetry.autopilot import AutopilotConnection
+
+CLOSE_S = 1.5
+START_S = 120.0  # of the service's unit, which the rest of the start may take
+Describe = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+"""An image (H, W, 3) uint8 BGR -> its raw descriptor (R, D)."""
+
+
+@dataclass(frozen=True)
+class _Described:
+    """A frame at a new place, its raw descriptor (R, D), meters driven, and places that were passed before it."""
+
+    frame: Frame
+    raw: NDArray[np.float32]
+    distance_m: float | None
+    missed: int
+
+
+class DriveMapper:
+    """The camera that maps, if it is one of its own, and the map of this drive."""
+
+    def __init__(
+        self,
+        config: Config,
+        model: ModelKey,
+        parts: ExitStack,
+        autopilot: AutopilotConnection,
+        record: Callable[[Record], object],
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        frames: Frames | None = None,
+    ) -> None:
+        """Open the camera and the file; SetupError for the camera. `parts` closes them. frames: of that camera."""
+        self._autopilot, self._record, self._clock_ns = autopilot, record, clock_ns
+        self._line_m = config.sequence.length * config.sampling.spacing_m
+        self._drift = config.gates.drift_percent / 100
+        descriptor, camera = config.descriptor, config.mapping.camera
+        is_set = descriptor.normalization == "online"
+        regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
+        view = config.camera.view if camera is UNSET else camera.view
+        header = header_of(model, regions, config.sampling)
+        self._live = parts.enter_context(
+            closing(LiveMap(config.mapping, header, view, normalize, before_long=_ask_for_time))
+        )
+        self._usage = Usage(Path(config.mapping.folder))
+        parts.callback(self._usage.write)
+        self._frames: Frames | None = frames
+        self._device: NewestFrame | None = None
+        if camera is not UNSET and frames is None:
+            self._frames = self._device = NewestFrame.configured(camera, clock_ns, CLOSE_S)
+        if self._frames is not None:
+            parts.enter_context(closing(self._frames))
+        self._sampler = Sampler(config.sampling)
+        self._pictures = PictureCheck(self._device, config.gates.min_speed_mps)
+        self._waiting: deque[_Described] = deque()
+        self._told: tuple[str, str] = (self.status.state, self.status.why)
+
+    @property
+    def status(self) -> MappingStatus:
+        """What is mapped now, for people."""
+        camera = self._frames.health if self._frames is not None else None
+        if camera is not None and camera.state == "lost":
+            return replace(self._live.status, state="waiting", why=f"camera: {camera.reason}")
+        return self._live.status
+
+    def view(self) -> MappingView:
+        """The map of this drive, and what to expect of it, for people."""
+        return replace(self._live.view(self._line_m, self._drift), status=self.status)
+
+    def so_far(self) -> MapSoFar:
+        """The part of the map of this drive that is searched."""
+        return self._live.so_far()
+
+    def whole(self) -> MapSoFar:
+        """The map of this drive up to the vehicle."""
+        return self._live.whole()
+
+    def map_recognized(
+        self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int
+    ) -> MapSoFar | None:
+        """Map a frame that was recognized, at a new place, unless another camera maps.
+
+        missed: places that were passed before it without a frame.
+
+        The map of this drive, if enough further places lie far enough behind the vehicle to be searched.
+        """
+        if self._frames is None:
+            self._waiting.append(_Described(frame, raw, distance_m, missed))
+        self.add_placed()
+        return self._live.newly_searchable(self._autopilot.distance_m(self._clock_ns()))
+
+    def map_next(self, describe: Describe) -> None:
+        """Map the newest frame of the camera that only maps, if it shows a new place."""
+        frame = self._frames.take(0.0) if self._frames is not None else None
+        if frame is not None and self._pictures.is_usable(frame, self._autopilot.speed_mps()):
+            distance_m = self._autopilot.distance_m(frame.stamp_ns)
+            if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
+                described = _Described(frame, describe(frame.image), distance_m, self._sampler.missed)
+                self._waiting.append(described)
+        self.add_placed()
+
+    def add_placed(self, *, all_of_them: bool = False) -> None:
+        """Add the frames to the map whose position is known by now, since it is interpolated; or all, at the end."""
+        waiting, autopilot = self._waiting, self._autopilot
+        while waiting and (all_of_them or not autopilot.awaits_position(waiting[0].frame.stamp_ns)):
+            described = waiting.popleft()
+            frame = described.frame
+            position = autopilot.position_at(frame.stamp_ns)
+            known = position, described.distance_m, autopilot.gps_fault, described.missed
+            self._live.add(described.raw, frame.image, *known)
+        self._publish_change()
+
+    def count(self, match: PlaceMatch) -> None:
+        """A place was recognized: what is used stays longest on a disk that is full."""
+        if match.map is not None:
+            self._usage.count(match.map, time.time(), self._clock_ns())
+
+    def _publish_change(self) -> None:
+        status = self.status
+        if (status.state, status.why) != self._told:
+            self._told = status.state, status.why
+            self._record(MappingChanged(status.state, status.why, status.name, status.places))
+            words = f"mapping, {status.places} places" if status.state == "mapping" else f"not mapping: {status.why}"
+            self._autopilot.status_text(f"Lookback {words}"[:50])
+
+
+def _ask_for_time(seconds: float) -> None:
+    """Ask systemd to wait for the start: what was mapped before may be a long drive."""
+    notify(f"EXTEND_TIMEOUT_USEC={round((START_S + seconds) * 1e6)}")

@@ -1,0 +1,68 @@
+"""The places of an earlier drive become an ordinary map: the same bytes that `lookback map build` would write."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import edge
+from edge.errors import MapError
+from edge.mapping.place_log import OpenLog
+from edge.reference_map import MapBuilder, Normalize
+
+SUFFIX = ".growing"
+FEWEST_PLACES = 20
+"""A drive of fewer places is no map: nothing can be recognized on it."""
+log = logging.getLogger(__name__)
+
+
+def log_of(map_path: Path) -> Path:
+    """The file in which a map is made; hidden, so that it is no map of its folder yet."""
+    return map_path.with_name(f".{map_path.name}{SUFFIX}")
+
+
+def map_of(file: Path) -> Path:
+    """The map that a file of places will become."""
+    return file.with_name(file.name[1 : -len(SUFFIX)])
+
+
+def logs_in(folder: Path) -> list[Path]:
+    """Files of places of all drives that are not maps yet, the oldest first."""
+    return sorted(folder.glob(f".*{SUFFIX}"))
+
+
+def source_of(map_path: Path) -> str:
+    """What a map of a drive says of itself, by which it is known as long as it has its name: see `quota`."""
+    return f"drive of {map_path.name}"
+
+
+def complete(file: OpenLog, normalize: Normalize) -> Path | None:
+    """Make the map of an earlier drive and remove its file; None where the drive has too few places for one.
+
+    A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
+    """
+    path = map_of(file.path)
+    if len(file.places_at) < FEWEST_PLACES:
+        log.info("%s: %d places are too few for a map; removed", file.path, len(file.places_at))
+        file.path.unlink(missing_ok=True)
+        return None
+    if not path.exists():
+        _build(file, path, normalize)
+        log.info("%s: a map of %d places was made of the drive", path, len(file.places_at))
+    file.path.unlink(missing_ok=True)
+    return path
+
+
+def _build(file: OpenLog, path: Path, normalize: Normalize) -> None:
+    header = file.header
+    ends = [*(first for first, _ in file.drives[1:]), len(file.places_at)]
+    with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
+        for (first, drive), end in zip(file.drives, ends, strict=True):
+            builder.begin_segment(source_of(path), drive.view)
+            for row in range(first, end):
+                try:
+                    passed = file.place(row)
+                    builder.add(file.raw_of(passed), passed.place)
+                except OSError as error:
+                    raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
+        builder.finish(normalize, edge.__version__)

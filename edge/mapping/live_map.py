@@ -1,0 +1,295 @@
+"""The map of this drive: what may become a place of it, its file, and what of it is searched."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import edge
+from edge.config import MappingConfig, SamplingConfig
+from edge.errors import MapError
+from edge.geodesy import VehiclePosition
+from edge.mapping.completion import complete, log_of, logs_in, map_of, source_of
+from edge.mapping.missed_places import MappedPlace, missed_places
+from edge.mapping.place_log import DriveBegun, LogHeader, OpenLog, PlaceLog, create_log
+from edge.mapping.quota import retire
+from edge.mapping.status import MappingStatus, MappingView
+from edge.mapping.way_home import SelfComparison
+from edge.reference_map import GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
+
+STEP_PLACES = 16
+"""Places that become searchable at once: a larger map is made of the map so far, which costs some milliseconds."""
+MOST_APART = 10.0
+"""Spacings between two places, or more, after which a new drive begins: no line runs over such a gap."""
+RESTARTED_M = 30.0
+"""By how much less than before is driven after a restart of the odometer; less is a frame that was exposed earlier."""
+RESUMED_AT_ONCE = 256
+LINE_POINTS = 500
+SLOWEST_S = 0.01
+"""For a place of an earlier drive, on a small computer with a slow card; it took 0.0003 s on a desk's."""
+BY_GPS = ("gps", "dgps", "rtk_float", "rtk_fixed", "ppp", "estimate", "survey")
+log = logging.getLogger(__name__)
+
+
+class LiveMap:
+    """Owns the file and the map in memory; nothing that happens to them stops anything else."""
+
+    def __init__(
+        self,
+        config: MappingConfig,
+        header: LogHeader,
+        view: Literal["front", "rear"],
+        normalize: Normalize,
+        unix_time_s: Callable[[], float] = time.time,
+        before_long: Callable[[float], object] = lambda seconds: None,
+    ) -> None:
+        """Make maps of earlier drives, and go on with the last one if it is of `resume_min` ago, after a restart.
+
+        header: how places are made. view: of the camera that maps. before_long: is called with the seconds that
+        reading or finishing a drive may take here.
+        """
+        self._config, self._header, self._view, self._normalize = config, header, view, normalize
+        self._unix_time_s, self._before_long = unix_time_s, before_long
+        self._folder = Path(config.folder)
+        self._why = "no place yet"
+        self._stopped = ""
+        self._log: PlaceLog | None = None
+        self._base_m = self._driven_m = self._mapped_m = 0.0
+        self._last: MappedPlace | None = None  # the place before, of the same drive
+        self._comparison = SelfComparison()
+        self.searchable = 0
+        """How many of the places are searched."""
+        self._path = self._new_path()
+        self._growing = self._new_map(self._path)
+        try:
+            self._open()
+        except (MapError, OSError) as error:
+            self._stop(str(error))
+
+    @property
+    def status(self) -> MappingStatus:
+        """As of the last frame."""
+        why = self._stopped or (self._log.stopped if self._log else "") or self._why
+        state: Literal["mapping", "waiting", "stopped"] = "mapping" if not why else "waiting"
+        if self._stopped or (self._log and self._log.stopped):
+            state = "stopped"
+        return MappingStatus(state, why, self._path.name, self._growing.count, self.searchable, self._mapped_m)
+
+    @property
+    def waiting(self) -> int:
+        """How many places are not in the file yet."""
+        return self._log.waiting if self._log is not None else 0
+
+    def add(
+        self,
+        raw: NDArray[np.float32],
+        image: NDArray[np.uint8],
+        position: VehiclePosition | None,
+        distance_m: float | None,
+        gps_fault: str = "",
+        missed: int = 0,
+    ) -> None:
+        """A frame at a new place: its raw descriptor (R, D), and what the autopilot says of its exposure.
+
+        gps_fault: what is wrong with GPS by the places that were recognized, "" where nothing is. missed: places that
+        were passed without a frame since the last one that was handed over.
+        """
+        self._why = gps_fault or self._why_not(position, distance_m)
+        if self._why or position is None or distance_m is None or self.status.state == "stopped":
+            self._last = None
+            return
+        route_m = self._route_m(distance_m)
+        try:
+            self._begin_if_new(route_m)
+            now = MappedPlace(raw, self._place(position, route_m, thumbnail(image)))
+            for passed in missed_places(self._last, now, missed) if self._last else ():
+                self._add(passed)
+            self._add(now)
+        except OSError as error:
+            self._stop(f"{self._path}: {error.strerror}")
+
+    def newly_searchable(self, distance_m: float | None) -> MapSoFar | None:
+        """The map with further places that now lie far enough behind the vehicle; None while there are too few."""
+        if distance_m is None:
+            return None
+        places, ready = self._growing.places, self.searchable
+        limit_m = self._route_m(distance_m) - self._config.behind_m
+        while ready < len(places) and places["route_m"][ready] <= limit_m:
+            ready += 1
+        if ready < self.searchable + STEP_PLACES and not (self._last is None and ready > self.searchable):
+            return None
+        self.searchable = ready
+        so_far = self.so_far()
+        self._comparison.add(so_far)
+        return so_far
+
+    def view(self, line_m: float, drift: float) -> MappingView:
+        """What people are shown. line_m: length of a sequence. drift: of the autopilot without GPS, as a share."""
+        places = self._growing.places
+        step = max(1, -(-len(places) // LINE_POINTS))
+        shown = places[::step]
+        line = tuple(zip(shown["lat_deg"].tolist(), shown["lon_deg"].tolist(), strict=True))
+        driven_m = self._base_m + self._driven_m
+        way_home = self._comparison.way_home(driven_m, self._config.behind_m, line_m, drift)
+        return MappingView(self.status, line, -(-self.searchable // step), way_home)
+
+    def so_far(self) -> MapSoFar:
+        """The part of the map that is searched."""
+        return self._growing.first(self.searchable)
+
+    def whole(self) -> MapSoFar:
+        """The map with all places, also those that are not searched yet."""
+        return self._growing.first(self._growing.count)
+
+    def close(self) -> None:
+        """Write what is left; more than once is harmless."""
+        if self._log is not None:
+            self._log.close()
+        self._log = None
+
+    def _why_not(self, position: VehiclePosition | None, distance_m: float | None) -> str:
+        """Why a place of this position may not be mapped, "" if it may."""
+        if position is None:
+            return "the autopilot has no position"
+        if distance_m is None:
+            return "the distance driven is not known"
+        return "the map is full" if self._growing.is_full else _why_no_truth(position, self._config)
+
+    def _route_m(self, distance_m: float) -> float:
+        """Meters along all drives of the map, which go on over a restart of the odometer."""
+        if distance_m < self._driven_m - RESTARTED_M:
+            self._base_m += self._driven_m - distance_m
+            self._driven_m, self._last = distance_m, None
+        self._driven_m = max(self._driven_m, distance_m)
+        return self._base_m + distance_m
+
+    def _begin_if_new(self, route_m: float) -> None:
+        """Begin a file with the first place, and a drive with the first one after a gap. OSError."""
+        if self._log is None:
+            file = create_log(log_of(self._path), self._header)
+            self._log = PlaceLog(file, self._config.min_free_mb * 1e6)
+            self._growing = self._new_map(self._path)
+        apart_m = MOST_APART * self._header.sampling.spacing_m
+        since_m = route_m - self._last.place.route_m if self._last is not None else -1.0
+        if 0 <= since_m <= apart_m:
+            self._mapped_m += since_m
+            return
+        self._last = None
+        if self._log.begin_drive(DriveBegun(self._view)):
+            self._growing.begin_segment(source_of(self._path), self._view)
+        else:
+            raise OSError(0, "the disk is too slow")
+
+    def _add(self, new: MappedPlace) -> None:
+        """To the file and to the memory, or, where the disk is behind or the map is full, to neither. OSError."""
+        place = replace(new.place, row=self._growing.count)
+        if self._log is None or self._growing.is_full or not self._log.add(new.raw, place):
+            self._last = None
+            return
+        self._last = new
+        self._growing.add(new.raw, place)
+
+    def _place(self, position: VehiclePosition, route_m: float, picture: bytes) -> Place:
+        return Place(
+            row=self._growing.count,
+            lat_deg=position.lat_deg,
+            lon_deg=position.lon_deg,
+            alt_m=position.alt_m,
+            heading_deg=float("nan") if position.heading_deg is None else position.heading_deg,
+            route_m=route_m,
+            thumbnail=picture,
+            position_sigma_m=float("nan") if position.sigma_m is None else position.sigma_m,
+            position_source=position.source,
+        )
+
+    def _new_path(self) -> Path:
+        started = datetime.fromtimestamp(self._unix_time_s(), tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
+        names = [started, *(f"{started}-{number}" for number in range(2, 1000))]
+        paths = (self._folder / name for name in names)
+        return next(path for path in paths if not (path.exists() or log_of(path).exists()))
+
+    def _new_map(self, path: Path) -> GrowingMap:
+        header = self._header
+
+        def of_log(row: int) -> bytes:
+            return self._log.thumbnail(row) if self._log else b""
+
+        rows = self._log.raw_rows if self._log else _no_rows
+        return GrowingMap(path, header.model, header.regions, header.sampling, self._normalize, rows, thumbnails=of_log)
+
+    def _open(self) -> None:
+        """Go on with the last drive, and make maps of the others. MapError, OSError."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        retire(self._folder, self._config.quota_mb * 1e6)
+        for file in reversed(logs_in(self._folder)):
+            try:
+                self._continue_or_complete(OpenLog(file))
+            except MapError as error:
+                log.warning("%s", error)
+        retire(self._folder, self._config.quota_mb * 1e6)
+
+    def _continue_or_complete(self, found: OpenLog) -> None:
+        self._before_long(SLOWEST_S * len(found.places_at))
+        if self._log is None and self._is_of_this_drive(found):
+            self._resume(found)
+            return
+        try:
+            complete(found, self._normalize)
+        finally:
+            found.close()
+
+    def _is_of_this_drive(self, found: OpenLog) -> bool:
+        made, now = found.header, self._header
+        alike = (made.model, made.regions, made.sampling) == (now.model, now.regions, now.sampling)
+        # Without a battery the computer's clock may have fallen behind the file: then it was just now.
+        age_s = self._unix_time_s() - found.path.stat().st_mtime
+        return alike and bool(found.places_at) and age_s < 60 * self._config.resume_min and self._config.resume_min > 0
+
+    def _resume(self, found: OpenLog) -> None:
+        self._path = map_of(found.path)
+        self._log = PlaceLog(found, self._config.min_free_mb * 1e6)
+        self._growing = self._new_map(self._path)
+        ends = [*(first for first, _ in found.drives[1:]), len(found.places_at)]
+        for (first, drive), end in zip(found.drives, ends, strict=True):
+            self._growing.begin_segment(source_of(self._path), drive.view)
+            for row in range(first, end, RESUMED_AT_ONCE):
+                records = [found.place(one) for one in range(row, min(row + RESUMED_AT_ONCE, end))]
+                self._growing.add_all(np.stack([found.raw_of(one) for one in records]), [one.place for one in records])
+            self._mapped_m += float(np.ptp(self._growing.places["route_m"][first:end])) if first < end else 0.0
+        self._growing.renew()
+        self._base_m = float(self._growing.places["route_m"][-1])
+        self.searchable = self._growing.count
+        log.info("%s: mapping goes on with %d places", self._path, self.searchable)
+
+    def _stop(self, why: str) -> None:
+        self._stopped = why
+        log.warning("mapping stopped: %s", why)
+
+
+def _why_no_truth(position: VehiclePosition, config: MappingConfig) -> str:
+    """Why a position may not enter a map, "" if it may."""
+    if position.source == "place_fixes":
+        return "the position rests on recognized places"
+    if position.source == "dead_reckoning" and config.without_gps == "continue":
+        return "" if position.sigma_m is not None else "the accuracy of the position is not known"
+    if position.source not in BY_GPS:
+        return "no GPS"
+    is_good = position.sigma_m is not None and position.sigma_m <= config.max_sigma_m
+    return "" if is_good else f"the position is not known to {config.max_sigma_m:g} m"
+
+
+def _no_rows(rows: object) -> NDArray[np.float32]:
+    raise OSError(0, "no place yet")
+
+
+def header_of(model: ModelKey, regions: RegionsKey, sampling: SamplingConfig) -> LogHeader:
+    """How the places of a drive are made."""
+    return LogHeader(model, regions, sampling, edge.__version__)

@@ -1,0 +1,88 @@
+"""The positions of one drive of a map, as a line on the ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import MapError
+from edge.geodesy import Origin, east_north, first_known
+from edge.reference_map import MapSet, sigmas_m
+
+STANDING_M = 0.01
+"""Places nearer to the one before are the same position."""
+
+
+@dataclass(frozen=True)
+class DriveLine:
+    """The places of a drive that have a position, in its order.
+
+    name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. driven_m: (N,) by the odometer
+    of the drive, NaN where the map has none. sigma_m: (N,) one standard deviation of each position, which is assumed
+    where the map has none.
+    """
+
+    name: str
+    origin: Origin
+    points_m: NDArray[np.float64]
+    driven_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+
+
+def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
+    """A drive by its number, counted from 1 through all maps, or the newest: the last of the map written last.
+
+    MapError where there is no such drive, it has fewer than two positions, or their file is damaged.
+    """
+    drives = _drives(maps)
+    if not drives or not (number is None or 1 <= number <= len(drives)):
+        raise MapError(f"{maps.path}: no drive {1 if number is None else number}; it has {len(drives)}")
+    index = _newest(maps, drives) if number is None else number - 1
+    start, end, source = drives[index]
+    maps.check_places([(start, end)])
+    places = maps.places[start:end]
+    places = places[~np.isnan(places["lat_deg"])]
+    origin, name = first_known(places["lat_deg"], places["lon_deg"]), f"drive {index + 1} ({source})"
+    if origin is None or len(places) < 2:
+        raise MapError(f"{maps.path}: {name} has {len(places)} positions; a way home needs a map made with positions")
+    points_m = east_north(places["lat_deg"], places["lon_deg"], origin)
+    moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > STANDING_M]
+    places, points_m = places[moves], points_m[moves]
+    return DriveLine(name, origin, points_m, np.ascontiguousarray(places["route_m"]), sigmas_m(places))
+
+
+def _drives(maps: MapSet) -> list[tuple[int, int, str]]:
+    """Places [start, end) of each drive, and what it was recorded as.
+
+    Segments that follow each other in one recording are one drive, which was interrupted.
+    """
+    drives: list[tuple[int, int, str]] = []
+    route_m = maps.places["route_m"]
+    for start, end in maps.index.segments:
+        source = _source(maps, start)
+        if drives:
+            before, last, its_source = drives[-1]
+            is_same = maps.index.map_of(before) == maps.index.map_of(start) and source == its_source
+            if is_same and route_m[start] >= route_m[last - 1]:
+                drives[-1] = before, end, source
+                continue
+        drives.append((start, end, source))
+    return drives
+
+
+def _newest(maps: MapSet, drives: list[tuple[int, int, str]]) -> int:
+    """The last drive of the map whose header was written last; one that is still being made has none yet."""
+    written_s = []
+    for one in maps.maps:
+        header = one.path / "map.json"
+        written_s.append(header.stat().st_mtime if header.exists() else math.inf)
+    return max(range(len(drives)), key=lambda drive: (written_s[maps.index.map_of(drives[drive][1] - 1)], drive))
+
+
+def _source(maps: MapSet, place: int) -> str:
+    map_index = maps.index.map_of(place)
+    row = place - maps.index.starts[map_index]
+    return next(part.source for part in maps.maps[map_index].header.segments if part.start <= row < part.end)

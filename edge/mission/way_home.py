@@ -1,0 +1,146 @@
+"""From where the vehicle is, back along a drive to its start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import HomeConfig
+from edge.geodesy import east_north_of, moved, wrapped
+from edge.mission import checks
+from edge.mission.checks import Finding
+from edge.mission.drive_line import DriveLine, drive_line
+from edge.mission.simplify import nearest_on, simplified
+from edge.reference_map import MapSet
+
+SAME_PASS_M = 5.0
+"""A drive that passes the vehicle several times, each as near as this to the nearest: the shortest way is used."""
+MIN_LEG_M = 0.5
+"""A leg to the first place that is shorter has no direction."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the vehicle is, in degrees. sigma_m: one standard deviation of that; None for a position of the user's."""
+
+    lat_deg: float
+    lon_deg: float
+    heading_deg: float | None = None
+    sigma_m: float | None = None
+
+
+@dataclass(frozen=True)
+class WayHome:
+    """A way along a drive to its start. positions_deg: of the waypoints, latitude and longitude.
+
+    along_m: of each waypoint, meters along the way; distances in findings are counted alike. places: positions of the
+    drive that the waypoints stand for.
+    """
+
+    drive: str
+    positions_deg: tuple[tuple[float, float], ...]
+    along_m: tuple[float, ...]
+    places: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def length_m(self) -> float:
+        """Meters from the first waypoint to the last."""
+        return self.along_m[-1]
+
+    @property
+    def refusals(self) -> list[str]:
+        """Why it must not be driven; empty if it may."""
+        return [finding.text for finding in self.findings if finding.refuses]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the pilot must know before."""
+        return [finding.text for finding in self.findings if not finding.refuses]
+
+    def __str__(self) -> str:
+        return f"{self.length_m:.0f} m back along {self.drive}, {len(self.along_m)} waypoints for {self.places} places"
+
+
+def plan_way_home(
+    maps: MapSet, start: Start | None, config: HomeConfig, left_m: float = 0.0, drive: int | None = None
+) -> WayHome:
+    """The way from `start` along a drive of the maps, the newest by default, to the drive's own start.
+
+    start: None is the end of the drive. left_m: meters to the left of the drive, as seen on the way home, at which the
+    vehicle shall drive: another lane.
+    MapError where no drive has positions.
+    """
+    line = drive_line(maps, drive)
+    start = start or Start(*_degrees(line, line.points_m[-1]))
+    here_m = np.array(east_north_of(start.lat_deg, start.lon_deg, line.origin))
+    row, nearest_m = _shortest_pass(line.points_m, here_m)
+    points_m = np.vstack([nearest_m, line.points_m[row::-1]])
+    driven_m = np.r_[math.nan, line.driven_m[row::-1]]
+    sigma_m = np.r_[line.sigma_m[row], line.sigma_m[row::-1]]
+    if np.hypot(*(points_m[1] - points_m[0])) < MIN_LEG_M and len(points_m) > 2:
+        points_m, driven_m, sigma_m = (np.delete(values, 1, axis=0) for values in (points_m, driven_m, sigma_m))
+    way_m = along_m(points_m)
+    kept = simplified(points_m, config.tolerance_m)
+    waypoints_m = shifted_left(points_m[kept], left_m)
+    away_m = float(np.hypot(*(here_m - nearest_m)))
+    turn_rad = _turn_rad(start.heading_deg, waypoints_m)
+    findings = (
+        *checks.start_check(away_m, start.sigma_m, turn_rad, config),
+        *checks.length_check(way_m, len(kept), config),
+        *checks.gap_check(way_m, driven_m, config),
+        *checks.accuracy_check(way_m, sigma_m, config),
+        *checks.turn_check(waypoints_m, way_m[kept], config),
+        *checks.loop_check(points_m, way_m),
+    )
+    positions_deg = tuple(_degrees(line, point) for point in waypoints_m)
+    return WayHome(line.name, positions_deg, tuple(way_m[kept].tolist()), len(points_m), findings)
+
+
+def along_m(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Meters (N,) along a line (N, 2)."""
+    legs_m = np.diff(points_m, axis=0)
+    return np.concatenate([[0.0], np.cumsum(np.hypot(legs_m[:, 0], legs_m[:, 1]))])
+
+
+def _shortest_pass(points_m: NDArray[np.float64], here_m: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]]:
+    """The point of a line (N, 2) at which it passes a position, and the row of the line before it.
+
+    Where it passes several times, the first: a drive that came back on the road on which it went out is not driven a
+    second time.
+    """
+    nearest_m = nearest_on(here_m, points_m[:-1], points_m[1:])
+    away_m = np.hypot(*(nearest_m - here_m).T)
+    is_near = away_m <= away_m.min() + SAME_PASS_M
+    begin = int(is_near.argmax())
+    run = is_near[begin:]
+    end = begin + (len(run) if run.all() else int((~run).argmax()))
+    row = begin + int(away_m[begin:end].argmin())
+    return row, nearest_m[row]
+
+
+def shifted_left(points_m: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:
+    """A line of waypoints (N, 2) whose legs are so many meters to the left of another's, as seen along it."""
+    ahead = np.diff(points_m, axis=0)
+    ahead /= np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]
+    before, after = np.vstack([ahead[:1], ahead]), np.vstack([ahead, ahead[-1:]])
+    # The corner of the shifted legs lies on the bisector, further out than the legs are apart.
+    cosine = np.maximum((1 + (before * after).sum(axis=1)) / 2, 0.25)
+    bisector = (before + after) / 2 / cosine[:, None]
+    return points_m + left_m * np.column_stack([-bisector[:, 1], bisector[:, 0]])
+
+
+def _turn_rad(heading_deg: float | None, waypoints_m: NDArray[np.float64]) -> float | None:
+    """By how much the vehicle points away from the first leg; None where its heading is not known."""
+    if heading_deg is None:
+        return None
+    east_m, north_m = waypoints_m[1] - waypoints_m[0]
+    return abs(math.remainder(math.atan2(east_m, north_m) - math.radians(heading_deg), math.tau))
+
+
+def _degrees(line: DriveLine, point_m: NDArray[np.float64]) -> tuple[float, float]:
+    lat_deg, lon_deg = moved(*line.origin, float(point_m[0]), float(point_m[1]))
+    return lat_deg, wrapped(lon_deg)

@@ -1,0 +1,221 @@
+"""Requests for the way home: MAV_CMD_USER_1 addressed to us, or a local program's, until the mission is verified.
+
+A request only uploads a mission: nothing in here arms a vehicle, starts a mission or changes a mode. It is rejected
+unless the vehicle is known, in a mode in which it does not drive by itself, and its position is known; and unless every
+check of the way passes.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.config import HomeConfig
+from edge.errors import SetupError
+from edge.geodesy import VehiclePosition
+from edge.journal.records import HomeAnswered, Record
+from edge.mission import Start, WayHome, mission_items
+from edge.telemetry import encoders
+from edge.telemetry.codec import Message
+from edge.telemetry.mission_transfer import MissionTransfer
+from edge.telemetry.vehicle import Vehicle
+
+HOME_COMMAND = mavlink.MAV_CMD_USER_1
+MISSION_MESSAGES = (
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
+    mavlink.MAVLINK_MSG_ID_MISSION_ACK,
+    mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
+    mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+)
+ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+AUTOPILOTS = (ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4)
+ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
+REPEATED_NS = 10_000_000_000
+"""How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
+Plan = Callable[[Start], WayHome]
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a request. result: MAV_RESULT; items: of the mission; text: one line for people."""
+
+    result: int
+    text: str
+    items: int = 0
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the autopilot now has the mission."""
+        return bool(self.result == mavlink.MAV_RESULT_ACCEPTED)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other answer follows."""
+        return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+class Rejected(Exception):
+    """A request that cannot be done now; carries its MAV_RESULT and the reason."""
+
+    def __init__(self, result: int, why: str) -> None:
+        super().__init__(why)
+        self.result = result
+
+
+class HomeRequests:
+    """At most one request at a time; messages that are due are returned, and sent by the caller."""
+
+    def __init__(
+        self,
+        config: HomeConfig,
+        component_id: int,
+        vehicle: Vehicle,
+        record: Callable[[Record], object] = lambda record: None,
+        send_text: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        """send_text: queues a line for the pilot."""
+        self._config, self._component_id, self._vehicle = config, component_id, vehicle
+        self._record, self._send_text = record, send_text
+        self.plan: Plan | None = None
+        """Plans the way home; None while there is no map."""
+        self.position: Callable[[], tuple[VehiclePosition | None, float | None]] = lambda: (None, None)
+        """The vehicle's position by the autopilot, and its standard deviation in meters; None where not known."""
+        self._transfer: MissionTransfer | None = None
+        self._items, self._way = 0, ""
+        self._sender: tuple[int, int] | None = None  # of the command that is not answered yet
+        self._reply: Callable[[Answer], object] | None = None  # of the local program
+        self._last: tuple[tuple[int, int], int, Answer] | None = None  # to whom, when, what
+
+    def read(self, message: Message, now_ns: int) -> list[Message]:
+        """Read a message of any component on the autopilot's link; the messages that are due because of it."""
+        kind = message.get_msgId()
+        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command == HOME_COMMAND:
+            return self._command(message, now_ns) if self._is_for_us(message) else []
+        if kind not in MISSION_MESSAGES or self._transfer is None or not self._is_for_us(message):
+            return []
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
+            return []
+        return [*self._transfer.read(message, now_ns), *self._finished(now_ns)]
+
+    def request(self, reply: Callable[[Answer], object], now_ns: int) -> list[Message]:
+        """Request the way home from this computer; `reply` gets each answer, the final one last."""
+        answer, messages = self._begin(now_ns)
+        reply(answer)
+        if not answer.is_final:
+            self._reply = reply
+        return messages
+
+    def due(self, now_ns: int) -> list[Message]:
+        """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
+        if self._transfer is None:
+            return []
+        why = self._why_not_now()
+        messages = self._transfer.cancel(why, now_ns) if why else []
+        return [*messages, *self._transfer.due(now_ns), *self._finished(now_ns)]
+
+    def _is_for_us(self, message: Message) -> bool:
+        """Addressed to this very component: a broadcast replaces no mission."""
+        return (message.target_system, message.target_component) == (self._vehicle.system_id, self._component_id)
+
+    def _command(self, message: Message, now_ns: int) -> list[Message]:
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if self._transfer is not None and sender == self._sender:
+            return [self._acknowledgement(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""))]
+        if message.confirmation and self._last is not None:
+            to, answered_ns, answer = self._last
+            if to == sender and now_ns - answered_ns < REPEATED_NS:
+                return [self._acknowledgement(sender, answer)]
+        messages: list[Message] = []
+        if message.param1 != 1:
+            answer = Answer(mavlink.MAV_RESULT_DENIED, "parameter 1 of the command is not 1")
+        else:
+            answer, messages = self._begin(now_ns)
+        if answer.is_final:
+            self._last = sender, now_ns, answer
+        else:
+            self._sender = sender
+        return [self._acknowledgement(sender, answer), *messages]
+
+    def _begin(self, now_ns: int) -> tuple[Answer, list[Message]]:
+        """The first answer to a request, and the first messages of the transfer."""
+        try:
+            way = self._planned()
+        except Rejected as error:
+            return self._answered(Answer(error.result, f"no way home: {error}")), []
+        config, vehicle = self._config, self._vehicle
+        home_first = vehicle.autopilot == ARDUPILOT
+        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
+        self._transfer = MissionTransfer(items, vehicle.system_id or 1, first_is_home=home_first)
+        self._items, self._way = len(items), str(way)
+        for warning in way.warnings:
+            self._send_text(f"Lookback: {warning}")
+        log.info("way home: %s", way)
+        return Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {way}"), self._transfer.start(now_ns)
+
+    def _planned(self) -> WayHome:
+        """The way home from here; Rejected."""
+        if not self._config.enabled:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
+        why = "a mission is being uploaded" if self._transfer is not None else self._why_not_now()
+        if why:
+            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
+        if self._vehicle.autopilot not in AUTOPILOTS:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
+        if self._vehicle.kind not in ON_THE_GROUND and not self._config.altitude_m:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
+        position, sigma_m = self.position()
+        if position is None or sigma_m is None or self.plan is None:
+            what = "there is no map" if self.plan is None else "the vehicle's position is not known"
+            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, what)
+        try:
+            way = self.plan(Start(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
+        except SetupError as error:
+            raise Rejected(mavlink.MAV_RESULT_FAILED, str(error)) from None
+        if way.refusals:
+            more = f" (and {len(way.refusals) - 1} more)" if len(way.refusals) > 1 else ""
+            raise Rejected(mavlink.MAV_RESULT_FAILED, way.refusals[0] + more)
+        return way
+
+    def _why_not_now(self) -> str:
+        """Why no mission may be replaced at the moment; "" if it may."""
+        if not self._vehicle.connected:
+            return "no autopilot is connected"
+        drives = self._vehicle.drives_itself
+        if drives is None:
+            return "the autopilot's mode is not known"
+        return "the vehicle is armed and drives by itself; change the mode first" if drives else ""
+
+    def _finished(self, now_ns: int) -> list[Message]:
+        """The final answer, once the transfer has ended."""
+        if self._transfer is None or self._transfer.outcome is None:
+            return []
+        outcome, self._transfer = self._transfer.outcome, None
+        if outcome.verified:
+            text = f"uploaded and verified: {self._way}"
+            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, text, self._items))
+        else:
+            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"no way home: {outcome.why}"))
+        reply, self._reply = self._reply, None
+        if reply is not None:
+            reply(answer)
+        sender, self._sender = self._sender, None
+        if sender is None:
+            return []
+        self._last = sender, now_ns, answer
+        return [self._acknowledgement(sender, answer)]
+
+    def _answered(self, answer: Answer) -> Answer:
+        """Publish a final answer."""
+        log.info("way home: %s", answer.text)
+        self._record(HomeAnswered(answer.is_accepted, answer.text, answer.items))
+        self._send_text(f"Lookback: {answer.text}")
+        return answer
+
+    def _acknowledgement(self, sender: tuple[int, int], answer: Answer) -> Message:
+        return encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)

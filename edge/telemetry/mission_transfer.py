@@ -1,0 +1,214 @@
+"""One upload of a mission by MAVLink's mission protocol, downloaded again and compared. No I/O.
+
+    MISSION_COUNT -> (MISSION_REQUEST_INT or MISSION_REQUEST -> MISSION_ITEM_INT)... -> MISSION_ACK
+    MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT)... -> MISSION_ACK
+
+Timeouts and the number of repetitions are those that the protocol's document recommends. ArduPilot replaces its items
+one by one, so that after a failure it may have a mission of old and new items: a mission that was begun and is not
+verified is cleared (MISSION_CLEAR_ALL).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.mission import MissionItem
+from edge.telemetry.codec import Message
+
+ANSWER_NS, ITEM_NS = 1_500_000_000, 250_000_000
+REPETITIONS = 5
+LONGEST_NS = 150_000_000_000
+"""For all items: 700 of them take a minute on a slow line."""
+CLEAR_REPETITIONS = 8
+"""ArduPilot refuses to clear a mission until an upload that stopped has timed out, after 8 s."""
+SAME_DEGREES_E7 = 2  # PX4 stores degrees as floating-point numbers, and truncates them
+SAME_M = 0.02
+SAME_PARAM = 1e-3
+SAME_FRAMES = {mavlink.MAV_FRAME_GLOBAL_INT: 0, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: 3}
+"""Frames of integers, which firmware may answer with instead of the others."""
+MISSION = mavlink.MAV_MISSION_TYPE_MISSION
+REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a transfer ended. verified: the autopilot has exactly these items; why: what went wrong, "" if nothing."""
+
+    verified: bool
+    why: str = ""
+
+
+class MissionTransfer:
+    """One upload; `outcome` is None while it runs."""
+
+    def __init__(self, items: Sequence[MissionItem], system_id: int, *, first_is_home: bool) -> None:
+        """system_id: of the autopilot, component 1. first_is_home: it replaces item 0 by its own home position."""
+        self._system_id, self._first_is_home = system_id, first_is_home
+        self._items = [_item_message(system_id, number, item) for number, item in enumerate(items)]
+        self.outcome: Outcome | None = None
+        self._phase: Literal["upload", "list", "download", "clear"] = "upload"
+        self._why = ""
+        self._began = False  # the autopilot may have changed its mission
+        self._next = 0  # item of the download
+        self._assumed_complete = False  # the last acknowledgement may be lost, which the download will show
+        self._pending: list[Message] = []
+        self._sent_ns = self._tries = self._started_ns = 0
+
+    def start(self, now_ns: int) -> list[Message]:
+        """The first message."""
+        self._started_ns = now_ns
+        return self._expect(
+            mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION), now_ns
+        )
+
+    def due(self, now_ns: int) -> list[Message]:
+        """What has not been answered in time, again; a failure after the last repetition."""
+        if self.outcome is not None:
+            return []
+        if self._phase != "clear" and now_ns - self._started_ns > LONGEST_NS:
+            return self._fail("the upload takes too long", now_ns)
+        if now_ns - self._sent_ns < self._timeout_ns():
+            return []
+        if self._tries > (CLEAR_REPETITIONS if self._phase == "clear" else REPETITIONS):
+            # Without a request the count may have arrived or not; ArduPilot cuts its mission down to it.
+            doubt = "" if self._began else "; look at the autopilot's mission before you start it"
+            return self._fail(f"the autopilot does not answer{doubt}", now_ns)
+        if self._phase == "upload" and self._pending[0] is self._items[-1] and not self._assumed_complete:
+            # Repeated, it would be an error for ArduPilot, if only its acknowledgement was lost.
+            self._assumed_complete = True
+            return self._request_list(now_ns)
+        self._sent_ns, self._tries = now_ns, self._tries + 1
+        return self._pending
+
+    def read(self, message: Message, now_ns: int) -> list[Message]:
+        """Read a message of the autopilot that is addressed to us; returns the answers."""
+        kind = message.get_msgId()
+        if self.outcome is not None or getattr(message, "mission_type", None) != MISSION:
+            return []
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
+            return self._acknowledged(message.type, now_ns)
+        if kind in REQUESTS and (self._phase == "upload" or (self._phase == "list" and self._assumed_complete)):
+            return self._requested(message.seq, now_ns)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_COUNT and self._phase == "list":
+            return self._counted(message.count, now_ns)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._phase == "download":
+            return self._compared(message, now_ns)
+        return []
+
+    def cancel(self, why: str, now_ns: int) -> list[Message]:
+        """End it without success."""
+        return [] if self.outcome is not None or self._phase == "clear" else self._fail(why, now_ns)
+
+    def _requested(self, number: int, now_ns: int) -> list[Message]:
+        self._began, self._phase = True, "upload"
+        if number >= len(self._items):
+            return self._fail(f"the autopilot requests item {number} of {len(self._items)}", now_ns)
+        return self._expect(self._items[number], now_ns)
+
+    def _acknowledged(self, result: int, now_ns: int) -> list[Message]:
+        accepted = result == mavlink.MAV_MISSION_ACCEPTED
+        if self._phase == "clear":
+            # An error while the autopilot still waits for items: try again.
+            return self._end() if accepted else []
+        if self._phase == "upload" and result == mavlink.MAV_MISSION_INVALID_SEQUENCE:
+            return []  # an item that came twice
+        if self._phase == "list" and self._assumed_complete and result == mavlink.MAV_MISSION_DENIED:
+            self._phase = "upload"  # it still waits for the last item
+            return self._expect(self._items[-1], now_ns)
+        if not accepted:
+            return self._fail(f"the autopilot refuses the mission: {result_name(result)}", now_ns)
+        if self._phase != "upload" or not self._began:
+            return []
+        return self._request_list(now_ns)
+
+    def _counted(self, count: int, now_ns: int) -> list[Message]:
+        if count != len(self._items):
+            return self._fail(f"the autopilot has {count} items of {len(self._items)}", now_ns)
+        self._phase = "download"
+        return self._request_next(now_ns)
+
+    def _compared(self, item: Message, now_ns: int) -> list[Message]:
+        if item.seq != self._next:
+            return []
+        if not (self._first_is_home and item.seq == 0) and not _same(item, self._items[item.seq]):
+            return self._fail(f"item {item.seq} is not the one that was uploaded", now_ns)
+        self._next += 1
+        if self._next < len(self._items):
+            return self._request_next(now_ns)
+        self.outcome = Outcome(verified=True)
+        return [mavlink.MAVLink_mission_ack_message(self._system_id, 1, mavlink.MAV_MISSION_ACCEPTED, MISSION)]
+
+    def _request_list(self, now_ns: int) -> list[Message]:
+        self._phase = "list"
+        return self._expect(mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION), now_ns)
+
+    def _request_next(self, now_ns: int) -> list[Message]:
+        return self._expect(
+            mavlink.MAVLink_mission_request_int_message(self._system_id, 1, self._next, MISSION), now_ns
+        )
+
+    def _expect(self, message: Message, now_ns: int) -> list[Message]:
+        """Send a message that has to be answered."""
+        self._pending, self._sent_ns, self._tries = [message], now_ns, 1
+        return self._pending
+
+    def _timeout_ns(self) -> int:
+        return ITEM_NS if self._phase == "download" else ANSWER_NS
+
+    def _fail(self, why: str, now_ns: int) -> list[Message]:
+        if self._phase == "clear":
+            self._why += "; do not start the autopilot's mission: it may be incomplete, and could not be cleared"
+            return self._end()
+        self._why = why
+        if not self._began:
+            return self._end()
+        self._phase = "clear"
+        return self._expect(mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION), now_ns)
+
+    def _end(self) -> list[Message]:
+        self.outcome = Outcome(verified=False, why=self._why)
+        return []
+
+
+def result_name(result: int) -> str:
+    """MAV_MISSION_RESULT without its prefix; the number of one that the dialect does not know."""
+    entry = mavlink.enums["MAV_MISSION_RESULT"].get(result)
+    return entry.name.removeprefix("MAV_MISSION_") if entry else str(result)
+
+
+def _item_message(system_id: int, number: int, item: MissionItem) -> Message:
+    return mavlink.MAVLink_mission_item_int_message(
+        system_id,
+        1,
+        number,
+        item.frame,
+        item.command,
+        0,
+        1,
+        *item.params,
+        round(item.lat_deg * 1e7),
+        round(item.lon_deg * 1e7),
+        item.altitude_m,
+        MISSION,
+    )
+
+
+def _same(item: Message, sent: Message) -> bool:
+    """Whether an item came back as it was sent; a parameter of NaN is the autopilot's choice."""
+    frame = SAME_FRAMES.get(item.frame, item.frame)
+    if item.command != sent.command:
+        return False
+    if sent.command == mavlink.MAV_CMD_NAV_WAYPOINT and not (
+        frame == sent.frame
+        and abs(item.x - sent.x) <= SAME_DEGREES_E7
+        and abs(item.y - sent.y) <= SAME_DEGREES_E7
+        and abs(item.z - sent.z) <= SAME_M
+    ):
+        return False
+    pairs = [(getattr(item, name), getattr(sent, name)) for name in ("param1", "param2", "param3", "param4")]
+    return all(math.isnan(ours) or abs(theirs - ours) <= SAME_PARAM * max(1.0, abs(ours)) for theirs, ours in pairs)

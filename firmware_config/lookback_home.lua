@@ -1,0 +1,167 @@
+-- Home on one switch, for ArduPilot 4.5 on: asks Lookback to upload the way home as a mission (docs/home.md).
+--
+-- Copy this file to APM/scripts on the autopilot's SD card, set SCR_ENABLE 1, reboot, and set:
+--   LKH_ENABLE 1      run this script; 0 (default): it does nothing
+--   LKH_FUNC   300    auxiliary function of the switch: RCx_OPTION 300 (Scripting1) to 307
+--   LKH_MODE   -1     mode to change to once the mission is verified; -1 (default): none. AUTO is 10 on Rover, 3 on Copter
+--   LKH_COMP   191    MAVLink component ID of Lookback ([telemetry] component_id)
+--
+-- Switch to high: request the mission. Switch to low before it is there: no change of mode. The script never arms.
+
+local SEVERITY = { ERROR = 3, WARNING = 4, INFO = 6 }
+local HEARTBEAT, COMMAND_LONG, COMMAND_ACK = 0, 76, 77
+local MAV_CMD_USER_1 = 31010
+local ACCEPTED, IN_PROGRESS = 0, 5
+local RESULTS = { [1] = "not now", [2] = "denied", [3] = "unsupported", [4] = "failed" }
+local LOW, HIGH = 0, 2
+local PERIOD_MS = 100
+local REPEAT_TICKS, REPETITIONS = 30, 5 -- a command without an answer, every 3 s
+local LONGEST_TICKS = 1800              -- from the first command to the mission
+local SILENT_TICKS = 50                 -- without a heartbeat of Lookback
+local MESSAGES_PER_TICK = 20
+local LONG_MESSAGE = 299                -- bytes of a received message with system IDs of 32 bits, in later versions
+
+local TABLE_KEY = 141
+assert(param:add_table(TABLE_KEY, "LKH_", 4), "Lookback: parameter table " .. TABLE_KEY .. " is in use")
+assert(param:add_param(TABLE_KEY, 1, "ENABLE", 0), "Lookback: no parameter LKH_ENABLE")
+assert(param:add_param(TABLE_KEY, 2, "FUNC", 300), "Lookback: no parameter LKH_FUNC")
+assert(param:add_param(TABLE_KEY, 3, "MODE", -1), "Lookback: no parameter LKH_MODE")
+assert(param:add_param(TABLE_KEY, 4, "COMP", 191), "Lookback: no parameter LKH_COMP")
+
+-- Both numbers alike: the order of the arguments differs between versions of the documentation.
+mavlink:init(10, 10)
+mavlink:register_rx_msgid(HEARTBEAT)
+mavlink:register_rx_msgid(COMMAND_ACK)
+
+local system_id = param:get("MAV_SYSID") or param:get("SYSID_THISMAV")
+local tick = 0
+local channel, heard_tick -- of Lookback's heartbeats
+local position            -- of the switch
+local request             -- { first, last: ticks; sent: commands; answered: whether the upload is under way }
+
+local function say(severity, text)
+    gcs:send_text(severity, "Home: " .. text)
+end
+
+local function send_command()
+    local fields = string.pack("<fffffffI2BBB", 1, 0, 0, 0, 0, 0, 0, MAV_CMD_USER_1,
+        system_id, param:get("LKH_COMP"), request.sent)
+    request.sent, request.last = request.sent + 1, tick
+    mavlink:send_chan(channel, COMMAND_LONG, fields)
+end
+
+local function begin_request()
+    if not channel or tick - heard_tick > SILENT_TICKS then
+        say(SEVERITY.ERROR, "Lookback is not connected")
+        return
+    end
+    request = { first = tick, last = tick, sent = 0, answered = false }
+    say(SEVERITY.INFO, "mission requested")
+    send_command()
+end
+
+local function end_request(severity, text)
+    request = nil
+    say(severity, text)
+end
+
+-- The mission is there. Changes the mode where the parameter asks for it, and everything else permits it.
+local function mission_ready(items)
+    if mission:num_commands() ~= items then
+        end_request(SEVERITY.ERROR, "the mission has changed")
+        return
+    end
+    local mode = param:get("LKH_MODE")
+    if mode == nil or mode < 0 then
+        end_request(SEVERITY.INFO, "the mission is ready")
+    elseif not arming:is_armed() then
+        end_request(SEVERITY.WARNING, "the mission is ready, not armed")
+    elseif position ~= HIGH then
+        end_request(SEVERITY.WARNING, "the mission is ready, switch is not high")
+    elseif mission:set_current_cmd(1) and vehicle:set_mode(math.floor(mode)) then
+        end_request(SEVERITY.INFO, "on the way")
+    else
+        end_request(SEVERITY.ERROR, "the mode was refused")
+    end
+end
+
+local function acknowledged(message, payload)
+    local command, result, _, items, to_system, to_component = string.unpack("<I2BBi4BB", message, payload)
+    if not request or command ~= MAV_CMD_USER_1 or to_system ~= system_id or to_component ~= 1 then
+        return
+    end
+    if result == IN_PROGRESS then
+        request.answered = true
+    elseif result == ACCEPTED then
+        mission_ready(items)
+    else
+        end_request(SEVERITY.ERROR, "no mission, " .. (RESULTS[result] or ("result " .. result)))
+    end
+end
+
+local function read_messages()
+    for _ = 1, MESSAGES_PER_TICK do
+        local message, from = mavlink:receive_chan()
+        if not message then
+            return
+        end
+        -- The string is ArduPilot's mavlink_message_t.
+        local format = #message >= LONG_MESSAGE and "<I4BI3" or "<BBI3"
+        local sender_system, sender_component, kind, payload = string.unpack(format, message, 8)
+        if sender_system == system_id and sender_component == param:get("LKH_COMP") then
+            if kind == HEARTBEAT then
+                channel, heard_tick = from, tick
+            elseif kind == COMMAND_ACK then
+                acknowledged(message, payload)
+            end
+        end
+    end
+end
+
+local function read_switch()
+    local now = rc:get_aux_cached(param:get("LKH_FUNC"))
+    if now == nil then
+        return
+    end
+    -- The first position is no movement: a switch that is high at boot requests nothing.
+    local rose = position ~= nil and position ~= HIGH and now == HIGH
+    position = now
+    if rose and not request then
+        begin_request()
+    end
+end
+
+local function repeat_command()
+    if not request or tick - request.last < REPEAT_TICKS then
+        return
+    end
+    if tick - request.first > LONGEST_TICKS or (not request.answered and request.sent > REPETITIONS) then
+        end_request(SEVERITY.ERROR, "no answer from Lookback")
+    else
+        send_command()
+    end
+end
+
+local function update()
+    tick = tick + 1
+    if param:get("LKH_ENABLE") ~= 1 or not system_id then
+        position, request = nil, nil
+        return
+    end
+    read_messages()
+    read_switch()
+    repeat_command()
+end
+
+-- An error in one call ends the request, not the script.
+local function protected()
+    local fine, why = pcall(update)
+    if not fine then
+        request = nil
+        say(SEVERITY.ERROR, tostring(why))
+        return protected, 1000
+    end
+    return protected, PERIOD_MS
+end
+
+return protected()

@@ -1,0 +1,98 @@
+"""Maps a drive as fast as the disk takes it, is killed, and goes on, again and again. Run by test_kill_mapping.py.
+
+    python mapping_loop.py FOLDER KILLS SEED
+
+A process of its own, since it forks. Prints JSON: the places after each kill, how many were lost by it, and how many
+times a record was cut off.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import MappingConfig, SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.geodesy import VehiclePosition
+from edge.mapping import LiveMap, header_of
+from edge.mapping.completion import logs_in
+from edge.mapping.place_log import OpenLog
+from edge.reference_map import ModelKey, RegionsKey
+
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")
+GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="gps")
+LONGEST_S = 0.3
+CHECKED = 50
+"""Places that are compared after each kill, the newest ones."""
+
+
+def raw_of(row: int) -> NDArray[np.float32]:
+    """The raw descriptor of a place, by which it is known again."""
+    return np.maximum(np.random.default_rng(row).normal(size=(2, 512)), 0).astype(np.float32)
+
+
+def open_live(folder: Path) -> LiveMap:
+    config = MappingConfig(folder=str(folder / "maps"), min_free_mb=0.0)
+    return LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize)
+
+
+def map_until_killed(folder: Path, told: int) -> None:
+    """The child: says how many places there were when it began, and how many it has handed over."""
+    mapped = open_live(folder)
+    image = np.full((48, 64, 3), 90, np.uint8)
+    first = row = mapped.status.places
+    while True:
+        os.pwrite(told, (first + 1).to_bytes(8, "little") + (row + 1).to_bytes(8, "little"), 0)
+        position = replace(GPS, lat_deg=47.0 + row * 2 / 110_800)
+        mapped.add(raw_of(row), image, position, (row - first) * 2.0)
+        mapped.newly_searchable((row - first) * 2.0)
+        row = mapped.status.places
+        while mapped.waiting > 3:  # a vehicle is slower than any disk
+            time.sleep(0.0002)
+
+
+def kill_once(folder: Path, told: int, pause_s: float) -> int:
+    """Map for a while, and kill the process; how many places it had handed over."""
+    os.pwrite(told, bytes(16), 0)
+    child = os.fork()
+    if child == 0:
+        map_until_killed(folder, told)
+    while os.pread(told, 8, 0) == bytes(8) or os.pread(told, 8, 0) == os.pread(told, 8, 8):
+        time.sleep(0.0005)  # until it has begun: a busy machine lets it wait
+    time.sleep(pause_s)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return int.from_bytes(os.pread(told, 8, 8), "little") - 1
+
+
+def crash(folder: Path, kills: int, seed: int) -> dict[str, list[int]]:
+    """Kill so many mapping processes, each of which goes on with what the one before has left."""
+    rng, told = random.Random(seed), os.open(folder / "told", os.O_RDWR | os.O_CREAT)
+    found: dict[str, list[int]] = {"places": [], "lost": [], "cut": []}
+    for _ in range(kills):
+        handed_over = kill_once(folder, told, rng.uniform(0.0, LONGEST_S))
+        (file,) = logs_in(folder / "maps")
+        size = file.stat().st_size
+        left = OpenLog(file)
+        places = len(left.places_at)
+        for row in range(max(0, places - CHECKED), places):
+            np.testing.assert_allclose(left.raw(row), raw_of(row), rtol=1e-3, atol=1e-6)
+            assert left.place(row).place.row == row
+        found["places"].append(places)
+        found["lost"].append(handed_over - places)
+        found["cut"].append(int(left.end < size))
+        left.close()
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(crash(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))))

@@ -1,0 +1,43 @@
+"""kill -9 while a drive is mapped: the map is whole each time, and goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from edge.mapping.completion import logs_in
+from edge.reference_map import open_map
+from tests.faults.mapping_loop import open_live
+
+LOOP = Path(__file__).with_name("mapping_loop.py")
+MOST_LOST = 5
+
+
+@pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.soak)])
+def test_killed_while_mapping(kills: int, tmp_path: Path, seed: int, figures: Callable[[str], None]) -> None:
+    done = subprocess.run(
+        [sys.executable, str(LOOP), str(tmp_path), str(kills), str(seed)], capture_output=True, text=True, check=True
+    )
+    found = json.loads(done.stdout)
+    places = found["places"]
+    figures(
+        f"{kills} kills, {places[-1]} places; at most {max(found['lost'])} lost by a kill,"
+        f" {sum(found['cut'])} times a record was cut off"
+    )
+    assert len(places) == kills
+    assert places == sorted(places), "what was there before stays"
+    assert max(found["lost"]) <= MOST_LOST
+    mapped = open_live(tmp_path)
+    assert mapped.status.places == mapped.searchable == places[-1]
+    mapped.close()
+    (file,) = logs_in(tmp_path / "maps")
+    os.utime(file, (0, 0))
+    open_live(tmp_path).close()
+    made = open_map(tmp_path / "maps" / mapped.status.name, every_file=True)
+    assert made.header.places == places[-1]

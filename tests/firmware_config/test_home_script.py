@@ -1,0 +1,349 @@
+"""The Lua script for ArduPilot, run by Lua against a stand-in of the scripting API that records what it calls.
+
+The stand-in has the functions that ArduPilot's documentation lists (libraries/AP_Scripting/docs/docs.lua), with their
+arguments; a call of any other is an error. Messages are real: pymavlink makes and reads them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+pytest.importorskip("lupa")
+
+from lupa import lua53
+
+from edge.config import HomeConfig
+from edge.mission import plan_way_home
+from edge.reference_map import open_map_set
+from edge.telemetry.codec import MavlinkCodec
+from tests.mission.test_way_home import straight
+from tests.telemetry.conftest import Rig
+
+SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
+CHANNEL, AUTO = 2, 10
+LOW, MIDDLE, HIGH = 0, 1, 2
+API = """
+function(host)
+  local function object(name, methods)
+    local made = {}
+    for method in methods:gmatch("[%w_]+") do
+      made[method] = function(self, ...) assert(self == made, name .. ":" .. method); return host(name, method, ...) end
+    end
+    return made
+  end
+  param = object("param", "add_table add_param get")
+  mavlink = object("mavlink", "init register_rx_msgid receive_chan send_chan")
+  mission = object("mission", "num_commands set_current_cmd")
+  vehicle = object("vehicle", "set_mode")
+  arming = object("arming", "is_armed")
+  rc = object("rc", "get_aux_cached")
+  gcs = object("gcs", "send_text")
+  io, os, package, require, dofile, loadfile = nil, nil, nil, nil, nil, nil
+end
+"""
+
+
+class Scripting:
+    """ArduPilot as the script sees it; `step` calls what the script asked to be called."""
+
+    def __init__(self, switch: int | None = LOW, **parameters: float) -> None:
+        self.parameters: dict[str, float] = {"SYSID_THISMAV": 1.0}
+        self.set_up = parameters
+        self.switch = switch
+        self.armed = True
+        self.items = 0
+        self.modes: list[int] = []
+        self.texts: list[str] = []
+        self.sent: list[Any] = []
+        self.arrived: deque[bytes] = deque()
+        self.registered: set[int] = set()
+        self.refuses_mode = False
+        self.has_long_ids = False
+        """Whether system IDs have 32 bits, as in later versions."""
+        self._codec = MavlinkCodec(1, 1)
+        runtime = lua53.LuaRuntime(unpack_returned_tuples=True, encoding=None)
+        runtime.eval(API)(self._call)
+        self._next, period_ms = runtime.execute(SCRIPT.read_bytes())
+        assert period_ms == 100
+
+    def step(self, times: int = 1) -> None:
+        for _ in range(times):
+            self._next, period_ms = self._next()
+            assert period_ms == 100, self.texts
+
+    def receive(self, message: Any, system_id: int = 1, component_id: int = 191) -> None:
+        """As `mavlink_message_t` lies in memory: checksum, header, payload with its zeros, checksum and signature."""
+        if message.get_msgId() in self.registered:
+            frame = MavlinkCodec(system_id, component_id).encode(message)
+            header = frame[:6] + b"\0" * (3 if self.has_long_ids else 0) + frame[6:10]
+            payload = frame[10 : 10 + frame[1]].ljust(257, b"\0")
+            self.arrived.append(b"\0\0" + header + payload + b"\0" * (27 if self.has_long_ids else 22))
+
+    def heartbeat(self, **sender: int) -> None:
+        self.receive(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), **sender)
+
+    def answer(self, result: int, items: int = 0, command: int = 31010, to: int = 1, **sender: int) -> None:
+        self.receive(mavlink.MAVLink_command_ack_message(command, result, 0, items, 1, to), **sender)
+
+    def _call(self, name: bytes, method: bytes, *args: Any) -> Any:
+        return getattr(self, f"_{name.decode()}_{method.decode()}")(*args)
+
+    def _param_add_table(self, key: int, prefix: bytes, count: int) -> bool:
+        assert 0 < key <= 200
+        assert count == 4
+        self._prefix = prefix.decode()
+        return True
+
+    def _param_add_param(self, key: int, number: int, name: bytes, default: float) -> bool:
+        assert 1 <= number <= 4
+        full = self._prefix + name.decode()
+        assert len(full) <= 16
+        self.parameters[full] = self.set_up.get(full, float(default))
+        return True
+
+    def _param_get(self, name: bytes) -> float | None:
+        return self.parameters.get(name.decode())
+
+    def _mavlink_init(self, first: int, second: int) -> None:
+        assert 1 <= first <= 25
+        assert 1 <= second <= 25
+
+    def _mavlink_register_rx_msgid(self, message_id: int) -> bool:
+        self.registered.add(message_id)
+        return True
+
+    def _mavlink_receive_chan(self) -> Any:
+        return (self.arrived.popleft(), CHANNEL, 0) if self.arrived else None
+
+    def _mavlink_send_chan(self, channel: int, message_id: int, payload: bytes) -> bool:
+        assert (channel, message_id, len(payload)) == (CHANNEL, 76, 33)
+        *params, command, system, component, confirmation = struct.unpack("<7fHBBB", payload)
+        self.sent.append(mavlink.MAVLink_command_long_message(system, component, command, confirmation, *params))
+        return True
+
+    def _mission_num_commands(self) -> int:
+        return self.items
+
+    def _mission_set_current_cmd(self, index: int) -> bool:
+        return 0 < index < self.items
+
+    def _vehicle_set_mode(self, mode: int) -> bool:
+        assert isinstance(mode, int)
+        self.modes += [] if self.refuses_mode else [mode]
+        return not self.refuses_mode
+
+    def _arming_is_armed(self) -> bool:
+        return self.armed
+
+    def _rc_get_aux_cached(self, function: float) -> int | None:
+        assert 300 <= function <= 307
+        return self.switch
+
+    def _gcs_send_text(self, severity: int, text: bytes) -> None:
+        assert 0 <= severity <= 7
+        assert len(text) <= 50
+        self.texts.append(text.decode())
+
+
+def start(**parameters: float) -> Scripting:
+    """The script, enabled, with Lookback connected and the switch low."""
+    scripting = Scripting(LKH_ENABLE=1, **parameters)
+    scripting.heartbeat()
+    scripting.step(3)
+    return scripting
+
+
+def requested(**parameters: float) -> Scripting:
+    scripting = start(**parameters)
+    scripting.switch = HIGH
+    scripting.step()
+    assert len(scripting.sent) == 1
+    return scripting
+
+
+def test_the_switch_requests_the_mission_and_changes_no_mode() -> None:
+    scripting = requested()
+    command = scripting.sent[0]
+    assert (command.command, command.target_system, command.target_component) == (31010, 1, 191)
+    assert (command.param1, command.confirmation) == (1.0, 0)
+    scripting.answer(5)
+    scripting.step(20)
+    scripting.items = 17
+    scripting.answer(0, 17)
+    scripting.step(20)
+    assert scripting.texts == ["Home: mission requested", "Home: the mission is ready"]
+    assert scripting.modes == []
+
+
+def test_the_mode_is_changed_where_the_parameter_asks_for_it() -> None:
+    scripting = requested(LKH_MODE=AUTO)
+    scripting.items = 17
+    scripting.answer(0, 17)
+    scripting.step(20)
+    assert scripting.modes == [AUTO]
+    assert scripting.texts[-1] == "Home: on the way"
+
+
+def test_messages_with_long_system_ids_are_read_as_well() -> None:
+    scripting = Scripting(LKH_ENABLE=1)
+    scripting.has_long_ids = True
+    scripting.heartbeat()
+    scripting.step(3)
+    scripting.switch = HIGH
+    scripting.step()
+    scripting.items = 17
+    scripting.answer(0, 17)
+    scripting.step()
+    assert scripting.texts == ["Home: mission requested", "Home: the mission is ready"]
+
+
+def low_again(scripting: Scripting) -> None:
+    scripting.switch = LOW
+
+
+def disarmed(scripting: Scripting) -> None:
+    scripting.armed = False
+
+
+def other_mission(scripting: Scripting) -> None:
+    scripting.items = 18
+
+
+def refusing(scripting: Scripting) -> None:
+    scripting.refuses_mode = True
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (low_again, "Home: the mission is ready, switch is not high"),
+        (disarmed, "Home: the mission is ready, not armed"),
+        (other_mission, "Home: the mission has changed"),
+        (refusing, "Home: the mode was refused"),
+    ],
+)
+def test_the_mode_stays_where_anything_speaks_against_it(change: Callable[[Scripting], None], text: str) -> None:
+    scripting = requested(LKH_MODE=AUTO)
+    scripting.items = 17
+    change(scripting)
+    scripting.step()
+    scripting.answer(0, 17)
+    scripting.step(20)
+    assert scripting.modes == []
+    assert scripting.texts[-1] == text
+
+
+@pytest.mark.parametrize(
+    ("result", "text"), [(1, "not now"), (2, "denied"), (3, "unsupported"), (4, "failed"), (9, "result 9")]
+)
+def test_a_refusal_ends_it(result: int, text: str) -> None:
+    scripting = requested(LKH_MODE=AUTO)
+    scripting.answer(result)
+    scripting.step(200)
+    assert scripting.texts[-1] == f"Home: no mission, {text}"
+    assert scripting.modes == []
+    assert len(scripting.sent) == 1
+
+
+def test_a_command_without_an_answer_is_repeated_and_given_up() -> None:
+    scripting = requested()
+    scripting.step(600)
+    assert [command.confirmation for command in scripting.sent] == [0, 1, 2, 3, 4, 5]
+    assert scripting.texts[-1] == "Home: no answer from Lookback"
+
+
+def test_an_upload_that_never_ends_is_given_up() -> None:
+    scripting = requested(LKH_MODE=AUTO)
+    for _ in range(200):
+        scripting.answer(5)
+        scripting.step(10)
+    assert scripting.texts[-1] == "Home: no answer from Lookback"
+    scripting.items = 17
+    scripting.answer(0, 17)
+    scripting.step(5)
+    assert scripting.modes == []
+
+
+@pytest.mark.parametrize("sender", [{"component_id": 190}, {"system_id": 2}, {"command": 31011}, {"to": 190}], ids=str)
+def test_answers_of_others_are_ignored(sender: dict[str, int]) -> None:
+    scripting = requested(LKH_MODE=AUTO)
+    scripting.items = 17
+    scripting.answer(0, 17, **sender)
+    scripting.step(20)
+    assert scripting.modes == []
+    assert scripting.texts == ["Home: mission requested"]
+
+
+def test_an_answer_without_a_request_is_ignored() -> None:
+    scripting = start(LKH_MODE=AUTO)
+    scripting.items, scripting.switch = 17, MIDDLE
+    scripting.answer(0, 17)
+    scripting.step(20)
+    assert scripting.modes == []
+    assert scripting.texts == []
+
+
+def test_nothing_is_requested_unless_enabled() -> None:
+    scripting = Scripting()
+    scripting.heartbeat()
+    scripting.step(3)
+    scripting.switch = HIGH
+    scripting.step(50)
+    assert scripting.sent == []
+
+
+def test_a_switch_that_is_high_at_boot_requests_nothing() -> None:
+    scripting = Scripting(HIGH, LKH_ENABLE=1)
+    scripting.heartbeat()
+    scripting.step(50)
+    assert scripting.sent == []
+    scripting.switch = None
+    scripting.step(5)
+    scripting.switch = HIGH
+    scripting.step(5)
+    assert scripting.sent == [], "the receiver was lost and is back"
+
+
+def test_a_lookback_that_is_not_heard_is_not_asked() -> None:
+    scripting = start()
+    scripting.step(100)
+    scripting.switch = HIGH
+    scripting.step(5)
+    assert scripting.sent == []
+    assert scripting.texts == ["Home: Lookback is not connected"]
+
+
+def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along: Callable[..., Path]) -> None:
+    """The real script, the real connection and the simulated autopilot: from the switch to the mode."""
+    rig = Rig(tmp_path, home=HomeConfig(enabled=True))
+    maps = open_map_set(map_along(straight(400.0, 60.0)))
+    rig.connection.plan_home_by(lambda start: plan_way_home(maps, start, HomeConfig()))
+    scripting = Scripting(LKH_ENABLE=1, LKH_MODE=AUTO)
+    read = 0
+
+    def pump(seconds: float) -> None:
+        nonlocal read
+        for _ in range(round(seconds * 10)):
+            rig.run(0.1)
+            scripting.items = len(rig.autopilot.mission.items)
+            for entry in rig.autopilot.received[read:]:
+                scripting.receive(entry.message)
+            read = len(rig.autopilot.received)
+            scripting.step()
+            while scripting.sent:
+                rig.autopilot.send(scripting.sent.pop())
+
+    pump(12.0)
+    scripting.switch = HIGH
+    pump(10.0)
+    rig.close()
+    assert scripting.texts == ["Home: mission requested", "Home: on the way"]
+    assert scripting.modes == [AUTO]
+    assert len(rig.autopilot.mission.waypoints_deg) == 2

@@ -1,0 +1,283 @@
+"""The map of this drive: what enters it, what of it is searched, and what the next start makes of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.__main__ import main
+from edge.config import HomeConfig, MappingConfig, SamplingConfig
+from edge.descriptor.normalize import normalize
+from edge.geodesy import VehiclePosition
+from edge.mapping import LiveMap, header_of
+from edge.mapping.completion import logs_in
+from edge.mapping.place_log import OpenLog
+from edge.mapping.quota import KEEP_FILE, Usage, retire, stored_maps
+from edge.mission import plan_way_home
+from edge.reference_map import MapBuilder, MapSet, ModelKey, Place, RegionsKey, open_map
+
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
+IMAGE = np.full((48, 64, 3), 120, np.uint8)
+GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="rtk_fixed")
+START_S = 1_790_000_000.0
+
+
+def raw_of(row: int) -> NDArray[np.float32]:
+    return np.maximum(np.random.default_rng(row).normal(size=(2, 32)), 0).astype(np.float32)
+
+
+def live(folder: Path, unix_s: float = START_S, **changes: object) -> LiveMap:
+    config = MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=50.0)
+    for key, value in changes.items():
+        config = type(config)(**{**{name: getattr(config, name) for name in config.__struct_fields__}, key: value})
+    return LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize, lambda: unix_s)
+
+
+def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) -> None:
+    """Places every 2 m, each moved on by its row, no faster than the disk takes them."""
+    for row in rows:
+        at = None if position is None else replace(position, lat_deg=position.lat_deg + row * 2 / 110_800)
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0)
+        while mapped.waiting > 8:
+            os.sched_yield()
+
+
+def test_places_become_searchable_a_fixed_distance_behind(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    drive(mapped, range(40))
+    assert mapped.status.state == "mapping"
+    assert mapped.newly_searchable(78.0) is None, "only 15 are 50 m behind"
+    so_far = mapped.newly_searchable(82.0)
+    assert so_far is not None
+    assert so_far.header.places == 17
+    assert mapped.newly_searchable(90.0) is None
+    assert so_far.places["position_sigma_m"].tolist() == [1.5] * 17
+    mapped.close()
+
+
+@pytest.mark.parametrize(
+    ("position", "keys", "why"),
+    [
+        (None, {}, "the autopilot has no position"),
+        (replace(GPS, source="dead_reckoning"), {}, "no GPS"),
+        (replace(GPS, source="dead_reckoning", sigma_m=None), {"without_gps": "continue"}, "the accuracy"),
+        (replace(GPS, source="dead_reckoning", sigma_m=40.0), {"without_gps": "continue"}, ""),
+        (replace(GPS, source="place_fixes"), {"without_gps": "continue"}, "rests on recognized places"),
+        (replace(GPS, source="unknown"), {"without_gps": "continue"}, "no GPS"),
+        (replace(GPS, sigma_m=8.0), {}, "not known to 5 m"),
+        (replace(GPS, sigma_m=None), {}, "not known to 5 m"),
+    ],
+)
+def test_what_is_no_truth_enters_no_map(
+    tmp_path: Path, position: VehiclePosition | None, keys: dict[str, object], why: str
+) -> None:
+    mapped = live(tmp_path, **keys)
+    mapped.add(raw_of(0), IMAGE, position, 0.0)
+    assert mapped.status.places == (not why)
+    assert why in mapped.status.why
+    mapped.close()
+    assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
+
+
+def test_gps_that_the_places_call_wrong_enters_no_map(tmp_path: Path) -> None:
+    mapped = live(tmp_path, without_gps="continue")
+    mapped.add(raw_of(0), IMAGE, GPS, 0.0, "GPS is wrong by 40 m north")
+    assert (mapped.status.places, mapped.status.why) == (0, "GPS is wrong by 40 m north")
+    mapped.close()
+
+
+def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    for row, missed in ((0, 0), (1, 0), (5, 3), (6, 0), (17, 10), (18, 0)):
+        at = replace(GPS, lat_deg=GPS.lat_deg + row * 1e-5, lon_deg=180.0 - 2e-5 + row * 1e-5)
+        at = replace(at, lon_deg=at.lon_deg - 360.0) if at.lon_deg >= 180.0 else at
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0, missed=missed)
+    whole = mapped.whole()
+    assert whole.places["route_m"].tolist() == [*np.arange(7) * 2.0, 34.0, 36.0]
+    assert whole.places["lat_deg"] == pytest.approx(47.0 + whole.places["route_m"] / 2 * 1e-5)
+    east_deg = (whole.places["lon_deg"] - 180.0 + 2e-5 + 180.0) % 360.0 - 180.0
+    assert east_deg == pytest.approx(whole.places["route_m"] / 2 * 1e-5, abs=1e-9)
+    assert [(segment.start, segment.end) for segment in whole.header.segments] == [(0, 7), (7, 9)]
+    mapped.close()
+    (log,) = logs_in(tmp_path)
+    file = OpenLog(log)
+    seen = [file.raw(row).tolist() for row in range(7)]
+    file.close()
+    assert [row for row in range(7) if seen[row] == seen[1]] == [1, 2, 3]
+    assert [row for row in range(7) if seen[row] == seen[5]] == [4, 5]
+
+
+def test_places_arrive_later_than_the_odometer(tmp_path: Path) -> None:
+    """The position of a frame is known some time after its exposure; what is searched is decided by now."""
+    mapped = live(tmp_path)
+    for row in range(60):
+        assert (mapped.newly_searchable(row * 2.0 + 6.5) is None) or row > 20
+        drive(mapped, range(row, row + 1))
+    assert len(mapped.so_far().header.segments) == 1
+    mapped.close()
+
+
+def test_a_gap_begins_another_drive_and_the_odometer_may_start_again(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    drive(mapped, range(10))
+    drive(mapped, range(10, 15), replace(GPS, source="dead_reckoning"))
+    drive(mapped, range(15, 20))
+    drive(mapped, range(40, 45))
+    drive(mapped, range(5))  # the odometer began again
+    mapped.newly_searchable(1000.0)
+    header = mapped.so_far().header
+    assert [(one.start, one.end) for one in header.segments] == [(0, 10), (10, 15), (15, 20), (20, 25)]
+    assert (np.diff(mapped.so_far().places["route_m"]) >= 0).all()
+    mapped.close()
+
+
+def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    (file,) = logs_in(tmp_path)
+    os.truncate(file, file.stat().st_size - 1)  # as a power cut would leave it
+    os.utime(file, (START_S, START_S))
+    again = live(tmp_path, START_S + 600)
+    assert again.status.places == again.searchable == 59
+    drive(again, range(30))
+    assert again.status.name == first.status.name
+    assert again.status.places == 89
+    again.close()
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:
+    """Not where the map begins to be searched; and over a gap in the map it is one drive."""
+    mapped = live(tmp_path)
+    drive(mapped, range(30))
+    drive(mapped, range(36, 60))
+    assert mapped.newly_searchable(118.0) is not None
+    maps = MapSet.of([mapped.so_far()], tmp_path).with_newest(mapped.whole())
+    positions_deg = plan_way_home(maps, None, HomeConfig()).positions_deg
+    assert positions_deg[0] == pytest.approx((47.0 + 59 * 2 / 110_800, 8.0), abs=1e-8)
+    assert positions_deg[-1] == pytest.approx((47.0, 8.0), abs=1e-8)
+    mapped.close()
+
+
+def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
+    first = live(tmp_path / "maps")
+    drive(first, range(60))
+    first.close()
+    (file,) = logs_in(tmp_path / "maps")
+    os.utime(file, (START_S, START_S))
+    live(tmp_path / "maps", START_S + 3600).close()
+    assert not logs_in(tmp_path / "maps")
+    made = open_map(tmp_path / "maps" / first.status.name, every_file=True)
+    with MapBuilder(tmp_path / "built", MODEL, REGIONS, SamplingConfig()) as builder:
+        builder.begin_segment(made.header.segments[0].source, "rear")
+        for row in range(60):
+            values = {name: made.places[name][row].item() for name in ("lat_deg", "lon_deg", "alt_m", "heading_deg")}
+            picture = made.thumbnail(row)
+            builder.add(
+                raw_of(row),
+                Place(row, **values, route_m=2.0 * row, thumbnail=picture, position_sigma_m=1.5,
+                      position_source="rtk_fixed"),
+            )  # fmt: skip
+        builder.finish(normalize, made.header.lookback)
+    assert open_map(tmp_path / "built").header.files == made.header.files
+
+
+def test_a_start_that_takes_long_says_so_before(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    told: list[float] = []
+    config = MappingConfig(folder=str(tmp_path), resume_min=0.0)
+    LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize, before_long=told.append).close()
+    assert told == [pytest.approx(0.6)]
+
+
+def test_too_short_a_drive_leaves_nothing(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(5))
+    first.close()
+    live(tmp_path, START_S, resume_min=0.0).close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    mapped = live(tmp_path / "file" / "maps")
+    mapped.add(raw_of(0), IMAGE, GPS, 0.0)
+    assert mapped.status.state == "stopped"
+    mapped.add(raw_of(1), IMAGE, GPS, 2.0)
+    assert mapped.so_far().header.places == 0
+    mapped.close()
+
+
+def test_a_full_disk_stops_mapping_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
+    """The largest file allowed stands in for the disk: the same call fails."""
+    mapped = live(tmp_path)
+    drive(mapped, range(40))
+    while mapped.waiting:
+        os.sched_yield()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    (file,) = logs_in(tmp_path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
+    try:
+        while mapped.status.state != "stopped":
+            drive(mapped, range(40, 41))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert mapped.status.why == "File too large"
+    drive(mapped, range(41, 50))
+    newest = mapped.newly_searchable(1000.0)
+    assert newest is not None
+    assert newest.header.places >= 40
+    mapped.close()
+    again = live(tmp_path)
+    assert again.status.places == 40, "what was written before is whole"
+    again.close()
+
+
+def make_drive(folder: Path, unix_s: float) -> Path:
+    mapped = live(folder, unix_s, resume_min=0.0, quota_mb=1e6)
+    drive(mapped, range(30))
+    mapped.close()
+    live(folder, unix_s, resume_min=0.0, quota_mb=1e6).close()
+    path = folder / mapped.status.name
+    os.utime(path / "map.json", (unix_s, unix_s))
+    return path
+
+
+def test_the_maps_of_a_folder_are_listed_and_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = make_drive(tmp_path, START_S)
+    usage = Usage(tmp_path)
+    usage.count(path.name, START_S, 0)
+    assert main(["map", "list", str(tmp_path)]) == 0
+    assert re.search(
+        rf"{path.name}  2026-09-21 \d\d:\d\d UTC +30 places .* MB  bright  recognized 1 times  may be deleted",
+        capsys.readouterr().out,
+    )
+    assert main(["map", "keep", str(path)]) == 0
+    assert retire(tmp_path, 0.0) == []
+    assert main(["map", "keep", str(path), "--undo"]) == 0
+    assert main(["map", "keep", str(tmp_path)]) == 78
+    assert retire(tmp_path, 0.0) == [path]
+
+
+def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: Path) -> None:
+    paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(6)]
+    (paths[0] / KEEP_FILE).touch()
+    (paths[1] / "map.json.sig").write_text("00")
+    own = paths[2].rename(tmp_path / "my own name")
+    usage = Usage(tmp_path)
+    usage.count(paths[3].name, START_S + 99_000, 0)
+    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path)}
+    assert retire(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
+    assert retire(tmp_path, 0.0) == [paths[5], paths[3]]
+    assert {path for path in tmp_path.iterdir() if path.is_dir()} == {paths[0], paths[1], own}
+    assert Usage(tmp_path).maps[paths[3].name].recognized == 1

@@ -1,0 +1,79 @@
+"""The simulated autopilot's side of the mission protocol, judged by MAVSDK's client."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+pytest.importorskip("mavsdk")
+
+import mavsdk
+from mavsdk.plugins.mission_raw.mission_raw import MissionItem, MissionRaw
+
+from edge.telemetry import open_link
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+
+
+def item(number: int, lat_e7: int) -> Any:
+    return MissionItem(number, 6, 16, int(number == 0), 1, 0.0, 0.0, 0.0, math.nan, lat_e7, 1530283000, 5.0, 0)
+
+
+@contextmanager
+def judged(firmware: str) -> Iterator[tuple[SimulatedAutopilot, MissionRaw]]:
+    """The simulated autopilot in a thread, and MAVSDK as a ground station."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    station = mavsdk.Mavsdk(mavsdk.Configuration.create_manual(245, 190, True))
+    assert station.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
+    link, stop = open_link(f"udp:127.0.0.1:{port}"), threading.Event()
+    autopilot = SimulatedAutopilot(link, straight_line(0.0, 0.0, time.monotonic()), firmware=firmware)
+    thread = threading.Thread(target=autopilot.run, args=(stop,))
+    thread.start()
+    try:
+        yield autopilot, MissionRaw(first_system(station))
+    finally:
+        stop.set()
+        thread.join()
+        link.close()
+        station.destroy()
+
+
+def first_system(station: Any) -> Any:
+    found, gone = threading.Event(), time.monotonic() + 15
+    station.subscribe_on_new_system(lambda *_: found.set())
+    while not station.get_systems():
+        assert time.monotonic() < gone, "MAVSDK does not hear the simulated autopilot"
+        found.wait(0.1)
+    return station.get_systems()[0]
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+def test_mavsdk_uploads_and_downloads_the_same_mission(firmware: str) -> None:
+    with judged(firmware) as (autopilot, client):
+        client.upload_mission([item(number, -274772000 + 1000 * number) for number in range(5)])
+        assert len(autopilot.mission.items) == 5
+        first = 1 if firmware == "ardupilot" else 0
+        assert [round(lat_deg * 1e7) for lat_deg, _ in autopilot.mission.waypoints_deg] == [
+            -274772000 + 1000 * number for number in range(first, 5)
+        ]
+        downloaded = client.download_mission()
+        assert [found.x for found in downloaded] == [-274772000 + 1000 * number for number in range(5)]
+        client.clear_mission()
+        assert autopilot.mission.waypoints_deg == []
+
+
+def test_mavsdk_reads_a_refusal() -> None:
+    with judged("ardupilot") as (autopilot, client):
+        autopilot.mission.rejects = {2: mavlink.MAV_MISSION_UNSUPPORTED}
+        with pytest.raises(Exception, match="UNSUPPORTED"):
+            client.upload_mission([item(number, -274772000 + 1000 * number) for number in range(5)])

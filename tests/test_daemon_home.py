@@ -1,0 +1,106 @@
+"""The way home from `lookback run` as its own process, which has the map, the position and the serial line."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import tomli_w
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.geodesy import east_north_of
+from edge.journal.journal import records_of
+from edge.journal.records import HomeAnswered
+from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
+
+PATIENCE_S = 90.0
+LAT_DEG, LON_DEG = -27.0, 153.0  # where the drive of the map begins
+DRIVEN_M = 120.0
+
+
+@pytest.fixture
+def autopilot() -> Iterator[tuple[SimulatedAutopilot, str]]:
+    """One that stands on the drive, points home and has GPS; and the connection to it."""
+    lat_deg = LAT_DEG + DRIVEN_M / 110_800
+    pose = Pose(*east_north_of(lat_deg, LON_DEG, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG)), 180.0, 0.0, 0.0)
+    link, stop = open_pty(), threading.Event()
+    made = SimulatedAutopilot(link, lambda now_s: pose)
+    thread = threading.Thread(target=made.run, args=(stop,))
+    thread.start()
+    yield made, f"serial:{link.device}:921600"
+    stop.set()
+    thread.join()
+    link.close()
+
+
+@pytest.fixture
+def config(make_street: Callable[..., Path], tmp_path: Path, autopilot: tuple[SimulatedAutopilot, str]) -> Path:
+    street = make_street(range(80), period_ms=1000)
+    config = {
+        "camera": {"kind": "feed", "device": str(street / "feed")},
+        "map": {"path": str(street / "map")},
+        "telemetry": {"connection": autopilot[1], "journal": "events.jsonl"},
+        "page": {"port": 0},
+        "home": {"enabled": True, "socket": "home.socket"},
+    }
+    path = tmp_path / "lookback.toml"
+    path.write_text(tomli_w.dumps(config))
+    return path
+
+
+@pytest.fixture
+def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)])
+    yield process
+    process.terminate()
+    assert process.wait(PATIENCE_S) == 0
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline_s, what
+        os.sched_yield()
+
+
+def ask(config: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "edge", "home", "--ask", str(config)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_program_asks_the_daemon_and_then_the_pilot_does(
+    config: Path, daemon: subprocess.Popen[bytes], autopilot: tuple[SimulatedAutopilot, str]
+) -> None:
+    vehicle, _ = autopilot
+    until((config.parent / "home.socket").exists, "no socket")
+    answers = [ask(config)]
+    while "position is not known" in answers[-1].stdout or "no autopilot" in answers[-1].stdout:
+        assert len(answers) < 30, "the autopilot is never known"
+        answers.append(ask(config))
+    assert answers[-1].returncode == 0, answers[-1]
+    assert re.search(r"uploaded and verified: 1[12]\d m back along drive 1", answers[-1].stdout)
+    *_, last = vehicle.mission.waypoints_deg
+    assert last == pytest.approx((LAT_DEG, LON_DEG), abs=1e-6)
+    vehicle.mission.items.clear()
+    vehicle.send(mavlink.MAVLink_command_long_message(1, 191, 31010, 0, 1, 0, 0, 0, 0, 0, 0))
+    until(lambda: vehicle.mission.waypoints_deg, "no mission")
+    until(
+        lambda: [one.verified for one in records_of(config.parent / "events.jsonl", HomeAnswered)][-2:] == [True] * 2,
+        "",
+    )
+
+
+def test_a_daemon_that_does_not_run_is_one_line(config: Path) -> None:
+    done = ask(config)
+    assert done.returncode == 1
+    assert "is `lookback run` running?" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,260 @@
+"""A drive out and home with the real daemon: the map that it makes on the way out brings it home, minutes later."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.camera import CameraHealth, Frame
+from edge.config import (
+    CameraConfig,
+    Config,
+    DescriptorConfig,
+    MapConfig,
+    MappingConfig,
+    PageConfig,
+    SamplingConfig,
+    TelemetryConfig,
+)
+from edge.daemon import Daemon
+from edge.descriptor.network import Network
+from edge.journal.journal import records_of
+from edge.journal.records import FrameUsed, MappingChanged
+from edge.mapping.completion import logs_in
+from sim import Pose
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import open_pty
+
+ROAD_M, SPEED_MPS, SPACING_M = 400.0, 10.0, 2.0
+STEP_NS = 100_000_000
+PLACES = int(ROAD_M / SPACING_M) + 10
+
+
+class PlacedNetwork(Network):
+    """Has described what the camera sees that delivered last."""
+
+    current: NDArray[np.float32]
+
+    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        return self.current
+
+
+class World:
+    """A road, driven out and home; what looks along it in one direction sees one thing, in the other another."""
+
+    def __init__(self, network: PlacedNetwork, *, home: bool = True) -> None:
+        self.now_ns = 10**12
+        self.network = network
+        rng = np.random.default_rng(7)
+        noise = rng.normal(size=(2, PLACES + 2, 2, 4096)).astype(np.float32)
+        self._views = np.maximum(noise[:, :-2] + noise[:, 1:-1] + noise[:, 2:], 0)  # east, then west
+        self._rng, self._home = rng, home
+
+    def clock_ns(self) -> int:
+        return self.now_ns
+
+    @property
+    def driven_m(self) -> float:
+        return max(0.0, SPEED_MPS * (self.now_ns - 10**12 - 3 * 10**9) / 1e9)
+
+    @property
+    def is_over(self) -> bool:
+        return self.driven_m > (2 if self._home else 1) * ROAD_M
+
+    @property
+    def is_home(self) -> bool:
+        return self.driven_m >= ROAD_M
+
+    @property
+    def along_m(self) -> float:
+        return ROAD_M - abs(ROAD_M - self.driven_m)
+
+    def pose(self, time_s: float) -> Pose:
+        moves = SPEED_MPS if self.driven_m else 0.0
+        return Pose(self.along_m, 0.0, 270.0 if self.is_home else 90.0, moves, self.driven_m)
+
+    def seen(self, *, ahead: bool) -> NDArray[np.float32]:
+        """By a camera that looks ahead, or back."""
+        raw = self._views[int(ahead == self.is_home), round(self.along_m / SPACING_M)]
+        return np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0).astype(np.float32)
+
+
+class Laps(World):
+    """The road as a loop, driven twice."""
+
+    @property
+    def is_home(self) -> bool:
+        return False
+
+    @property
+    def along_m(self) -> float:
+        return self.driven_m % ROAD_M
+
+    def pose(self, time_s: float) -> Pose:
+        angle_rad, radius_m = 2 * math.pi * self.driven_m / ROAD_M, ROAD_M / 2 / math.pi
+        moves = SPEED_MPS if self.driven_m else 0.0
+        east_m, north_m = radius_m * math.sin(angle_rad), radius_m * (1 - math.cos(angle_rad))
+        return Pose(east_m, north_m, (90 - math.degrees(angle_rad)) % 360, moves, self.driven_m)
+
+
+class Camera:
+    """One of the vehicle's cameras."""
+
+    def __init__(self, world: World, *, ahead: bool) -> None:
+        self._world, self._ahead = world, ahead
+        self.health = CameraHealth("running", "", 0)
+        self._index = 0
+        self._taken_ns = 0
+
+    @property
+    def ended(self) -> bool:
+        return self._world.is_over
+
+    def take(self, timeout_s: float) -> Frame | None:
+        if self._taken_ns == self._world.now_ns:
+            return None
+        self._taken_ns, self._index = self._world.now_ns, self._index + 1
+        self._world.network.current = self._world.seen(ahead=self._ahead)
+        picture = np.random.default_rng(self._index).integers(0, 255, (32, 32, 3), np.uint8)
+        return Frame(picture, self._world.now_ns, self._index)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def placed_network() -> PlacedNetwork:
+    network = PlacedNetwork.load()
+    assert isinstance(network, PlacedNetwork)
+    return network
+
+
+@pytest.fixture
+def parts() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def opened(config: Config, parts: ExitStack, world: World, front: Camera, rear: Camera | None) -> Daemon:
+    return Daemon(config, parts, world.clock_ns, frames=front, mapping_frames=rear, network=world.network)
+
+
+def drive(
+    world: World,
+    folder: Path,
+    parts: ExitStack,
+    mapping: MappingConfig,
+    *,
+    gps_out_only: bool = True,
+    killed_at_m: float = math.inf,
+) -> None:
+    """The daemon over a whole drive; GPS fails where the vehicle turns round.
+
+    killed_at_m: where the daemon is killed, and started again.
+    """
+    link = parts.enter_context(closing(open_pty()))
+    config = Config(
+        camera=CameraConfig(kind="sim", view="front"),
+        descriptor=DescriptorConfig(keep_statistics_min=0.0),
+        sampling=SamplingConfig(spacing_m=SPACING_M),
+        map=MapConfig(path=mapping.folder),
+        mapping=mapping,
+        page=PageConfig(port=0),
+        telemetry=msgspec.structs.replace(
+            TelemetryConfig(),
+            connection=f"serial:{link.device}:921600",
+            journal=str(folder / "events.jsonl"),
+            journal_frames=True,
+        ),
+    )
+    fails_s = world.now_ns / 1e9 + 3 + ROAD_M / SPEED_MPS if gps_out_only else float("inf")
+    autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=fails_s)
+    rear = None if mapping.camera is msgspec.UNSET else Camera(world, ahead=False)
+    front = Camera(world, ahead=True)
+    for until_m in sorted({killed_at_m, math.inf}):
+        with ExitStack() as open_parts:
+            daemon = opened(config, open_parts, world, front, rear)
+            while not world.is_over and world.driven_m < until_m:
+                world.now_ns += STEP_NS
+                for _ in range(4):
+                    autopilot.step()
+                    daemon.turn()
+            if world.is_over:
+                daemon.last_words()
+
+
+def believed_on_the_way_home(folder: Path) -> list[FrameUsed]:
+    used = list(records_of(folder / "events.jsonl", FrameUsed))
+    return [frame for frame in used if frame.accepted and frame.stamp_ns > 10**12 + (3 + ROAD_M / SPEED_MPS) * 1e9]
+
+
+def mapping_to(folder: Path, *, second_camera: bool) -> MappingConfig:
+    camera = CameraConfig(kind="sim", view="rear") if second_camera else msgspec.UNSET
+    return MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=60.0, camera=camera)
+
+
+def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack) -> None:
+    world = World(placed_network)
+    drive(world, tmp_path, parts, mapping_to(tmp_path / "maps", second_camera=True))
+    changes = list(records_of(tmp_path / "events.jsonl", MappingChanged))
+    assert [change.state for change in changes][-2:] == ["mapping", "waiting"]
+    assert changes[-1].why in ("no GPS", "the position is not known to 5 m")
+    assert changes[-1].places == pytest.approx(ROAD_M / SPACING_M, abs=5)
+    found = believed_on_the_way_home(tmp_path)
+    assert len(found) > 0.5 * ROAD_M / SPACING_M
+    assert {frame.direction for frame in found} == {"reverse"}
+    assert {frame.map for frame in found} == {changes[-1].map}
+    for frame in found:
+        driven_m = SPEED_MPS * (frame.stamp_ns - 10**12 - 3e9) / 1e9
+        assert frame.place is not None
+        assert frame.place * SPACING_M == pytest.approx(2 * ROAD_M - driven_m, abs=4 * SPACING_M)
+    assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
+
+
+def test_a_daemon_that_was_killed_on_the_way_out_comes_home_on_one_map(
+    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
+) -> None:
+    folder = tmp_path / "maps"
+    drive(World(placed_network), tmp_path, parts, mapping_to(folder, second_camera=True), killed_at_m=0.6 * ROAD_M)
+    assert len(logs_in(folder)) == 1
+    found = believed_on_the_way_home(tmp_path)
+    places = [frame.place for frame in found if frame.place is not None]
+    assert len(places) > 0.5 * ROAD_M / SPACING_M
+    assert min(places) * SPACING_M < 0.4 * ROAD_M, "of before the restart"
+    assert max(places) * SPACING_M > 0.65 * ROAD_M, "of after it"
+
+
+def test_the_second_lap_is_recognized_on_the_first(
+    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
+) -> None:
+    """With one camera, which maps and recognizes."""
+    drive(Laps(placed_network), tmp_path, parts, mapping_to(tmp_path, second_camera=False), gps_out_only=False)
+    used = list(records_of(tmp_path / "events.jsonl", FrameUsed))
+    driven_m = np.array([SPEED_MPS * (frame.stamp_ns - 10**12 - 3e9) / 1e9 for frame in used])
+    accepted = np.array([frame.accepted for frame in used])
+    assert not accepted[driven_m < ROAD_M].any()
+    second = driven_m > ROAD_M + 2 * 40 * SPACING_M
+    assert accepted[second].mean() > 0.8
+    for at_m, frame in zip(driven_m, used, strict=True):
+        if frame.accepted and frame.place is not None:
+            assert (frame.direction, frame.order) == ("forward", "same")
+            assert frame.place * SPACING_M == pytest.approx(at_m - ROAD_M, abs=4 * SPACING_M)
+
+
+def test_the_way_out_alone_recognizes_nothing(placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack) -> None:
+    """Neither what the rear camera has just passed, nor, with one camera, what it saw itself."""
+    for second_camera in (True, False):
+        folder = tmp_path / str(second_camera)
+        folder.mkdir()
+        drive(World(placed_network, home=False), folder, parts, mapping_to(folder, second_camera=second_camera))
+        used = list(records_of(folder / "events.jsonl", FrameUsed))
+        assert len(used) > 100
+        assert sum(frame.accepted for frame in used) == 0
+        assert logs_in(folder)
