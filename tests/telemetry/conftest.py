@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from edge.config import GatesConfig, TelemetryConfig
+from edge.config import GatesConfig, HomeConfig, TelemetryConfig
 from edge.journal.journal import Journal, R, records_of
 from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
@@ -55,7 +55,13 @@ class Rig:
     """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
 
     def __init__(
-        self, folder: Path, emit: Any = "report", gates: GatesConfig = LENIENT, config: Any = None, **autopilot: Any
+        self,
+        folder: Path,
+        emit: Any = "report",
+        gates: GatesConfig = LENIENT,
+        config: Any = None,
+        home: HomeConfig = HomeConfig(),  # noqa: B008  # frozen
+        **autopilot: Any,
     ) -> None:
         self.now_ns = START_NS
         self.port = folder / "autopilot"
@@ -70,12 +76,14 @@ class Rig:
             "journal": str(folder / "events.jsonl"),
             **(config or {}),
         }
-        self._config, self._gates = TelemetryConfig(**options), gates
+        self._config, self._gates, self._home = TelemetryConfig(**options), gates, home
         self.connect()
 
     def connect(self) -> None:
         """Start our end; the autopilot goes on as it is."""
-        self.connection = AutopilotConnection(self._config, lambda: self.now_ns, self.journal.write, self._gates)
+        self.connection = AutopilotConnection(
+            self._config, lambda: self.now_ns, self.journal.write, self._gates, self._home
+        )
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""

@@ -23,12 +23,18 @@ pytest.importorskip("mavsdk")
 
 import mavsdk
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
+from mavsdk.plugins.mission_raw_server.mission_raw_server import MissionRawServer
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
 from edge.localization import PlaceFix
+from edge.mission import MissionItem
+from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
+from edge.telemetry.mission_transfer import MissionTransfer
 from sim.vehicle.pty_link import open_pty
 
 ORIGIN = (-27.478, 153.028, 20.0)
@@ -272,3 +278,35 @@ def test_an_origin_is_understood(setting: Setting) -> None:
     message = foreigner.read("SET_GPS_GLOBAL_ORIGIN")[0]
     assert (message["target_system"], message["latitude"], message["longitude"]) == (1, -274780000, 1530280000)
     assert message["altitude"] == 20_000
+
+
+def test_a_mission_of_ours_arrives_at_mavsdks_autopilot() -> None:
+    """MAVSDK receives it by the protocol; it offers no download, so that the transfer ends unverified."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    foreigner = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.AUTOPILOT))
+    assert foreigner.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
+    server, arrived = MissionRawServer(foreigner.server_component()), queue.SimpleQueue[Any]()
+    server.subscribe_incoming_mission(lambda result, plan, _: arrived.put((result, plan)))
+    items = [MissionItem(16, 3, (0.0, 0.0, 0.0, math.nan), -27.4772 + row / 1e4, 153.0283, 0.0) for row in range(6)]
+    transfer, codec = MissionTransfer(items, 1, first_is_home=False), MavlinkCodec(1, 191)
+    link, end_s = open_link(f"udp:127.0.0.1:{port}"), time.monotonic() + 15.0
+    heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    messages = [heartbeat, *transfer.start(time.monotonic_ns())]
+    with closing(link):
+        while arrived.empty():
+            assert time.monotonic() < end_s, "it never arrived"
+            for message in messages:
+                link.send(codec.encode(message))
+            select.select([link], [], [], 0.02)
+            messages = transfer.due(time.monotonic_ns())
+            for message in codec.decode(link.receive()):
+                messages += transfer.read(message, time.monotonic_ns())
+    result, plan = arrived.get()
+    assert result.name == "SUCCESS"
+    assert [(one.command, one.x, one.y) for one in plan.mission_items] == [
+        (16, round(item.lat_deg * 1e7), 1530283000) for item in items
+    ]
+    server.destroy()
+    foreigner.destroy()

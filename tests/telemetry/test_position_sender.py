@@ -185,6 +185,22 @@ def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) 
     assert checked.moved is not ignored
 
 
+@pytest.mark.parametrize(("firmware", "emit"), [("ardupilot", "external_position"), ("px4", "global_position_sensor")])
+def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmware: str, emit: str) -> None:
+    """GPS has just gone, and the map is known to 28 m in each direction; a filter that weighs it may have it."""
+    rig = open_rig(emit=emit, gates=GatesConfig(risk=1.0), firmware=firmware)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(10.0)
+    uncertain = {"age_s": 0.0, "sigma_along_m": 28.3, "sigma_across_m": 28.3}
+    assert rig.connection.send_position(rig.fix(**uncertain)) == (firmware == "px4")
+    reasons = [record.reason for record in rig.journalled(FixWithheld)]
+    assert reasons == ["less accurate than the autopilot"] * (firmware == "ardupilot")
+    rig.run(120.0)  # by now it is uncertain by more than that
+    own = rig.connection.position()
+    assert rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
+
+
 def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:
     rig = open_rig(emit="vision_position", gates=GatesConfig(), drift_percent=5.0)
     rig.run(6.0)

@@ -105,6 +105,11 @@ class Speaker:
             mavlink.MAVLink_global_position_int_message(boot_ms, 1, 1, 0, 0, round(speed_mps * 100), 0, 0, 65535)
         )
 
+    def fix(self, boot_ms: int, north_m: float, vn_mps: float, ve_mps: float) -> Any:
+        lat = round((-27.0 + north_m / 110_773) * 1e7)
+        velocity = round(vn_mps * 100), round(ve_mps * 100), 0
+        return self.say(mavlink.MAVLink_global_position_int_message(boot_ms, lat, 1530000000, 0, 0, *velocity, 0))
+
 
 def connect(speaker: Speaker, now_ns: int = 0) -> Vehicle:
     vehicle = Vehicle()
@@ -198,6 +203,28 @@ def test_a_standing_vehicle_covers_no_distance_though_its_filter_jitters() -> No
     for tenth in range(20, 620):
         vehicle.handle(speaker.position(tenth * 100, 0.04), tenth * S // 10)
     assert vehicle.distance_m(62 * S) == 0.0
+
+
+def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_moved_them() -> None:
+    """The filter drives north by its positions, and 3 degrees to the right of that by its velocity."""
+    speaker = Speaker()
+    vehicle = connect(speaker)
+
+    def drive(first_ms: int, count: int, jump_m: float = 0.0) -> tuple[float, float]:
+        begin = vehicle.displacement(first_ms * 1_000_000)
+        for tenth in range(1, count + 1):
+            boot_ms = first_ms + 100 * tenth
+            north_m = boot_ms / 100.0 + (jump_m if tenth > count // 2 else 0.0)
+            vehicle.handle(speaker.fix(boot_ms, north_m, vn_mps=9.986, ve_mps=0.523), boot_ms * 1_000_000)
+        end = vehicle.displacement((first_ms + 100 * count) * 1_000_000)
+        assert begin is not None and end is not None and begin.leg == end.leg
+        return end.east_m - begin.east_m, end.north_m - begin.north_m
+
+    vehicle.handle(speaker.fix(2000, 20.0, vn_mps=9.986, ve_mps=0.523), 2 * S)
+    assert drive(2000, 20) == (pytest.approx(0.0, abs=0.06), pytest.approx(20.0, abs=0.1))
+    assert drive(4000, 20, jump_m=5.0)[1] == pytest.approx(20.0, abs=0.2), "a jump is no displacement"
+    vehicle.has_our_position = True
+    assert drive(6000, 20) == (pytest.approx(1.05, abs=0.1), pytest.approx(19.97, abs=0.1))
 
 
 def test_our_timesync_answers_are_taken_and_those_of_others_are_not() -> None:

@@ -1,0 +1,95 @@
+"""The autopilot's position at the exposure of a frame, with its accuracy and what it rests on. No I/O.
+
+A position comes 0.1 s before or after a frame, in which a car drives 3 m. So it is interpolated between the one before
+and the one after, which a frame has to wait for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
+
+KEPT = 64
+LONGEST_GAP_NS = 2_000_000_000  # between two positions
+AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocity, where none follows
+AWAITED_NS = 1_000_000_000  # how long a frame waits for the position after it
+JUMP_M, JUMP_SHARE = 3.0, 0.5
+"""Two positions that differ by so many meters and that share of the distance more than by velocity: a reset."""
+
+
+class PositionHistory:
+    """The newest positions, each with `sigma_m` and `source`."""
+
+    def __init__(self) -> None:
+        self._positions: deque[VehiclePosition] = deque(maxlen=KEPT)
+
+    def add(self, position: VehiclePosition) -> None:
+        """A position; ignored where it is not after the newest."""
+        if not self._positions or position.stamp_ns > self._positions[-1].stamp_ns:
+            self._positions.append(position)
+
+    def clear(self) -> None:
+        """The positions before cannot be compared with what follows: the autopilot has rebooted, or is another one."""
+        self._positions.clear()
+
+    def is_awaited(self, stamp_ns: int, now_ns: int) -> bool:
+        """Whether a position after that moment has not come yet, and still may."""
+        newest_ns = self._positions[-1].stamp_ns if self._positions else None
+        return newest_ns is not None and newest_ns < stamp_ns and now_ns - stamp_ns < AWAITED_NS
+
+    def at(self, stamp_ns: int) -> VehiclePosition | None:
+        """The position at a moment; None where it is not known, also within a jump."""
+        after = next((one for one in self._positions if one.stamp_ns >= stamp_ns), None)
+        before = next((one for one in reversed(self._positions) if one.stamp_ns <= stamp_ns), None)
+        if before is None:
+            return None
+        if after is None:
+            return _moved_on(before, stamp_ns) if stamp_ns - before.stamp_ns <= AHEAD_NS else None
+        return _between(before, after, stamp_ns)
+
+
+def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:
+    seconds = (stamp_ns - before.stamp_ns) / 1e9
+    lat_deg, lon_deg = moved(before.lat_deg, before.lon_deg, before.east_mps * seconds, before.north_mps * seconds)
+    return replace(before, stamp_ns=stamp_ns, lat_deg=lat_deg, lon_deg=lon_deg)
+
+
+def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> VehiclePosition | None:
+    gap_ns = after.stamp_ns - before.stamp_ns
+    if gap_ns == 0:
+        return before
+    if gap_ns > LONGEST_GAP_NS or _jumped(before, after, gap_ns / 1e9):
+        return None
+    share = (stamp_ns - before.stamp_ns) / gap_ns
+    east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
+    lat_deg, lon_deg = moved(before.lat_deg, before.lon_deg, share * east_m, share * north_m)
+    return replace(
+        before,
+        stamp_ns=stamp_ns,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_m=before.alt_m + share * (after.alt_m - before.alt_m),
+        heading_deg=_heading_between(before.heading_deg, after.heading_deg, share),
+        speed_mps=before.speed_mps + share * (after.speed_mps - before.speed_mps),
+        sigma_m=None if before.sigma_m is None or after.sigma_m is None else max(before.sigma_m, after.sigma_m),
+        source=worse_source(before.source, after.source),
+    )
+
+
+def _jumped(before: VehiclePosition, after: VehiclePosition, gap_s: float) -> bool:
+    east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
+    by_velocity_m = [
+        (first + second) / 2 * gap_s
+        for first, second in ((before.east_mps, after.east_mps), (before.north_mps, after.north_mps))
+    ]
+    allowed_m = JUMP_M + JUMP_SHARE * math.hypot(*by_velocity_m)
+    return math.hypot(east_m - by_velocity_m[0], north_m - by_velocity_m[1]) > allowed_m
+
+
+def _heading_between(before_deg: float | None, after_deg: float | None, share: float) -> float | None:
+    if before_deg is None or after_deg is None:
+        return None
+    return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360

@@ -1,0 +1,175 @@
+"""Honest and spoofed GPS held against the places of simulated drives.
+
+Each drive goes through the renderer, the network and the recognizer once. GPS has no part in that as long as wheels
+measure the velocity, so many histories of GPS can be held against the same places, by the daemon's own comparison and
+test. Where the velocity is that of GPS, which a spoofer carries along, each drive is recognized anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+import edge
+from edge.config import CameraConfig, Config, DescriptorConfig, GatesConfig, MapConfig, RigConfig, SamplingConfig
+from edge.descriptor.network import Network
+from edge.descriptor.normalize import normalize
+from edge.feed.sampling import Sampler
+from edge.localization import GPS_SIGMA_M, GpsFix
+from edge.localization.gps_referee import GpsReferee
+from edge.localization.localizer import compare
+from edge.recognizer import SequenceMatcher, model_key
+from edge.reference_map import Route, open_map_set
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from edge.sequence import PlaceMatch
+from sim import ORIGIN_ALT_M, geodetic
+from sim.trial.gps_histories import Array, History
+from sim.trial.run import RIG, map_scenario
+from sim.trial.views import RoadLibrary
+from sim.world.scenario import Scenario
+
+STEP_S, LENGTH_M = 0.1, 1600.0
+MAP_BIAS_M, MAP_WANDER_M, MAP_WANDER_AT_M = 1.2, 1.5, 200.0
+MAP_SIGMA_M = math.hypot(MAP_BIAS_M, MAP_WANDER_M) * math.sqrt(2)
+WORLDS = (401, 402, 403, 404, 405)
+DRIVES = (
+    Scenario(light="night", direction="reverse", drive_seed=2, length_m=LENGTH_M),
+    Scenario(light="dusk", direction="forward", drive_seed=3, length_m=LENGTH_M),
+)
+RIG_OF_WORLDS: RigConfig = msgspec.structs.replace(RIG, sigma_forward_swapped_m=10.0, sigma_reverse_same_m=4.5)
+"""As calibrated on these roads, in other light."""
+CALLED_M, SEEN_M = 50.0, (30.0, 48.0)
+"""A drag-off should be called before the first; on a road with sightings there are some between the other two."""
+BEGINS_M, SIGHTINGS = 20.0, 3
+
+
+@dataclass(frozen=True)
+class PlacedFrame:
+    """A used frame: its row of the drive's time, its match, and the places that were passed before it without one."""
+
+    row: int
+    match: PlaceMatch | None
+    missed: int
+
+
+@dataclass(frozen=True)
+class PlacedDrive:
+    """A drive with the places that were recognized on it. time_s: (N,). true_m: east and north (N, 2)."""
+
+    name: str
+    time_s: Array
+    true_m: Array
+    route: Route
+    frames: tuple[PlacedFrame, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A history of GPS on a drive. called_m: error of GPS when it was called wrong, NaN if it never was.
+
+    called_after_m: driven until then, from where the error exceeds BEGINS_M. seen: whether places were recognized while
+    the error was between SEEN_M. doubt: the greatest. driven_m: in all.
+    """
+
+    called_m: float
+    called_after_m: float
+    seen: bool
+    doubt: float
+    driven_m: float
+
+
+def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network: Network) -> Path:
+    """The map of a road, whose positions are as wrong as an ordinary receiver makes them."""
+    path = folder / f"map_{world}_{seed}"
+    out = map_scenario(Scenario(seed=world, length_m=LENGTH_M))
+    views, rng = library[out], np.random.default_rng([world, seed, 5])
+    places_m = np.arange(0.0, LENGTH_M + 1, 2.0)
+    errors_m = rng.normal(0.0, MAP_BIAS_M, 2) + _wander(len(places_m), rng)
+    config = DescriptorConfig()
+    regions = RegionsKey(config.regions, config.region_width, "set")
+    with MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=True) as builder:
+        builder.begin_segment("out", "rear")
+        for row, (route_m, error_m) in enumerate(zip(places_m, errors_m, strict=True)):
+            east_m, north_m, heading_rad = views.drive.route.at(route_m, out.lane_m)
+            lat_deg, lon_deg = geodetic(east_m + error_m[0], north_m + error_m[1])
+            heading_deg = math.degrees(heading_rad) % 360
+            known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
+            builder.add(views.raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
+        builder.finish(normalize, edge.__version__)
+    return path
+
+
+def _wander(count: int, rng: np.random.Generator) -> Array:
+    kept = math.exp(-2.0 / MAP_WANDER_AT_M)
+    errors, error = np.empty((count, 2)), rng.normal(0.0, MAP_WANDER_M, 2)
+    for row in range(count):
+        error = kept * error + rng.normal(0.0, MAP_WANDER_M * math.sqrt(1 - kept**2), 2)
+        errors[row] = error
+    return errors
+
+
+def truth(scenario: Scenario, speed_mps: float, seed: int) -> tuple[Array, Array, Array]:
+    """Seconds (N,), meters along the road (N,), and positions (N, 2) of a drive at about that speed."""
+    rng, sign = np.random.default_rng([seed, 4]), 1.0 if scenario.direction == "forward" else -1.0
+    route, route_m, speed = scenario.drive().route, [5.0 if sign > 0 else LENGTH_M - 5.0], speed_mps
+    while 2.0 < route_m[-1] < LENGTH_M - 2.0:
+        speed += STEP_S * 0.1 * (speed_mps - speed) + rng.normal(0.0, 0.05)
+        route_m.append(route_m[-1] + sign * speed * STEP_S)
+    true_m = np.array([route.at(m, sign * scenario.lane_m)[:2] for m in route_m])
+    time_s: Array = np.arange(len(route_m), dtype=np.float64) * STEP_S
+    return time_s, np.array(route_m), true_m
+
+
+def place(
+    scenario: Scenario, map_path: Path, seed: int, library: RoadLibrary, history: History | None = None
+) -> PlacedDrive:
+    """Recognize the places of a drive. history: of GPS, whose velocity is that of the vehicle; None: wheels."""
+    rng = np.random.default_rng([seed, 6])
+    time_s, route_m, true_m = truth(scenario, float(rng.uniform(5.0, 14.0)), seed)
+    velocity = np.gradient(true_m, STEP_S, axis=0)
+    if history is not None:
+        offsets = history(time_s, true_m, np.random.default_rng([seed, 8]))
+        velocity += np.gradient(_smooth(np.nan_to_num(offsets)), STEP_S, axis=0)
+    odometer_m = np.cumsum(np.hypot(*velocity.T)) * STEP_S * (1.0 + rng.normal(0.0, 0.015) * (history is None))
+    config = Config(camera=CameraConfig(kind="sim", view="front"), map=MapConfig(path=str(map_path)), rig=RIG_OF_WORLDS)
+    maps = open_map_set(map_path)
+    matcher, sampler, frames = SequenceMatcher(maps, config), Sampler(config.sampling), []
+    for row, (at_s, at_m, driven_m) in enumerate(zip(time_s, route_m, odometer_m, strict=True)):
+        if sampler.is_place(round(at_s * 1e9), float(driven_m)):
+            raw = library[scenario].raw(float(at_m))
+            frames.append(PlacedFrame(row, matcher.push(raw, None, sampler.missed, float(driven_m)), sampler.missed))
+    return PlacedDrive(f"{scenario.seed} {scenario.light}", time_s, true_m, Route(maps), tuple(frames))
+
+
+def _smooth(offsets: Array) -> Array:
+    """Over about 4 s, as a filter that knows the accelerations follows a receiver."""
+    window = np.hanning(round(8.0 / STEP_S) + 1)
+    padded = np.pad(offsets, ((len(window) // 2, len(window) // 2), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(one, window / window.sum(), mode="valid") for one in padded.T])
+
+
+def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()) -> Outcome:  # noqa: B008  # frozen
+    """Hold a history of GPS against the places of a drive."""
+    referee, error_m = GpsReferee(gates.gps_false_call, gates.gps_missed), np.hypot(*offsets.T)
+    driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(drive.true_m, axis=0).T))])
+    seen, doubt, begins_m, called = 0, 0.0, math.nan, (math.nan, math.nan)
+    for frame in drive.frames:
+        gps = None
+        if math.isnan(begins_m) and error_m[frame.row] > BEGINS_M:
+            begins_m = driven_m[frame.row]
+        if not math.isnan(error_m[frame.row]):
+            at_m = drive.true_m[frame.row] + offsets[frame.row]
+            gps = GpsFix(*geodetic(float(at_m[0]), float(at_m[1])), GPS_SIGMA_M)
+        match = frame.match
+        comparison = compare(match, gps, drive.route, RIG_OF_WORLDS, 40) if match is not None else None
+        seen += comparison is not None and SEEN_M[0] < error_m[frame.row] < SEEN_M[1]
+        verdict = referee.update(comparison, frame.missed)
+        if verdict.state == "wrong" and math.isnan(called[0]):
+            called = float(error_m[frame.row]), float(driven_m[frame.row] - begins_m)
+        doubt = max(doubt, verdict.doubt or 0.0)
+    return Outcome(*called, seen >= SIGHTINGS, doubt, float(driven_m[-1]))

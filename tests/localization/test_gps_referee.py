@@ -1,0 +1,176 @@
+"""GPS against recognized places: what is called wrong, what is not, and how soon."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.geodesy import moved
+from edge.localization.gps_referee import (
+    BURST_M,
+    BURST_SHARE,
+    OFFSETS_M,
+    Comparison,
+    GpsReferee,
+    GpsVerdict,
+    evidence_of,
+)
+
+HOME = (-27.0, 153.0)
+ALONG_M, LEFT_M, MATCH_M, SPACING_M = 5.8, 4.4, 4.5, 2.0
+Offset = Callable[[float], tuple[float, float]]
+"""East and north, by which GPS is wrong at some meters driven."""
+
+
+def comparison(driven_m: float, off_m: tuple[float, float], heading_rad: float = 0.0, segment: int = 0) -> Comparison:
+    """On a straight road to the north, or to where `heading_rad` says."""
+    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+    lat_deg, lon_deg = moved(*HOME, driven_m * sin, driven_m * cos)
+    along_m, left_m = off_m[0] * sin + off_m[1] * cos, off_m[1] * sin - off_m[0] * cos
+    return Comparison(segment, lat_deg, lon_deg, SPACING_M, heading_rad, along_m, left_m, ALONG_M, LEFT_M, MATCH_M)
+
+
+def honest(seed: int, count: int) -> NDArray[np.float64]:
+    """Errors along and across (count, 2) that keep for CORRELATION_M, as large as they are said to be."""
+    rng, kept = np.random.default_rng([seed, 17]), math.exp(-SPACING_M / 40.0)
+    errors = rng.normal(0.0, 1.0, (count, 2)) * math.sqrt(1 - kept**2)
+    errors[0] /= math.sqrt(1 - kept**2)
+    for row in range(1, count):
+        errors[row] += kept * errors[row - 1]
+    return errors * (LEFT_M, ALONG_M)
+
+
+def drive(offset: Offset, meters: float, seed: int = 1, referee: GpsReferee | None = None) -> list[GpsVerdict]:
+    """The verdict at each frame of a drive to the north."""
+    referee = referee or GpsReferee(1e-3, 0.01)
+    errors, verdicts = honest(seed, int(meters / SPACING_M)), []
+    for row, error in enumerate(errors):
+        off = np.array(offset(row * SPACING_M)) + error
+        verdicts.append(referee.update(comparison(row * SPACING_M, (off[0], off[1]))))
+    return verdicts
+
+
+def called_at_m(verdicts: list[GpsVerdict]) -> float:
+    """Meters driven until GPS is called wrong."""
+    return next((row * SPACING_M for row, verdict in enumerate(verdicts) if verdict.state == "wrong"), math.inf)
+
+
+def test_the_evidence_is_the_logarithm_of_two_mixtures() -> None:
+    def normal(value: float, *sigmas: float) -> float:
+        return math.exp(-(value**2) / sum(s**2 for s in sigmas) / 2) / math.sqrt(math.tau * sum(s**2 for s in sigmas))
+
+    one = comparison(0.0, (0.0, 0.0))
+    for along, left in ((0.0, 0.0), (12.0, -3.0), (25.0, 18.0)):
+        usual = normal(along, ALONG_M) * normal(left, LEFT_M)
+        burst = normal(along, ALONG_M, BURST_M) * normal(left, LEFT_M, BURST_M)
+        wrong = np.mean([normal(along, ALONG_M, scale) * normal(left, LEFT_M, scale) for scale in OFFSETS_M])
+        expected = math.log(wrong / ((1 - BURST_SHARE) * usual + BURST_SHARE * burst))
+        assert evidence_of(one, along, left) == pytest.approx(expected, abs=1e-6)
+
+
+def test_an_honest_gps_agrees() -> None:
+    verdicts = [verdict for seed in range(20) for verdict in drive(lambda at_m: (0.0, 0.0), 2000.0, seed)]
+    assert not any(verdict.state == "wrong" for verdict in verdicts)
+    assert np.mean([verdict.state == "agrees" for verdict in verdicts]) > 0.9
+
+
+def test_bursts_of_multipath_are_no_call() -> None:
+    """10 m for 80 m of every 400, in changing directions."""
+
+    def burst(at_m: float) -> tuple[float, float]:
+        angle = at_m // 400
+        return (10 * math.sin(angle), 10 * math.cos(angle)) if at_m % 400 > 320 else (0.0, 0.0)
+
+    assert not any(verdict.state == "wrong" for seed in range(20) for verdict in drive(burst, 2000.0, seed))
+
+
+@pytest.mark.parametrize("direction", [0.0, 90.0, 180.0, 225.0])
+@pytest.mark.parametrize("share", [0.06, 0.12, 0.25])
+def test_a_drag_off_is_called_before_50_m_along_and_across(direction: float, share: float) -> None:
+    """By so many meters per meter driven: 0.5, 1 and 2 m/s at 8 m/s."""
+    sin, cos = math.sin(math.radians(direction)), math.cos(math.radians(direction))
+
+    def drag(at_m: float) -> tuple[float, float]:
+        off_m = share * max(0.0, at_m - 300.0)
+        return off_m * sin, off_m * cos
+
+    for seed in range(5):
+        verdicts = drive(drag, 300.0 + 60.0 / share, seed)
+        off_m = share * (called_at_m(verdicts) - 300.0)
+        assert 0 < off_m < 50
+        called = next(verdict for verdict in verdicts if verdict.state == "wrong")
+        assert called.east_m == pytest.approx(off_m * sin, abs=20.0)
+        assert called.north_m == pytest.approx(off_m * cos, abs=20.0)
+
+
+@pytest.mark.parametrize("off_m", [40.0, 400.0, 4e6])
+def test_a_jump_is_called_within_two_sightings(off_m: float) -> None:
+    verdicts = drive(lambda at_m: (0.0, off_m if at_m >= 300.0 else 0.0), 600.0)
+    assert 300 <= called_at_m(verdicts) <= 440
+
+
+def test_it_agrees_again_when_gps_is_right_again_and_not_before() -> None:
+    verdicts = drive(lambda at_m: (60.0 if 300.0 <= at_m < 700.0 else 0.0, 0.0), 1200.0)
+    states = [verdict.state for verdict in verdicts]
+    back_m = (len(states) - states[::-1].index("wrong")) * SPACING_M
+    assert 700 < back_m < 900
+    assert states[-1] == "agrees"
+    assert set(states[int(450 / SPACING_M) : int(700 / SPACING_M)]) == {"wrong"}
+
+
+def test_an_offset_since_the_map_began_is_a_fault_of_the_map() -> None:
+    verdicts = drive(lambda at_m: (0.0, 40.0), 800.0)
+    assert called_at_m(verdicts) == math.inf
+    assert verdicts[-1].state == "map shifted"
+    assert verdicts[-1].north_m == pytest.approx(40.0, abs=8.0)
+    assert verdicts[-1].where.endswith("m to the N")
+
+
+def test_gps_is_judged_on_a_shifted_map_as_well() -> None:
+    verdicts = drive(lambda at_m: (0.0, 40.0 + 0.2 * max(0.0, at_m - 600.0)), 1000.0)
+    assert 600 < called_at_m(verdicts) < 600 + 50 / 0.2
+
+
+def test_a_drive_that_has_agreed_is_not_shifted_later() -> None:
+    """GPS jumps while no place is recognized for 300 m."""
+    referee = GpsReferee(1e-3, 0.01)
+    drive(lambda at_m: (0.0, 0.0), 400.0, 1, referee)
+    for _ in range(150):
+        referee.update(None)
+    assert referee.verdict.state == "cannot say"
+    verdicts = drive(lambda at_m: (40.0, 0.0), 600.0, 2, referee)
+    assert 180 <= called_at_m(verdicts) <= 400
+
+
+def test_gps_that_is_jammed_first_is_called_when_it_is_back() -> None:
+    referee = GpsReferee(1e-3, 0.01)
+    drive(lambda at_m: (0.0, 0.0), 300.0, 1, referee)
+    for row in range(150, 350):
+        place = comparison(row * SPACING_M, (0.0, 0.0))
+        without = Comparison(**{**vars(place), "off_along_m": None, "off_left_m": None})
+        assert referee.update(without).state == "cannot say"
+    called = [referee.update(comparison(row * SPACING_M, (0.0, 80.0))).state for row in range(350, 420)]
+    assert "wrong" in called[: int(150 / SPACING_M)]
+
+
+def test_another_place_is_no_evidence_against_gps() -> None:
+    """For 200 m the match is 300 m away: another track, which has never agreed."""
+    referee = GpsReferee(1e-3, 0.01)
+    states = [verdict.state for verdict in drive(lambda at_m: (0.0, 0.0), 400.0, 1, referee)]
+    for row in range(100):
+        elsewhere = comparison(row * SPACING_M + 700.0, (0.0, -300.0 + row * 0.5), segment=1)
+        states.append(referee.update(elsewhere).state)
+    states += [verdict.state for verdict in drive(lambda at_m: (0.0, 0.0), 400.0, 3, referee)]
+    assert "doubtful" in states
+    assert "wrong" not in states
+
+
+def test_without_places_nothing_is_said() -> None:
+    referee = GpsReferee(1e-3, 0.01)
+    assert referee.verdict == GpsVerdict()
+    drive(lambda at_m: (0.0, 0.0), 300.0, 1, referee)
+    assert [referee.update(None).state for _ in range(200)][-1] == "cannot say"

@@ -1,0 +1,151 @@
+"""What is done when the places contradict GPS, against a simulated autopilot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import pytest
+
+from edge.config import GatesConfig
+from edge.geodesy import east_north_of
+from edge.journal.records import FixSent, FixWithheld, GpsJudged
+from edge.localization import GpsVerdict
+from sim.vehicle.gps import GpsReport
+
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
+OpenRig: TypeAlias = Callable[..., Any]
+OFF_M = 60.0
+AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
+
+
+def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
+    """GPS has been healthy for 10 s, and is 60 m too far to the east from then on."""
+    gates = GatesConfig(doubted_gps=doubted_gps, **options.pop("gates", {}))
+    rig = open_rig(gates=gates, **{"emit": "external_position", **options})
+    rig.off_m = 0.0
+    rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
+    rig.run(8.0)
+    rig.connection.judge_gps(AGREES)
+    rig.off_m = OFF_M
+    rig.run(2.0)
+    return rig
+
+
+def offer(rig: Rig, seconds: float) -> None:
+    """Offer a fix of half a second ago whenever one is due; all of them are 60 m apart, as evidence of their own."""
+
+    def once() -> bool:
+        if rig.connection.position_due() is not None:
+            rig.connection.send_position(rig.fix())
+        return False
+
+    rig.run(seconds, once)
+
+
+def values(rig: Rig, name: str) -> list[float]:
+    return [message.value for message in rig.received("NAMED_VALUE_FLOAT") if message.name == name]
+
+
+def texts(rig: Rig) -> list[str]:
+    return [message.text for message in rig.received("STATUSTEXT")]
+
+
+def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "tell")
+    for _ in range(10):
+        rig.connection.judge_gps(WRONG)
+        rig.run(1.0)
+    assert texts(rig).count("Lookback: GPS is wrong by 60 m to the E") == 1
+    assert values(rig, "gps_doubt")[-5:] == [1.0] * 5
+    assert values(rig, "gps_off")[-5:] == pytest.approx([60.0] * 5)
+    assert rig.journalled(GpsJudged) == [GpsJudged("agrees", 0.5, 0.5, 0.0), GpsJudged("wrong", 60.0, 0.0, 1.0)]
+    assert rig.connection.gps_fault == "GPS is wrong by 60 m to the E"
+    assert rig.connection.status().gps_verdict == "wrong"
+    rig.connection.judge_gps(AGREES)
+    rig.run(1.0)
+    assert texts(rig)[-1] == "Lookback: GPS agrees with the map again"
+    assert rig.connection.gps_fault == ""
+
+
+def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "tell")
+    rig.connection.judge_gps(GpsVerdict())
+    rig.run(2.0)
+    assert values(rig, "gps_doubt")[-1] == -1.0
+    rig.connection.judge_gps(WRONG)
+    rig.connection.judge_gps(GpsVerdict())
+    rig.run(2.0)
+    assert values(rig, "gps_doubt")[-1] == 1.0
+
+
+def test_by_default_nothing_else_happens(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "tell")
+    rig.connection.judge_gps(WRONG)
+    offer(rig, 10.0)
+    assert rig.autopilot.inputs.source_set == 1
+    assert not rig.journalled(FixSent)
+    assert rig.journalled(FixWithheld)[-1].reason == "GPS is healthy"
+
+
+def test_switch_selects_the_second_set_and_positions_move_the_autopilot_back(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch")
+    assert rig.autopilot.estimate.error_m == pytest.approx(OFF_M, abs=1.0)
+    rig.connection.judge_gps(WRONG)
+    offer(rig, 12.0)
+    assert rig.autopilot.inputs.source_set == 2
+    assert rig.autopilot.estimate.error_m < 6.0
+    rig.off_m = 0.0
+    rig.connection.judge_gps(AGREES)
+    rig.run(8.0)
+    assert rig.autopilot.inputs.source_set == 1
+
+
+def test_the_second_set_stays_when_this_program_ends_while_gps_is_wrong(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch")
+    rig.connection.judge_gps(WRONG)
+    rig.run(3.0)
+    rig.connection.restore_sources()
+    rig.run(1.0)
+    assert rig.autopilot.inputs.source_set == 2
+
+
+def test_send_leaves_the_sources_to_the_script_of_the_autopilot(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "send")
+    rig.connection.judge_gps(WRONG)
+    offer(rig, 6.0)
+    assert rig.autopilot.inputs.source_set == 1
+    assert not rig.autopilot.resets, "ArduPilot takes no position while it uses GPS"
+    rig.autopilot.has_script = True
+    offer(rig, 20.0)
+    assert rig.autopilot.estimate.error_m < 6.0
+
+
+def test_px4_has_no_sets_of_sources(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch", firmware="px4-1.17", emit="auto")
+    rig.connection.judge_gps(WRONG)
+    offer(rig, 5.0)
+    assert not [message for message in rig.received("COMMAND_LONG") if message.command == 42007]
+    assert rig.journalled(FixSent)
+
+
+def test_nothing_is_switched_where_no_positions_are_sent(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch", emit="report")
+    rig.connection.judge_gps(WRONG)
+    rig.run(5.0)
+    assert rig.autopilot.inputs.source_set == 1
+
+
+def test_gps_is_that_of_the_filter_or_else_of_the_receiver(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch")
+    for expected in (1, 2):
+        assert rig.autopilot.inputs.source_set == expected
+        gps = rig.connection.gps_fix(rig.now_ns)
+        at = rig.autopilot._pose.geodetic()
+        east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, at)
+        assert (east_m, north_m) == pytest.approx((OFF_M, 0.0), abs=5.0)
+        rig.connection.judge_gps(WRONG)
+        rig.run(5.0)
+    rig.autopilot.gps = False
+    rig.run(5.0)
+    assert rig.connection.gps_fix(rig.now_ns) is None
