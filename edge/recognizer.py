@@ -1,6 +1,6 @@
 """The place recognizer: one frame in, one answer out. No camera, no link, no file, no clock.
 
-image -> regions -> fc6 -> SequenceMatcher: online NSD -> cost row -> lines through the last L rows -> place belief
+image -> regions -> descriptor -> SequenceMatcher: online NSD -> cost row -> lines through the last rows -> belief
 
     recognizer = open_recognizer(load_config(path))
     match = recognizer.observe(image, stamp_ns)
@@ -14,6 +14,7 @@ The same `SequenceMatcher` works on descriptors that were made before, without a
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,17 +24,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.descriptor import RunningStatistics
 from edge.descriptor.network import Head, Network
-from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics
+from edge.descriptor.normalize import OnlineNormalizer
+from edge.descriptor.open_network import open_network
 from edge.descriptor.regions import cut_regions
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
-from edge.reference_map import Drives, MapSet, ModelKey, open_map_set
-from edge.sequence import CostView, PlaceMatch
-from edge.sequence.acceptance import HoldOff
+from edge.reference_map import Drives, MapSet, MapSoFar, ModelKey, open_map_set
+from edge.sequence import PARALLAX_ROWS, CostView, PlaceMatch
+from edge.sequence.evidence import HoldOff
+from edge.sequence.parallax import REACH, regions_apart, rows_of_line
 from edge.sequence.place_search import Near, PlaceSearch
 
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
+PARALLAX_EVERY = 2
+"""Frames of which one is matched with each region alone: its neighbors share nearly all their frames."""
+STOOD_NS = 3_000_000_000
+"""From so long a halt on, the next frame is compared with the last one."""
+CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.5, 20, 100
+"""How many times more than usual the picture must have changed over a halt for the vehicle to have been carried. Frames
+2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8."""
 MOST_MISSED = 0.5
 """Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
 
@@ -52,6 +63,11 @@ class _UsedFrame:
     raw: NDArray[np.float32]
     stamp_ns: int
     distance_m: float | None
+
+    def change_to(self, other: _UsedFrame) -> float:
+        """Cosine distance of the raw descriptors."""
+        lengths = float(np.linalg.norm(self.raw) * np.linalg.norm(other.raw))
+        return 1.0 - float(np.vdot(self.raw, other.raw)) / max(lengths, 1e-12)
 
     def driven_since_m(self, before: _UsedFrame) -> float:
         """Meters driven since another frame, NaN where that is not known."""
@@ -72,7 +88,9 @@ class SequenceMatcher:
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
-        self._normalizer.begin_with(_statistics_of(map_set))
+        if map_set.index.places:
+            self._normalizer.begin_with(_statistics_of(map_set))
+        self._frame = 0
         self.use_maps(map_set)
 
     def use_maps(self, map_set: MapSet) -> None:
@@ -84,8 +102,20 @@ class SequenceMatcher:
         self.search = PlaceSearch(map_set, config, self._stopwatch)
         self._drives = Drives(map_set, config.sampling.spacing_m)
         self._settings = ConsensusSettings.of(config, self._drives)
-        self._consensus = PlaceConsensus(self._settings, self._drives.positions_m)
+        self._consensus = PlaceConsensus(self._settings, self._positions_m)
         self._normalizer.clear_ring()
+
+    def grow(self, map_set: MapSet) -> None:
+        """Search a set from now on that has further places after those of the last one; between two frames."""
+        was_metric, self.map_set = self._drives.is_metric, map_set
+        self.search.grow(map_set, self._normalizer.rows)
+        self._drives = Drives(map_set, self._config.sampling.spacing_m)
+        if self._drives.is_metric != was_metric:  # lengths have another unit
+            self._settings = ConsensusSettings.of(self._config, self._drives)
+            self._consensus = PlaceConsensus(self._settings, self._positions_m)
+
+    def _positions_m(self, drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._drives.positions_m(drives, along_m)
 
     def push(
         self,
@@ -108,6 +138,7 @@ class SequenceMatcher:
         belief = self._consensus.update(PlaceVote.of(match, self._drives) if match else None, odometer_m, missed)
         believed = self._believed(match, belief)
         self.search.follow(believed.place_index if believed and believed.accepted else None)
+        believed = self._with_parallax(believed)
         self._stopwatch("belief")
         return believed
 
@@ -122,6 +153,31 @@ class SequenceMatcher:
                 return match
             match = found
         return replace(match, confidence=belief.confidence, accepted=belief.is_believed)
+
+    def restart_statistics(self) -> None:
+        """Normalize by the map's statistics and what follows: the light and the side of the road are other ones."""
+        self._normalizer.begin_with(_statistics_of(self.map_set))
+
+    def _with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
+        """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
+        self._frame += 1
+        if match is None or self._frame % PARALLAX_EVERY or not (match.accepted and self._shows_parallax(match)):
+            return match
+        rows = self._normalizer.rows(PARALLAX_ROWS)
+        ages = np.flatnonzero(~np.isnan(rows[::-1, 0, 0]))  # a place without a frame is NaN throughout
+        sign = 1 if match.direction == "forward" else -1
+        places = rows_of_line(match.place_index, match.slope, sign, ages)
+        segment = self.map_set.index.segment(self.map_set.index.segment_of(match.place_index))
+        own = self.map_set.index.rows[self.map_set.index.map_of(match.place_index)]
+        first = max(segment[0], own[0], int(places.min()) - REACH)
+        end = min(segment[1], own[1], int(places.max()) + REACH + 1)
+        costs = self.map_set.region_costs(rows[::-1][ages], first, end)
+        return replace(match, parallax=regions_apart(costs, places, first, sign))
+
+    def _shows_parallax(self, match: PlaceMatch) -> bool:
+        """Whether both cameras look the same way: else the two regions do not see the same side of the road."""
+        has_regions = self.map_set.headers[0].regions.count == 2
+        return has_regions and match.order == "same" and self._config.sequence.region_order != "frame"
 
     def reset(self) -> None:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
@@ -157,9 +213,9 @@ class PlaceRecognizer:
     """Recognizes the places of a reference map, or of a folder of maps, frame by frame; see `open_recognizer`."""
 
     def __init__(
-        self, network: Network, head: Head, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch
+        self, network: Network, head: Head | None, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch
     ) -> None:
-        """network, map_set: that fit each other and the config."""
+        """network, map_set: that fit each other and the config. head: None for a network without categories."""
         self._network = network
         self._head = head
         self.config = config
@@ -168,6 +224,9 @@ class PlaceRecognizer:
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._last: _UsedFrame | None = None
         self._unmoved = 0  # frames since then that showed no other place
+        self._changes: deque[float] = deque(maxlen=KEPT_CHANGES)  # from each used frame to the next
+        self.was_carried = False
+        """Whether the vehicle was moved without its wheels before the newest frame, so that nothing before counts."""
         self.state: State = "warming up"
 
     @property
@@ -188,15 +247,13 @@ class PlaceRecognizer:
         stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed,
         distance_m: see `SequenceMatcher.push`.
         """
-        descriptor = self.config.descriptor
-        regions = cut_regions(image, descriptor.regions, descriptor.region_width)
-        self._stopwatch("regions")
-        raw = self._network.describe(regions)
-        self._stopwatch("network")
+        raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, distance_m)
+        self.was_carried = False
         if self._stands_still(frame):
             self.state = "standing"
             return None
+        self.was_carried = self._is_carried(frame)
         self._reset_after_gap(frame)
         missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
         match = self.matcher.push(raw, near, missed, distance_m)
@@ -206,7 +263,20 @@ class PlaceRecognizer:
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
             return match
-        return replace(match, event=True, category=self._head.categories(raw)[0])
+        return replace(match, event=True, category=self._head.categories(raw)[0] if self._head else "")
+
+    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
+        descriptor = self.config.descriptor
+        regions = cut_regions(image, descriptor.regions, descriptor.region_width, self._network.info.size)
+        self._stopwatch("regions")
+        raw = self._network.describe(regions)
+        self._stopwatch("network")
+        return raw
+
+    def raw_of(self, stamp_ns: int) -> NDArray[np.float32] | None:
+        """The raw descriptor (R, D) of the newest frame, None if it showed the same place as the one before it."""
+        return self._last.raw if self._last is not None and self._last.stamp_ns == stamp_ns else None
 
     @property
     def model_name(self) -> str:
@@ -221,6 +291,10 @@ class PlaceRecognizer:
         """Search these maps from now on (after one was excluded), beginning a new sequence."""
         self.matcher.use_maps(map_set)
         self.reset()
+
+    def grow_maps(self, map_set: MapSet) -> None:
+        """Search further places after those of the maps so far, without beginning a new sequence."""
+        self.matcher.grow(map_set)
 
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
@@ -238,18 +312,32 @@ class PlaceRecognizer:
         last = self._last
         if last is None or frame.driven_since_m(last) >= self.config.sampling.spacing_m / 2:
             return False
-        cosine = np.vdot(frame.raw, last.raw) / max(float(np.linalg.norm(frame.raw) * np.linalg.norm(last.raw)), 1e-12)
-        if 1.0 - cosine > self.config.descriptor.standing_change:
+        if last.change_to(frame) > self.config.descriptor.standing_change:
             return False
         # A feed whose every frame is a place has passed one, even if it looks like the last.
         self._unmoved += self.config.sampling.by == "frames"
         return True
+
+    def _is_carried(self, frame: _UsedFrame) -> bool:
+        """Whether the first frame after a halt shows another place than the last one before: on a tow, or a ferry."""
+        last = self._last
+        if last is None:
+            return False
+        change = last.change_to(frame)
+        stood = frame.stamp_ns - last.stamp_ns >= STOOD_NS
+        if stood and frame.driven_since_m(last) <= 2 * self.config.sampling.spacing_m:
+            return len(self._changes) >= FEWEST_CHANGES and change > CARRIED * float(np.median(self._changes))
+        self._changes.append(change)
+        return False
 
     def _reset_after_gap(self, frame: _UsedFrame) -> None:
         """A line needs frames that follow each other: start a new one after a gap, or when time went back.
 
         Not where the odometer says that hardly anything was passed meanwhile: the vehicle stood.
         """
+        if self.was_carried:
+            self.matcher.reset()
+            return
         if self._last is None or 0 <= frame.stamp_ns - self._last.stamp_ns <= self.config.sequence.max_gap_s * 1e9:
             return
         stood_m = MOST_MISSED * self.config.sequence.length * self.config.sampling.spacing_m
@@ -271,18 +359,20 @@ def open_recognizer(
     *,
     network: Network | None = None,
     map_set: MapSet | None = None,
+    newest: MapSoFar | None = None,
     stopwatch: Stopwatch = no_stopwatch,
 ) -> PlaceRecognizer:
     """Open the model and the maps that the config names. SetupError names what cannot be used.
 
-    network, map_set: instead of those. Maps that do not fit the network and the config are excluded with their reason
-    in `PlaceRecognizer.map_set.excluded`; MapError if none fits.
+    network, map_set: instead of those. newest: the map of this drive, searched as well, even if it is the only one.
+    Maps that do not fit the network and the config are excluded with their reason in
+    `PlaceRecognizer.map_set.excluded`; MapError if none fits.
     """
-    network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
-    head = Head.load(network)
+    network = network or open_network(config.descriptor)
+    head = Head.load(network) if network.info.labels else None
     if map_set is None:
         key = config.map.require_signature_by
-        map_set = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None)
+        map_set = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
     return PlaceRecognizer(network, head, map_set, config, stopwatch)
 
@@ -290,4 +380,4 @@ def open_recognizer(
 def model_key(network: Network) -> ModelKey:
     """What a map keeps of the network that described it."""
     info = network.info
-    return ModelKey(info.name, info.sha256, info.tap, info.dimensions)
+    return ModelKey(info.name, info.sha256, info.output, info.dimensions, network.provider)

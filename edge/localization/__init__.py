@@ -1,14 +1,16 @@
 """From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
-`consensus` believes a place or not; `place_fix` makes positions of matches; `route_filter` follows the vehicle over
-the ground, with `route_estimate` as its Kalman filter; `dead_reckoning` integrates what the autopilot reports of its
-motion; `integrity` decides what may be published.
+`consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
+matches; `route_filter` follows the vehicle over the ground, with `route_estimate` as its Kalman filter; `gps_referee`
+judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what
+may be published.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import DeadReckoning, Displacement
+from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
     GPS_SIGMA_M,
     GpsState,
@@ -26,7 +28,9 @@ __all__ = [
     "GPS_SIGMA_M",
     "DeadReckoning",
     "Displacement",
+    "GpsFix",
     "GpsState",
+    "GpsVerdict",
     "Integrity",
     "PlaceFix",
     "Refusal",

@@ -5,16 +5,18 @@ chance resemblance does not for long. Every match is moved on by what was driven
 the vehicle then is:
 
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
-    weight = sqrt((uniqueness - 1) * sharpness * row support)
+    weight = (uniqueness - 1) * sharpness * sqrt(row support)
     live = sum of agreeing weights * (share of the recent weights that agree)^2
     confidence = (live - others) / (live + others + prior)
-                 * (1 - overrun / slack) * min(1, span / (3 * slack))^2 * min(1, support / 0.5)
+                 * (1 - overrun / slack) * min(1, 2 * pace) * min(1, support / 0.4)
 
 Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
 drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
-how far the place lies beyond its drive's end, span what was driven between the oldest and the newest vote that agree,
-support the share of the newest frames (half a sequence) whose match is at the place: a vehicle that turned off the
-mapped road must not be believed on it for as long as the old votes count.
+how far the place lies beyond its drive's end; where the drive is closed, it goes on at its beginning. Pace is the share
+of the odometer's motion that the agreeing votes went along with: the variance of driven less that of offset, over the
+variance of driven plus (slack / 4)^2; 0 of a match that stays where it is, and little of a few meters. Support is the
+share of the newest frames (half a sequence) that are like the place of their match, and whose match is where the others
+are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes count.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -31,17 +33,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map import Drives
+from edge.reference_map import NO_LAP_M, Drives
 from edge.sequence import Direction, PlaceMatch
 
 CAPACITY = 256
-"""Votes that are kept at most; 240 m at one place each 2 m are 120."""
-FULL_SUPPORT = 0.5
+"""Votes that are kept at most; 320 m at one place each 2 m are 160."""
+FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
-LIKE_NEWEST = 0.02
+LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
+STILL_LIKE = 0.1
+"""The same, for a frame that shows what the place shows."""
 
 
+Floats = NDArray[np.float64]
 PositionsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """Meters east and north (n, 2) of points along some drives: their numbers (n,), and along_m (n,); NaN where unknown."""
 
@@ -53,18 +58,18 @@ class ConsensusSettings:
     length: frames of a sequence. spacing_m: driven from one frame to the next, used where there is no odometer.
     reach_lines, recent_lines: how far back votes count, and matches are recent, in lengths of a sequence. slack_m,
     drift: by how much two agreeing votes may differ, in all and per meter of odometer. blind_drift: the same per meter
-    that was not measured. prior: evidence, in votes of weight 1 per frame of a sequence, that is held against every
+    that was not measured. prior: evidence, in weight per frame of a sequence, that is held against every
     place. threshold: confidence from which the place is believed.
     """
 
     length: int = 40
     spacing_m: float = 2.0
-    reach_lines: float = 3.0
-    recent_lines: float = 2.0
+    reach_lines: float = 4.0
+    recent_lines: float = 3.0
     slack_m: float = 20.0
     drift: float = 0.05
     blind_drift: float = 0.2
-    prior: float = 0.04
+    prior: float = 0.003
     threshold: float = 0.5
 
     @classmethod
@@ -83,8 +88,9 @@ class ConsensusSettings:
 class PlaceVote:
     """What the best match of one frame says, in map coordinates.
 
-    drive: number of the map's drive. along_m: of the place, along it; start_m, end_m: of the drive. uniqueness: cost
-    of the best line elsewhere over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
+    drive: number of the map's drive. along_m: of the place, along it; start_m, end_m: of the drive. lap_m: after how
+    much of the drive it goes on at its start, NO_LAP_M where it does not. uniqueness: cost of the best line elsewhere
+    over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
     newest frame than the best within an eighth of a window of the place.
     """
@@ -97,13 +103,14 @@ class PlaceVote:
     uniqueness: float
     sharpness: float
     row_share: float
+    lap_m: float = NO_LAP_M
 
     @classmethod
     def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
         """The vote of a match on those drives."""
         drive, along_m = drives.drive_of(match.place_index), drives.along_m(match.place_index)
         evidence = match.uniqueness, match.sharpness, match.row_share
-        return cls(drive, along_m, *drives.extent_m(drive), match.direction, *evidence)
+        return cls(drive, along_m, *drives.extent_m(drive), match.direction, *evidence, drives.lap_m(drive))
 
 
 @dataclass(frozen=True)
@@ -141,8 +148,10 @@ class PlaceConsensus:
         self._uncertain_at_m = np.zeros(CAPACITY)
         self._offsets_m = np.zeros(CAPACITY)
         self._signs = np.zeros(CAPACITY)
+        self._are_like = np.zeros(CAPACITY, dtype=bool)
         self._drives = np.zeros(CAPACITY, dtype=np.int64)
         self._bounds_m = np.zeros((2, CAPACITY))
+        self._laps_m = np.full(CAPACITY, NO_LAP_M)
         self._was_believed = np.zeros(CAPACITY, dtype=bool)
 
     def update(self, vote: PlaceVote | None, odometer_m: float | None, missed: int = 0) -> PlaceBelief | None:
@@ -174,11 +183,12 @@ class PlaceConsensus:
         self._at_m[slot], self._uncertain_at_m[slot] = self._driven_m, self._uncertain_m
         self._offsets_m[slot] = vote.along_m - sign * self._driven_m
         self._signs[slot], self._drives[slot] = sign, vote.drive
-        self._bounds_m[:, slot] = vote.start_m, vote.end_m
+        self._bounds_m[:, slot], self._laps_m[slot] = (vote.start_m, vote.end_m), vote.lap_m
+        self._are_like[slot] = vote.row_share < STILL_LIKE
         self._was_believed[slot] = False
         allowed_m = self._settings.slack_m + self._uncertain_m - self._uncertain_at_m
         agree = (self._drives == vote.drive) & (self._signs == sign)
-        agree &= np.abs(self._offsets_m - self._offsets_m[slot]) <= allowed_m
+        agree &= np.abs(_within_lap(self._offsets_m - self._offsets_m[slot], vote.lap_m)) <= allowed_m
         self._agree[slot] = self._agree[:, slot] = agree | self._on_one_spot(slot, allowed_m)
 
     def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -194,7 +204,13 @@ class PlaceConsensus:
 
     def _now_m(self) -> NDArray[np.float64]:
         """Where each vote puts the vehicle now, along its drive."""
-        return self._offsets_m + self._signs * self._driven_m
+        start_m, end_m = self._bounds_m
+        middle_m = (start_m + end_m) / 2
+        return middle_m + _within_lap(self._offsets_m + self._signs * self._driven_m - middle_m, self._laps_m)
+
+    def _in_lap_m(self, along_m: float, slot: int) -> float:
+        middle_m = float(self._bounds_m[:, slot].mean())
+        return middle_m + float(_within_lap(np.array(along_m - middle_m), self._laps_m[slot]))
 
     def _in_reach(self) -> NDArray[np.bool_]:
         return self._driven_m - self._at_m <= self._settings.reach_lines * self._settings.line_m
@@ -202,8 +218,7 @@ class PlaceConsensus:
     def _weight(self, vote: PlaceVote) -> float:
         self._rows.append(vote.row_share < LIKE_NEWEST)
         support = sum(self._rows) / len(self._rows)
-        evidence = max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * support
-        return math.sqrt(evidence)
+        return max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * math.sqrt(support)
 
     def _believe(self) -> PlaceBelief | None:
         settings = self._settings
@@ -218,12 +233,13 @@ class PlaceConsensus:
             return None
         group = in_reach & (self._agree[leader] > 0)
         same = group & (self._drives == self._drives[leader]) & (self._signs == self._signs[leader])
-        along_m = float(weights[same] @ now_m[same] / weights[same].sum())
+        ahead_m = _within_lap(now_m[same] - now_m[leader], self._laps_m[leader])
+        along_m = self._in_lap_m(float(now_m[leader] + weights[same] @ ahead_m / weights[same].sum()), leader)
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
         against = in_reach & ~group & ~(self._was_believed & (overrun_m > settings.slack_m))
         confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
         confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
-        confidence *= self._moved_share(float(np.ptp(self._at_m[group])))
+        confidence *= min(1.0, 2 * self._pace(np.flatnonzero(same), weights))
         confidence *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
         is_believed = confidence >= settings.threshold
         if is_believed:
@@ -235,17 +251,21 @@ class PlaceConsensus:
         return max(0.0, (live - others) / (live + others + self._settings.prior * self._settings.length))
 
     def _support(self, leader: int, along_m: float, now_m: NDArray[np.float64]) -> float:
-        """Share of the newest votes, of half a sequence, that put the vehicle where the leader's group does."""
+        """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
         newest = np.arange(self._count - min(self._count, CAPACITY, max(1, self._settings.length // 2)), self._count)
         slots = newest % CAPACITY
         there = (self._drives[slots] == self._drives[leader]) & (self._signs[slots] == self._signs[leader])
-        there &= np.abs(now_m[slots] - along_m) <= self._settings.slack_m
+        there &= np.abs(_within_lap(now_m[slots] - along_m, self._laps_m[leader])) <= self._settings.slack_m
         there |= (self._agree[leader, slots] > 0) & (self._drives[slots] != self._drives[leader])
-        return float(there.mean())
+        return float((there & self._are_like[slots]).mean())
 
-    def _moved_share(self, span_m: float) -> float:
-        """How far the place is from one that stays: over twice the slack, even that would agree with itself."""
-        return min(1.0, span_m / (3 * self._settings.slack_m)) ** 2
+    def _pace(self, slots: NDArray[np.int64], weights: NDArray[np.float32]) -> float:
+        """Share of what was driven between some votes of one drive that their places went along with."""
+        shares = weights[slots] / weights[slots].sum()
+        at_m, offsets_m = self._at_m[slots], self._offsets_m[slots]
+        offsets_m = _within_lap(offsets_m - offsets_m[0], self._laps_m[slots])
+        driven, strayed = (float(shares @ np.square(of - shares @ of)) for of in (at_m, offsets_m))
+        return max(0.0, driven - strayed) / (driven + (self._settings.slack_m / 4) ** 2)
 
     def _overrun_m(self, now_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far each vote's place, moved on to now, lies outside its drive."""
@@ -255,3 +275,8 @@ class PlaceConsensus:
     def _overrun_m_at(self, along_m: float, slot: int) -> float:
         start_m, end_m = self._bounds_m[:, slot]
         return max(0.0, float(start_m) - along_m, along_m - float(end_m))
+
+
+def _within_lap(apart_m: Floats, lap_m: Floats | float) -> Floats:
+    """Meters between places, the shorter way round where the drive is a closed lap."""
+    return apart_m - np.round(apart_m / lap_m) * lap_m

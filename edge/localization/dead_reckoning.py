@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from dataclasses import dataclass
 
 SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
@@ -15,6 +16,9 @@ LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are belie
 STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
 MAX_SPEED_MPS = 350.0  # a speed beyond it is damage, or not a number
 KEPT = 1024
+TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
+"""Used frames of which the first and the last third are held against each other, the distance that gives a course, and
+how far it must have turned."""
 BACKED_M = 30.0
 """The most that must be driven again before the distance grows; further back nobody remembers the places."""
 
@@ -164,3 +168,32 @@ class DeadReckoning:
         """The newest ground speed, None when it is older than a second."""
         last_ns = self._distance.last_ns
         return None if last_ns is None or now_ns - last_ns > SPEED_VALID_NS else self._speed_mps
+
+
+class TurnAround:
+    """Whether the vehicle has turned around and now drives back, by its displacement at each used frame."""
+
+    def __init__(self) -> None:
+        self._recent: deque[Displacement] = deque(maxlen=TURN_FRAMES)
+
+    def add(self, displacement: Displacement | None) -> bool:
+        """True at the frame at which it drives the other way; then not again before it has turned once more."""
+        if displacement is None or (self._recent and displacement.leg != self._recent[-1].leg):
+            self._recent.clear()
+        if displacement is None:
+            return False
+        self._recent.append(displacement)
+        third = TURN_FRAMES // 3
+        if len(self._recent) < TURN_FRAMES:
+            return False
+        before, after = (_course(self._recent[at], self._recent[at + third - 1]) for at in (0, TURN_FRAMES - third))
+        turned = before is not None and after is not None and abs(math.remainder(after - before, math.tau)) > AROUND_RAD
+        if turned:
+            self._recent.clear()
+        return turned
+
+
+def _course(first: Displacement, last: Displacement) -> float | None:
+    """The direction of travel in radians, None where the vehicle hardly moved."""
+    east_m, north_m = last.east_m - first.east_m, last.north_m - first.north_m
+    return math.atan2(east_m, north_m) if math.hypot(east_m, north_m) > COURSE_M else None

@@ -39,6 +39,7 @@ Reason: TypeAlias = Literal[
     "the newest matches disagree",
     "the displacement is not known",
     "impossibly far",
+    "less accurate than the autopilot",
     "not confirmed by another place yet",
 ]
 GPS_SIGMA_M = 3.0

@@ -30,6 +30,8 @@ JITTER_M = 1.5
 """What else differs from match to match."""
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """A line moved as the vehicle did if both differ by at most so many meters and that share of the distance."""
+MAP_LEAST_M = 1.0
+"""The least error of the map's positions in each direction: of the antenna's place, time, and optimistic receivers."""
 MOVED_M = 0.05
 """A frame that is nearer to the last one than this is in no line."""
 
@@ -40,6 +42,11 @@ def position_on_route(route: Route, place_index: int, offset_m: float, direction
     if position is None or position.heading_deg is None:
         return position
     return replace(position, heading_deg=(position.heading_deg + (0 if direction == "forward" else 180)) % 360)
+
+
+def map_error_m(position: Position) -> float:
+    """One standard deviation of the map's error there, in each direction."""
+    return max(MAP_LEAST_M, position.sigma_m / math.sqrt(2))
 
 
 def match_position(match: PlaceMatch, route: Route, rig: RigConfig) -> Position | None:
@@ -81,14 +88,15 @@ def frame_used(
 def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig) -> PlaceFix:
     """A match as it is, where nothing has been tracked."""
     position = match_position(match, route, rig)
+    map_m = position.sigma_m / math.sqrt(2) if position else 0.0
     return PlaceFix(
         stamp_ns=stamp_ns,
         place=match.place,
         lat_deg=position.lat_deg if position else None,
         lon_deg=position.lon_deg if position else None,
         heading_deg=position.heading_deg if position else None,
-        sigma_along_m=max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M),
-        sigma_across_m=rig.sigma_across_m,
+        sigma_along_m=round(math.hypot(max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M), map_m), 2),
+        sigma_across_m=round(math.hypot(rig.sigma_across_m, map_m), 2),
         direction=match.direction,
         order=match.order,
         uniqueness=round(match.uniqueness, 4),

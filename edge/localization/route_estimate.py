@@ -1,12 +1,14 @@
 """An extended Kalman filter for a vehicle on a mapped road: its position, and what its own velocity is wrong by. Pure.
 
-    state      (6,): meters east, meters north, heading error in radians, scale error, and two errors of the matches
-               along the road, one that stays for a drive, and one that changes within CORRELATION_M
+    state      (8,): meters east, meters north, heading error in radians, scale error, and errors of the matches: one
+               along the road that stays for a drive, and three that change within CORRELATION_M, of lines along the
+               road and of their parallax along and across it
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity
-    correction along the road by a match; across it never below the width of the road, see `keep_on_road`
+    correction along the road by a match, and across it by its parallax; without any, the position across is never less
+               certain than the road is wide, see `keep_on_road`
 
-All but the position are first-order Gauss-Markov processes over the distance. The last is what makes matches within a
-correlation length of each other about one observation.
+All but the position are first-order Gauss-Markov processes over the distance. The last three are what makes matches
+within a correlation length of each other about one observation.
 """
 
 from __future__ import annotations
@@ -24,8 +26,35 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
+PARALLAX_M = 1.0
+"""Standard deviation of a position by parallax, along the road and across it, that changes within CORRELATION_M."""
+LIKELY_SIGMAS = 1.3
+"""One parallax in 15 is of a wrong pair of lines, and its neighbors with it."""
+UNKNOWN_M = 100.0
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
+
+
+OF_LINE, OF_ROAD = (1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+ALONG_BY_PARALLAX, ACROSS_BY_PARALLAX = (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+"""Which of the errors of matches a measurement has."""
+
+
+@dataclass(frozen=True)
+class MatchErrors:
+    """Standard deviations along the road of lines of both regions together, in meters.
+
+    line_m: as measured, of which a part stays for a drive. apart_m: of what stays besides, since the lines of the two
+    regions lie apart, and those of both may be either of them.
+    """
+
+    line_m: float
+    apart_m: float = 0.0
+
+    @property
+    def variances(self) -> tuple[float, float, float, float]:
+        """What stays for a drive, what changes, and that of parallax along and across."""
+        return STAYS * self.line_m**2 + self.apart_m**2, self.line_m**2, PARALLAX_M**2, PARALLAX_M**2
 
 
 @dataclass(frozen=True)
@@ -34,19 +63,24 @@ class VelocityErrors:
 
     heading_rad: float
     scale: float
-    match_m: float
+    match: MatchErrors
 
 
 class RouteEstimate:
     """Mean and covariance of the state; positions are in meters of any local frame."""
 
-    def __init__(self, position_m: Vector, along: Vector, across_sigma_m: float, errors: VelocityErrors) -> None:
-        """Begin at a place: along the unit vector `along` nothing is known before the first `correct`."""
-        self._variances = np.array([errors.heading_rad**2, errors.scale**2, *_shared(errors.match_m)])
-        self.mean = np.array([*position_m, 0.0, 0.0, 0.0, 0.0])
+    def __init__(self, position_m: Vector, covariance: NDArray[np.float64], errors: VelocityErrors) -> None:
+        """Begin at a position (2,) with its covariance (2, 2)."""
+        self._variances = np.array([errors.heading_rad**2, errors.scale**2, *errors.match.variances])
+        self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
-        left = np.array([-along[1], along[0]])
-        self.covariance[:2, :2] = 1e4 * np.outer(along, along) + across_sigma_m**2 * np.outer(left, left)
+        self.covariance[:2, :2] = covariance
+
+    @classmethod
+    def on_road(cls, place_m: Vector, along: Vector, road_sigma_m: float, errors: VelocityErrors) -> RouteEstimate:
+        """Begin on a road: along the unit vector `along` nothing is known before the first `correct`."""
+        left = left_of(along)
+        return cls(place_m, UNKNOWN_M**2 * np.outer(along, along) + road_sigma_m**2 * np.outer(left, left), errors)
 
     def copy(self) -> RouteEstimate:
         """An estimate of its own."""
@@ -78,7 +112,7 @@ class RouteEstimate:
         """Move on by a displacement (2,)."""
         driven_m = float(np.hypot(*displacement_m))
         self.mean[:2] += self.truly(displacement_m)
-        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, DRIVE_M, CORRELATION_M]))
+        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, DRIVE_M, *[CORRELATION_M] * 3]))
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:4] = self._slopes(displacement_m)
         self.mean[2:] *= kept
@@ -86,9 +120,9 @@ class RouteEstimate:
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
         self.covariance += np.diag([*wander, *(self._variances * (1 - kept**2))])
 
-    def begin_drive(self, match_sigma_m: float) -> None:
+    def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
-        self._variances[2:] = _shared(match_sigma_m)
+        self._variances[2:] = match.variances
         self.mean[4:] = self.covariance[4:, :] = self.covariance[:, 4:] = 0.0
         self.covariance[4:, 4:] = np.diag(self._variances[2:])
 
@@ -97,26 +131,60 @@ class RouteEstimate:
 
         The vehicle was at `place_m` (2,) along the unit vector `along` before it moved by `since_m`.
         """
-        row = self._row(along, since_m, with_match=True)
-        off_m = float(along @ (place_m - self._before(since_m)) - self.mean[4] - self.mean[5])
-        return off_m, float(np.sqrt(row @ self.covariance @ row + sigma_m**2))
+        return self._innovation(place_m, along, self._row(along, since_m, OF_LINE), since_m, sigma_m)
 
     def correct(self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float) -> None:
         """Correct by the along part of a match; sigma_m: of what is independent in each match."""
-        off_m, _ = self.innovation(place_m, along, since_m, sigma_m)
-        self._update(self._row(along, since_m, with_match=True), off_m, sigma_m**2)
+        row = self._row(along, since_m, OF_LINE)
+        off_m, _ = self._innovation(place_m, along, row, since_m, sigma_m)
+        self._update(row, off_m, sigma_m**2)
+
+    def correct_by_parallax(
+        self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float, *, across: bool
+    ) -> None:
+        """Correct by a position across `along`, or along it.
+
+        What is further off than LIKELY_SIGMAS gets the variance with which it would be just that far off: so one wrong
+        position moves the estimate by little, and many that agree still move it all the way.
+        """
+        direction, errors = (left_of(along), ACROSS_BY_PARALLAX) if across else (along, ALONG_BY_PARALLAX)
+        row = self._row(direction, since_m, errors)
+        off_m, deviation_m = self._innovation(place_m, direction, row, since_m, sigma_m)
+        known_m2 = deviation_m**2 - sigma_m**2
+        self._update(row, off_m, max(sigma_m**2, (off_m / LIKELY_SIGMAS) ** 2 - known_m2))
+
+    def _innovation(
+        self, place_m: Vector, direction: Vector, row: Vector, since_m: Vector, sigma_m: float
+    ) -> tuple[float, float]:
+        off_m = float(direction @ (place_m - self._before(since_m)) - row[4:] @ self.mean[4:])
+        return off_m, float(np.sqrt(row @ self.covariance @ row + sigma_m**2))
 
     def keep_on_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> None:
         """The vehicle is on the road, so its position across is never less certain than the road is wide.
 
         As a measurement just as good as makes the variance that of the road: where it is less already, none.
         """
-        left = np.array([-along[1], along[0]])
-        row = self._row(left, since_m, with_match=False)
+        left = left_of(along)
+        row = self._row(left, since_m, OF_ROAD)
         variance = float(row @ self.covariance @ row)
         if variance > road_sigma_m**2:
             off_m = float(left @ (place_m - self._before(since_m)))
             self._update(row, off_m, 1 / (1 / road_sigma_m**2 - 1 / variance), position_only=True)
+
+    def bound(self, position_m: Vector, sigma_m: float) -> None:
+        """GPS bounds the position, to (2,) with that deviation in each direction.
+
+        As a measurement just good enough for that, like `keep_on_road`, since its errors stay for minutes. GPS corrects
+        the velocity of the autopilot as well, whose errors therefore begin when it is lost.
+        """
+        self.mean[2:4] = self.covariance[2:4, :] = self.covariance[:, 2:4] = 0.0
+        self.covariance[2:4, 2:4] = np.diag(self._variances[:2])
+        for direction in np.eye(2):
+            row = self._row(direction, np.zeros(2), OF_ROAD)
+            variance = float(row @ self.covariance @ row)
+            if variance > sigma_m**2:
+                off_m = float(direction @ (position_m - self.position_m))
+                self._update(row, off_m, 1 / (1 / sigma_m**2 - 1 / variance))
 
     def _before(self, since_m: Vector) -> Vector:
         before: Vector = self.mean[:2] - self.truly(since_m)
@@ -127,11 +195,9 @@ class RouteEstimate:
         turned = _turned(displacement_m, self.mean[2])
         return np.column_stack([(1 + self.mean[3]) * np.array([turned[1], -turned[0]]), turned])
 
-    def _row(self, direction: Vector, since_m: Vector, *, with_match: bool) -> Vector:
-        """How a measurement along `direction` depends on the state."""
-        return np.array(
-            [*direction, *(-direction @ self._slopes(since_m)), *([1.0, 1.0] if with_match else [0.0, 0.0])]
-        )
+    def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:
+        """How a measurement along `direction` depends on the state; errors: on those of matches."""
+        return np.array([*direction, *(-direction @ self._slopes(since_m)), *errors])
 
     def _update(self, row: Vector, off_m: float, variance: float, *, position_only: bool = False) -> None:
         weighted = self.covariance @ row
@@ -139,16 +205,16 @@ class RouteEstimate:
         if position_only:
             gain[2:] = 0.0
         self.mean = self.mean + gain * off_m
-        kept = np.eye(6) - np.outer(gain, row)
+        kept = np.eye(len(row)) - np.outer(gain, row)
         self.covariance = kept @ self.covariance @ kept.T + variance * np.outer(gain, gain)
+
+
+def left_of(along: Vector) -> Vector:
+    """The unit vector (2,) to the left of another."""
+    return np.array([-along[1], along[0]])
 
 
 def _turned(vector: Vector, clockwise_rad: float) -> Vector:
     """East and north of a vector that is turned clockwise."""
     sin, cos = np.sin(clockwise_rad), np.cos(clockwise_rad)
     return np.array([cos * vector[0] + sin * vector[1], cos * vector[1] - sin * vector[0]])
-
-
-def _shared(match_m: float) -> tuple[float, float]:
-    """The variance of matches: what stays for a drive, and what changes."""
-    return STAYS * match_m**2, match_m**2

@@ -19,11 +19,26 @@ Alignment = tuple[Direction, Order]
 ORDERS: tuple[Order, ...] = ("same", "swapped")
 """Rows of a cost row, in this order."""
 
+PARALLAX_ROWS = 24
+"""Rows of a line, the newest, that are matched with each region alone; see `edge.sequence.parallax`."""
+
 VIEWS_ALIKE: tuple[Alignment, ...] = (("forward", "same"), ("reverse", "swapped"))
 """What can occur if both cameras look ahead, or both back."""
 
 VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "same"))
 """What can occur if one camera looks ahead and one back: on the way back along the map the two look the same way."""
+
+
+@dataclass(frozen=True)
+class Parallax:
+    """Where the line of each region alone lies; see `edge.sequence.parallax`.
+
+    lag_places: by which the line of the left region lags behind that of the right one, in the direction of travel.
+    middle_places: by which the middle between both lies beyond the line of both together, in the map's order.
+    """
+
+    lag_places: float
+    middle_places: float
 
 
 @dataclass(frozen=True)
@@ -42,6 +57,7 @@ class PlaceMatch:
     False means off the map, or one of several that look alike.
     offset_places: how far the line ends beyond the place in the map's order, between places.
     half_width_places: half the number of places around it that are nearly as good.
+    parallax: of the two regions alone, None where it is not known.
     event: accepted, and not held off. category: what kind of place the frame shows, of events only.
     """
 
@@ -58,6 +74,7 @@ class PlaceMatch:
     accepted: bool = False
     offset_places: float = 0.0
     half_width_places: float = 0.5
+    parallax: Parallax | None = None
     map: str | None = None
     event: bool = False
     category: str | None = None

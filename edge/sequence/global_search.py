@@ -28,6 +28,10 @@ class GlobalSearch:
         self._slice = max(1, config.map.places_per_frame // SLICE_SHARE)
         self.restart()
 
+    def grow(self, map_set: MapSet) -> None:
+        """Scan a set that has further places after those of the last one."""
+        self._map_set = map_set
+
     def restart(self) -> None:
         """Start at the first place again."""
         self._next = 0

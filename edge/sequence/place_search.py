@@ -23,6 +23,7 @@ from edge.geodesy import apart_m
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import CostView, Direction, PlaceMatch
 from edge.sequence.global_search import GlobalSearch
+from edge.sequence.search import slopes_around_diagonal
 from edge.sequence.submap import Submap
 
 SLACK_M = 250.0
@@ -33,6 +34,10 @@ WINDOW_PLACES = 60
 
 MEASURED_SLOPE_RAD = 0.05
 """Limit of the slopes where the distance between places is measured: an odometer is wrong by a tenth at most."""
+STEEPEST_SHARE = 0.5
+"""Share of a sequence by which there are more lines at the limit of the slopes than others, from which it is wider."""
+REGULAR, REGULAR_SHARE = 0.2, 0.9
+"""The places of a map are regularly spaced if so many steps between them are within this share of their median."""
 MEASURED_SLOPES = 11
 """Slopes up to that limit; over 40 frames they are one place apart."""
 
@@ -61,6 +66,17 @@ class Near:
         return bool(away_m[0] + radius_m <= self.radius_m)
 
 
+def is_regular(map_set: MapSet) -> bool:
+    """Whether the places of the maps are apart by about the same distance, so that lines are straight."""
+    route_m, drives = map_set.places["route_m"], map_set.index.segments
+    steps_m = np.concatenate([np.zeros(0), *(np.abs(np.diff(route_m[first:end])) for first, end in drives)])
+    steps_m = steps_m[~np.isnan(steps_m)]
+    if not steps_m.size:
+        return True
+    usual_m = np.median(steps_m)
+    return bool(np.mean(np.abs(steps_m - usual_m) <= REGULAR * usual_m) >= REGULAR_SHARE)
+
+
 class PlaceSearch:
     """Cost rows and sequence search, over as many places as a frame may cost."""
 
@@ -80,6 +96,10 @@ class PlaceSearch:
         self._unbelieved = 0  # frames since a place was believed
         self._is_position_known = False  # of the autopilot, at the newest frame
         self._measured_frames = config.sequence.length  # in a row of which the distance driven is known
+        self._steepest = 0  # more frames with lines at the limit of the measured slopes than without
+        self._is_distance_right = is_regular(map_set)
+        sequence = with_measured_slopes(config).sequence
+        self._limits = slopes_around_diagonal(sequence.slope_limit_rad, sequence.slopes)[:: sequence.slopes - 1]
         self._search(self._everything(), None)
         orders = map_set.headers[0].regions.count
         self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
@@ -109,6 +129,19 @@ class PlaceSearch:
         if self.part is not None and not self._is_fresh:
             self.part.skip()
 
+    def grow(self, map_set: MapSet, ring: Ring) -> None:
+        """Search a set from now on that has further places after those of the last one; between two frames."""
+        self._map_set, was_whole = map_set, self._is_whole
+        self._scan.grow(map_set)
+        self._is_whole = map_set.index.places <= self._most
+        if not self._is_whole:
+            if was_whole:
+                self.part = self._reach = None
+            elif self._reach is not None:
+                self._search_around(self._reach)
+        elif self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config):
+            self._search(self._everything(), None)
+
     def push(
         self, change: NormalizedRows, ring: Ring, near: Near | None, *, is_measured: bool = False
     ) -> PlaceMatch | None:
@@ -122,6 +155,7 @@ class PlaceSearch:
             self._look_around(near)
         self._frame += 1
         match = self._advance(change, ring)
+        self._watch_slope(match)
         if not self._is_whole and (self.part is None or self._is_doubtful):
             found = self._scan.step(ring(), self._frame)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
@@ -227,16 +261,26 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        config = with_measured_slopes(self._config) if self._is_measured else self._config
-        return Submap(ranges, self._map_set, config, self._frame)
+        return Submap(ranges, self._map_set, self._slopes_config, self._frame)
+
+    @property
+    def _slopes_config(self) -> Config:
+        return with_measured_slopes(self._config) if self._is_measured else self._config
 
     @property
     def _is_measured(self) -> bool:
         return self._measured_frames >= self._config.sequence.length
 
+    def _watch_slope(self, match: PlaceMatch | None) -> None:
+        """An odometer of whose lines most are at the limit is wrong by more than the limit, from now on."""
+        if match is None or not self._is_measured:
+            return
+        self._steepest = max(0, self._steepest + (1 if match.slope in self._limits else -1))
+        self._is_distance_right &= self._steepest < STEEPEST_SHARE * self._config.sequence.length
+
     def _measure(self, is_measured: bool) -> None:
         """Search other slopes where distance is known now, and was not within the sequence; or the reverse."""
         was_measured = self._is_measured
-        self._measured_frames = self._measured_frames + 1 if is_measured else 0
+        self._measured_frames = self._measured_frames + 1 if is_measured and self._is_distance_right else 0
         if self.part is not None and self._is_measured != was_measured:
             self.part, self._is_fresh = self._submap(self.part.ranges), True

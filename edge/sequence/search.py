@@ -105,11 +105,13 @@ class SequenceSearch:
         frame: int = 0,
         *,
         open_ends: bool = False,
+        laps: Sequence[int | None] = (),
     ) -> None:
         """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
 
         possible: (planes, N), whether a line of that plane may end at that place; everywhere if None. frame: how many
-        frames came before, so that searches begun at different times round their slopes alike.
+        frames came before, so that searches begun at different times round their slopes alike. laps: with open ends,
+        after how many places each segment goes on at its first one; None where it does not.
         """
         self.length = length
         self.planes = tuple(planes)
@@ -126,6 +128,8 @@ class SequenceSearch:
             for number, (start, end) in enumerate(segments)
         ]
         self._places = bounds[-1][1]
+        self._laps = [*laps, *[None] * (len(segments) - len(laps))]
+        self._known = self._known_places(segments, bounds)
         self._room = np.stack([_room(bounds)[direction] for direction, _ in self.planes])
         # Only at these, (planes, near) each, do some slopes have a whole line and others not.
         self._near_start = np.nonzero((self._room < reach) & (not open_ends))
@@ -179,6 +183,57 @@ class SequenceSearch:
             if offset < self._places:
                 self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
 
+    def grown(
+        self, segments: Sequence[tuple[int, int]], possible: NDArray[np.bool_] | None, costs: NDArray[np.int32]
+    ) -> SequenceSearch:
+        """The same search over further places, at the end of the last segment or in segments after it; open ends only.
+
+        segments, possible: of all places. costs (rows, orders, new places): of the rows in the ring, oldest first.
+        """
+        open_ends = self._margin > 0
+        other = SequenceSearch(
+            segments,
+            self.planes,
+            self.length,
+            self._slopes,
+            possible,
+            self._frame,
+            open_ends=open_ends,
+            laps=self._laps,
+        )
+        other._rows = self._rows
+        added, kept = other._places - self._places, self._places - self._margin
+        new_at = other._at[len(self._at) :]
+        for plane, (direction, order) in enumerate(self.planes):
+            is_forward = direction == "forward"
+            old, new = (slice(kept), slice(kept)) if is_forward else (slice(self._margin, None), slice(-kept, None))
+            other._ring[:, plane, new] = self._ring[:, plane, old]
+            at = new_at if is_forward else other._places - 1 - new_at
+            for age, row in enumerate(costs[::-1, ORDERS.index(order)]):
+                other._ring[(self._frame - age) % self.length, plane, at] = row
+            # Only lines through what is new, or was the end, have to be summed up again.
+            reach = self._margin
+            again = slice(kept, None) if is_forward else slice(0, added + 2 * reach)
+            for k in range(len(self._slopes)):
+                if is_forward:
+                    other._sums.of(k)[plane, :kept] = self._sums.of(k)[plane, :kept]
+                else:
+                    other._sums.of(k)[plane, added + 2 * reach :] = self._sums.of(k)[plane, 2 * reach :]
+                other._sum_again(k, plane, again)
+        return other
+
+    def _sum_again(self, k: int, plane: int, places: slice) -> None:
+        """Sum up the lines of one slope and plane that end at some (padded) places, row by row."""
+        start, stop, _ = places.indices(self._places)
+        total = np.zeros(stop - start, dtype=np.int32)
+        for age in range(self.length):
+            row = self._ring[(self._frame - age) % self.length, plane]
+            offset = self._offset(self._slopes[k], age)
+            first = max(start, offset)
+            if first < stop:
+                total[first - start :] += row[first - offset : stop - offset]
+        self._sums.of(k)[plane, start:stop] = total
+
     def lines(self) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends."""
         if self._rows < self._first_rows:
@@ -226,11 +281,22 @@ class SequenceSearch:
         whole = np.where(self._room[plane, at] >= self._reaches(), sums, NO_LINE)
         return self._slopes[int(whole.argmin())]
 
+    def _known_places(self, segments: Sequence[tuple[int, int]], bounds: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+        """Of each padded place, the place that it is; the number of places where it is none."""
+        known = np.full(self._places, segments[-1][1], dtype=np.intp)
+        for (start, end), (first, _), lap in zip(segments, bounds, self._laps, strict=True):
+            padded = np.arange(start - self._margin, end + self._margin)
+            if lap is not None:
+                padded = np.where(padded < start, padded + lap, np.where(padded >= end, padded - lap, padded))
+            inside = (padded >= start) & (padded < end)
+            known[first + np.flatnonzero(inside)] = padded[inside]
+        return known
+
     def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
         """One cost row (orders, N) as each plane needs it: (planes, padded N), mirrored for the way back."""
         if self._margin:
-            known, costs = costs, np.full((len(costs), self._places), COST_ONE, dtype=np.int32)
-            costs[:, self._at] = known
+            unknown = np.full((len(costs), 1), COST_ONE, dtype=np.int32)
+            costs = np.concatenate([costs, unknown], axis=1)[:, self._known]
         return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])
 
     @staticmethod

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.acceptance import Neighborhood, best_match, best_match_within
+from edge.sequence.evidence import Neighborhood, best_match, best_match_within
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
+
+Segments = list[tuple[int, int]]
 
 
 class RowMatcher:
@@ -34,11 +36,12 @@ class RowMatcher:
         frame: int = 0,
         *,
         open_ends: bool = False,
+        laps: Sequence[int | None] = (),
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. frame: how many frames came before the first row. open_ends:
-        whether lines may begin before their drive does, see `SequenceSearch`.
+        whether lines may begin before their drive does, and laps: see `SequenceSearch`.
         """
         self.neighborhood = neighborhood
         self._count = segments[-1][1]
@@ -46,7 +49,7 @@ class RowMatcher:
         planes, possible = _planes(segments, views, regions, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
-            segments, planes, config.sequence.length, slopes, possible, frame, open_ends=open_ends
+            segments, planes, config.sequence.length, slopes, possible, frame, open_ends=open_ends, laps=laps
         )
         self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
 
@@ -110,21 +113,50 @@ class Submap(RowMatcher):
 
     def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, frame: int = 0) -> None:
         """frame: how many frames came before the first that this part will match."""
+        segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
+        regions = map_set.headers[0].regions.count
+        super().__init__(segments, views, regions, neighborhood, config, frame, open_ends=True, laps=laps)
+
+    def _choose(
+        self, ranges: Ranges, map_set: MapSet, config: Config
+    ) -> tuple[Segments, list[int | None], list[str], Neighborhood]:
+        """Make some ranges this part: their segments counted from 0, lap and view of each, and their neighborhood."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set = map_set
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
+        laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
         neighborhood = Neighborhood(
             map_set.east_north_m(ranges),
             np.ascontiguousarray(map_set.places_in(ranges)["route_m"]),
             np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
             config.acceptance,
+            {number: lap for (number, _, _), lap in zip(pieces, laps, strict=True) if lap is not None},
         )
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
-        views = [map_set.index.view(number) for number, _, _ in pieces]
-        regions = map_set.headers[0].regions.count
-        super().__init__(segments, views, regions, neighborhood, config, frame, open_ends=True)
+        return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
+
+    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config) -> bool:
+        """Add all places of a set after those of this part, which has all of the set before; between two frames.
+
+        ring: the rows of the ring (n, R, D), oldest first. False if the further places need another part, since they
+        can be passed in other directions or region orders.
+        """
+        before, after = len(self.places), map_set.index.places
+        if after == before:
+            self._map_set = map_set
+            return True
+        segments, _, views, neighborhood = self._choose([(0, after)], map_set, config)
+        planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config)
+        if tuple(planes) != self._search.planes:
+            return False
+        costs = map_set.costs(ring, [(before, after)])
+        if self._per_frame_order:
+            costs = costs.min(axis=1, keepdims=True)
+        self.neighborhood, self._count, self.lines = neighborhood, after, None
+        self._search = self._search.grown(segments, possible, costs)
+        return True
 
     def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
         """The best line that ends at places [first, end) of one drive; None where none of them is in this part."""

@@ -18,11 +18,21 @@ from edge.atomic_file import replacing
 from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
+from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, LookbackError
 from edge.extras import install_command
 from edge.feed import Feed, read_feed
 from edge.reference_map.store import ReferenceMap, open_map
-from sim.calibration.offset import FEWEST, Offset, measure_offsets, rig_config, rig_key, sigma_key
+from sim.calibration.offset import (
+    BESIDE_M,
+    FEWEST,
+    Offset,
+    measure_offsets,
+    measure_parallax,
+    rig_config,
+    rig_key,
+    sigma_key,
+)
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, TOLERANCE_M, Curve, choose, curve_of_drive, curve_of_map
 
@@ -78,7 +88,7 @@ def measure_rig(
     network: instead of the one that the config names.
     """
     config = config or config_for_map(reference_map.header)
-    network = network or Network.load(Path(config.descriptor.model) if config.descriptor.model else None)
+    network = network or open_network(config.descriptor)
     seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
     return measure_offsets(seen), seen
 
@@ -96,7 +106,7 @@ def _run(args: argparse.Namespace) -> int:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
         off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
-        lines |= _rig_lines(offsets)
+        lines |= {**_rig_lines(offsets), **_parallax_lines(seen)}
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
         print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     else:
@@ -138,6 +148,18 @@ def _rig_lines(offsets: Sequence[Offset]) -> Lines:
     if keys:
         keys += ["sigma_along_m", "sigma_across_m"]
     return {("rig", key): getattr(rig, key) for key in keys}
+
+
+def _parallax_lines(seen: Sequence[Sighting]) -> Lines:
+    """The parallax, where these drives show it."""
+    ratio = measure_parallax(seen)
+    if ratio is None:
+        print(
+            f"parallax: not measured; it needs a drive at least {BESIDE_M:g} m beside the map's, such as the other lane"
+        )
+        return {}
+    print(f"parallax: {ratio:.2f} m between the regions for each meter beside the map's drive")
+    return {("rig", "parallax"): round(ratio, 2)}
 
 
 def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:

@@ -22,6 +22,7 @@ OUTLIER = 4.0
 LANE_SIGMA_M = 2.5
 LEAST_SIGMA_M = 0.5  # of GPS, the reference of the measurement
 FEWEST = 10
+BESIDE_M = 1.5  # of the map's drive, from which parallax can be measured in spite of GPS
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 
 
@@ -80,13 +81,27 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     )
 
 
+def measure_parallax(seen: Sequence[Sighting]) -> float | None:
+    """Meters by which the left region lags behind the right, for each meter to the left of the map's drive.
+
+    A ratio of medians, so that neither wrong pairs of lines nor GPS change it much. None where fewer than FEWEST
+    matches say, or where the vehicle drove in the same lane as the map, which shows nothing.
+    """
+    known = np.array([(one.lag_m, one.left_m) for one in seen if one.accepted]).reshape(-1, 2)
+    known = known[~np.isnan(known).any(axis=1)]
+    sides = [known[known[:, 1] * side > 0] for side in (-1, 1)]
+    lag_m, left_m = np.median(max(sides, key=len), axis=0) if max(map(len, sides)) >= FEWEST else (0.0, 0.0)
+    ratio = float(lag_m / left_m) if abs(left_m) >= BESIDE_M else 0.0
+    return ratio if ratio > 0 else None
+
+
 def _deviation(values: NDArray[np.float64]) -> float:
     """Standard deviation, estimated by the median absolute deviation, which outliers do not change."""
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
-def rig_config(offsets: Sequence[Offset]) -> RigConfig:
-    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured.
+def rig_config(offsets: Sequence[Offset], parallax: float | None = None) -> RigConfig:
+    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured, such as `parallax` where it is None.
 
     sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_across_m is at least
     LANE_SIGMA_M, however well these drives kept their lane.
@@ -96,7 +111,8 @@ def rig_config(offsets: Sequence[Offset]) -> RigConfig:
     along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
     keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
     across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_across_m)
-    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
+    keys |= {"parallax": round(parallax or 0.0, 2), "sigma_along_m": round(along_m, 1)}
+    return RigConfig(**keys, sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
 
 
 def rig_key(offset: Offset) -> str:

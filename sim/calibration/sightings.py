@@ -38,7 +38,8 @@ class Sighting:
     ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
     NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
     own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
-    where the daemon would not use the line.
+    where the daemon would not use the line. lag_m: meters by which the left region lags behind the right, NaN where
+    they do not say.
     """
 
     direction: Direction
@@ -48,6 +49,7 @@ class Sighting:
     accepted: bool
     left_m: float = float("nan")
     line_sigma_m: float = 0.0
+    lag_m: float = float("nan")
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -76,7 +78,15 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             beyond_m, sigma_m = _refined(match, route, readings)
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
-            yield Sighting(match.direction, match.order, ahead_m, match.confidence, match.accepted, left_m, sigma_m)
+            lag_m = _lag_m(match, route)
+            yield Sighting(
+                match.direction, match.order, ahead_m, match.confidence, match.accepted, left_m, sigma_m, lag_m
+            )
+
+
+def _lag_m(match: PlaceMatch, route: Route) -> float:
+    """Meters by which the left region lags behind the right."""
+    return match.parallax.lag_places * route.drive(match.place_index).spacing_m if match.parallax else float("nan")
 
 
 def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import GatesConfig, RigConfig, SamplingConfig, TrackingConfig
+from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, Integrity, PlaceFix, Situation, Uncertainty
@@ -39,12 +39,13 @@ Move = tuple[float, Points | None, float]
 
 @dataclass(frozen=True)
 class Stretch:
-    """Meters of the road that a segment of the map covers, and by how much its positions are wrong."""
+    """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states."""
 
     begins_m: float
     ends_m: float
     east_m: float = 0.0
     north_m: float = 0.0
+    sigma_m: float = math.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,8 @@ def build_route(
             for row, s in enumerate(at_m):
                 east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
-                place = Place(index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, row * SPACING_M)
-                builder.add(raw, place)
+                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, row * SPACING_M
+                builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
             found.append((index, stretch.begins_m, float(at_m[-1]), len(at_m)))
             index += len(at_m)
         builder.finish(normalize, "test")
@@ -134,13 +135,14 @@ class Bench:
             self.line, self.heading = lap_line(course.road_m, course.laps)
         else:
             self.line, self.heading = road_line(course.road_m, rng)
-        shift = rng.normal(0.0, 1.0, 2)  # of the whole map, by the GPS that made it
+        shift = rng.normal(0.0, course.stretches[0].sigma_m / math.sqrt(2), 2)  # of the map, by the GPS that made it
         stretches = tuple(
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
         self.route, self.segments = build_route(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5)
-        self.filter = RouteFilter(self.route, tracking, rig, LENGTH)
+        config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH))
+        self.filter = RouteFilter(self.route, config)
         self.integrity, self.gates = Integrity(GatesConfig()), GatesConfig()
         self.uncertainty = Uncertainty(self.gates.drift_percent)
         self.motion = DeadReckoning()

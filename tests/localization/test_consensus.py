@@ -84,6 +84,23 @@ def test_a_place_that_few_frames_support_is_not_believed() -> None:
     assert beliefs[-1] is None
 
 
+def test_matches_at_a_place_that_the_frames_no_longer_show_are_not_believed() -> None:
+    consensus = PlaceConsensus(SETTINGS)
+    assert _last(_drive(consensus, _right(100.0, 60))).is_believed
+    unlike = replace(STRONG, row_share=0.3)
+    assert not _last(_drive(consensus, _right(220.0, 20, unlike), from_m=120.0)).is_believed
+
+
+def test_a_few_meters_are_not_enough_however_strong_the_matches() -> None:
+    strongest = replace(STRONG, uniqueness=3.0, sharpness=1.0)
+    believed = [
+        belief is not None and belief.is_believed
+        for belief in _drive(PlaceConsensus(SETTINGS), _right(500.0, 20, strongest))
+    ]
+    assert not any(believed[:4])
+    assert all(believed[12:])
+
+
 def test_belief_ends_when_the_matches_go_elsewhere() -> None:
     consensus = PlaceConsensus(SETTINGS)
     assert _last(_drive(consensus, _right(100.0, 100))).is_believed
@@ -109,6 +126,19 @@ def test_a_believed_drive_does_not_contradict_the_one_that_follows() -> None:
         return next(k for k, belief in enumerate(beliefs) if belief and belief.is_believed and belief.drive == 1)
 
     assert first_belief(settled=True) < first_belief(settled=False)
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_on_a_closed_lap_the_belief_goes_on(direction: Direction) -> None:
+    vote = replace(STRONG, direction=direction, lap_m=1002.0)
+    votes = [v and replace(v, along_m=v.along_m % 1002.0) for v in _right(500.0, 600, vote)]
+    beliefs = _drive(PlaceConsensus(SETTINGS), votes)
+    for belief, right in zip(beliefs[60:], votes[60:], strict=True):
+        assert belief is not None
+        assert right is not None
+        assert belief.is_believed
+        assert abs((belief.along_m - right.along_m + 501.0) % 1002.0 - 501.0) < 5.0
+        assert -20.0 <= belief.along_m <= 1020.0
 
 
 def test_without_an_odometer_frames_are_counted_and_missed_ones_too() -> None:

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from edge.localization import DeadReckoning
+from edge.localization.dead_reckoning import TURN_FRAMES, Displacement, TurnAround
 
 S = 1_000_000_000
 GOOD, POOR = 0, 2
@@ -128,3 +129,22 @@ def test_going_back_is_no_distance() -> None:
     assert at_m[14] == pytest.approx(44.0 - 8.0 - 4.0 + 4.0 + 40.0, abs=5.0)
     assert at_m[-1] - at_m[14] == pytest.approx(20.0, abs=10.0)
     assert motion.total_m == pytest.approx(40 + 10 + 50 + 200 + 60, abs=30.0)
+
+
+@pytest.mark.parametrize(("turn_deg", "around"), [(0, 0), (90, 0), (180, 1), (-180, 1)])
+def test_turning_around_is_noticed_once(turn_deg: float, around: int) -> None:
+    """2 m a frame, straight, a turn of eight frames, and straight on."""
+    turning, noticed, east_m, north_m = TurnAround(), 0, 0.0, 0.0
+    for frame in range(4 * TURN_FRAMES):
+        share = min(max((frame - 2 * TURN_FRAMES) / 8, 0.0), 1.0)
+        heading_rad = math.radians(turn_deg * share)
+        east_m, north_m = east_m + 2 * math.sin(heading_rad), north_m + 2 * math.cos(heading_rad)
+        noticed += turning.add(Displacement(1, east_m, north_m))
+    assert noticed == around
+
+
+def test_another_leg_is_no_turn() -> None:
+    turning = TurnAround()
+    for leg, sign in ((1, 1), (2, -1)):
+        assert not any(turning.add(Displacement(leg, 0.0, sign * 2.0 * frame)) for frame in range(TURN_FRAMES - 1))
+    assert not turning.add(None)

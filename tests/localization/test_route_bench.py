@@ -55,6 +55,13 @@ def drives_disagree(rng: np.random.Generator) -> Course:
     return Course(stretches=(Stretch(0.0, 600.0), *shifted(rng, 40.0, (600.0, 1200.0))))
 
 
+def drives_of_5_m(rng: np.random.Generator) -> Course:
+    """The second drive of the map is wrong by what the first is, and once more."""
+    east_m, north_m = rng.normal(0.0, 5 / math.sqrt(2), 2)
+    second = Stretch(600.0, 1200.0, float(east_m), float(north_m), 5 * math.sqrt(2))
+    return Course(stretches=(Stretch(0.0, 600.0, sigma_m=5.0), second))
+
+
 RIGHT: dict[str, Callable[[np.random.Generator], Course]] = {
     "the whole road": lambda rng: Course(),
     "it steers itself": lambda rng: Course(steers=True),
@@ -72,6 +79,8 @@ RIGHT: dict[str, Callable[[np.random.Generator], Course]] = {
     "false stretch of 260 m, no GPS from boot": false_stretch(260.0, gps=False),
     "no GPS from boot": lambda rng: Course(gps=False),
     "two drives that disagree by 40 m": drives_disagree,
+    "a map of 5 m accuracy": lambda rng: Course(stretches=(Stretch(0.0, 1200.0, sigma_m=5.0),)),
+    "two drives of 5 and 7 m accuracy": drives_of_5_m,
     "odometer -15 %": lambda rng: Course(scale=-0.15),
     "odometer -3 %, heading 3 degrees": lambda rng: Course(scale=-0.03, heading_deg=3.0),
     "odometer +3 %, heading -3 degrees": lambda rng: Course(scale=0.03, heading_deg=-3.0),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.localization.route_estimate import CORRELATION_M, RouteEstimate, VelocityErrors
+from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors
 
 HEADING_RAD, SCALE, MATCH_M, JITTER_M, BEHIND = 0.035, 0.05, 2.5, 1.0, 20
-ERRORS = VelocityErrors(HEADING_RAD, SCALE, MATCH_M)
+ERRORS = VelocityErrors(HEADING_RAD, SCALE, MatchErrors(MATCH_M))
 
 
 def winding(places: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -36,7 +36,7 @@ def drive(seed: int, places: int = 400) -> tuple[RouteEstimate, NDArray[np.float
         since = reckoned[at] - reckoned[middle]
         if estimate is None:
             left = np.array([-along[middle][1], along[middle][0]])
-            estimate = RouteEstimate(seen + across_m * left, along[middle], 2.0, ERRORS)
+            estimate = RouteEstimate.on_road(seen + across_m * left, along[middle], 2.0, ERRORS)
             estimate.predict(since)
         else:
             estimate.predict(reckoned[at] - reckoned[at - 1])
@@ -55,7 +55,7 @@ def test_the_covariance_is_that_of_the_errors() -> None:
 
 def test_matches_of_one_correlation_length_are_about_one_observation() -> None:
     along, points = winding(40)
-    estimate = RouteEstimate(points[0], along[0], 2.0, ERRORS)
+    estimate = RouteEstimate.on_road(points[0], along[0], 2.0, ERRORS)
     sigmas_m = []
     for at in range(30):
         estimate.predict(2 * along[at] if at else np.zeros(2))
@@ -66,7 +66,7 @@ def test_matches_of_one_correlation_length_are_about_one_observation() -> None:
 
 def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     along, place = np.array([0.0, 1.0]), np.zeros(2)
-    estimate = RouteEstimate(place, along, 1.0, ERRORS)
+    estimate = RouteEstimate.on_road(place, along, 1.0, ERRORS)
     estimate.correct(place, along, np.zeros(2), JITTER_M)
     for _ in range(100):
         estimate.keep_on_road(place, along, np.zeros(2), 3.0)
@@ -79,17 +79,43 @@ def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
 
+def test_one_wrong_parallax_moves_the_estimate_by_little_and_many_that_agree_all_the_way() -> None:
+    along, here = np.array([0.0, 1.0]), np.zeros(2)
+    estimate = RouteEstimate(here, np.eye(2), ERRORS)
+    for _ in range(10):
+        estimate.correct_by_parallax(here, along, here, 0.5, across=True)
+    wrong = np.array([6.0, 0.0])
+    estimate.correct_by_parallax(wrong, along, here, 0.5, across=True)
+    assert 0.0 < estimate.position_m[0] < 0.5
+    for _ in range(100):
+        estimate.predict(np.array([0.0, 10.0]))
+        wrong += [0.0, 10.0]
+        estimate.correct_by_parallax(wrong, along, here, 0.5, across=True)
+    assert estimate.position_m[0] == pytest.approx(6.0, abs=1.0)
+
+
+def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -> None:
+    estimate = RouteEstimate(np.array([20.0, 0.0]), 30.0**2 * np.eye(2), ERRORS)
+    for _ in range(200):
+        estimate.predict(np.array([0.0, 5.0]))
+        estimate.bound(np.array([0.0, 5.0 * (_ + 1)]), 3.0)
+    assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(3.0, rel=0.01), "however often it is seen"
+    assert estimate.position_m == pytest.approx([0.0, 1000.0], abs=0.5)
+    assert np.sqrt(np.diag(estimate.covariance))[2:4] == pytest.approx([HEADING_RAD, SCALE])
+
+
 def test_another_drive_has_an_error_of_its_own() -> None:
     estimate, _ = drive(1)
     before = estimate.covariance[:2, :2].copy()
-    estimate.begin_drive(4.0)
+    estimate.begin_drive(MatchErrors(4.0, apart_m=3.0))
     assert np.allclose(estimate.covariance[:2, :2], before)
     assert estimate.mean[4] == estimate.mean[5] == 0.0
+    assert estimate.covariance[4, 4] == pytest.approx(4.0 + 9.0)
     assert estimate.covariance[5, 5] == pytest.approx(16.0)
     assert not estimate.covariance[4:, :4].any()
 
 
 def test_displacements_are_turned_clockwise_and_scaled() -> None:
-    estimate = RouteEstimate(np.zeros(2), np.array([0.0, 1.0]), 2.0, ERRORS)
+    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
     estimate.mean[2:4] = np.pi / 2, 0.1
     assert estimate.truly(np.array([0.0, 10.0])) == pytest.approx([11.0, 0.0])

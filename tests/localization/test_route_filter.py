@@ -6,18 +6,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
-from edge.config import RigConfig, SamplingConfig, TrackingConfig
+from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
+from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, PlaceFix
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from edge.sequence import PlaceMatch
+from edge.sequence import Parallax, PlaceMatch
 
 S = 1_000_000_000
 LENGTH, SPACING_M, FRAME_NS = 20, 2.0, S // 5
@@ -36,7 +38,8 @@ def map_set(tmp_path_factory: pytest.TempPathFactory) -> MapSet:
             b.begin_segment("drive", "rear")
             for row in range(200):
                 lat_deg = LAT_DEG + (drive_m + row * SPACING_M) * METRE_DEG
-                b.add(raw[row], Place(row, lat_deg, 153.0, 0.0, 0.0, route_m=row * SPACING_M))
+                known = row, lat_deg, 153.0, 0.0, 0.0, row * SPACING_M
+                b.add(raw[row], Place(*known, position_sigma_m=1.0, position_source="gps"))
         b.finish(normalize, "test")
     return MapSet.of(open_map(path))
 
@@ -46,10 +49,14 @@ def route(map_set: MapSet) -> Route:
     return Route(map_set)
 
 
+def settings(rig: RigConfig, **tracking: Any) -> Config:
+    return Config(rig=rig, tracking=TrackingConfig(**tracking), sequence=SequenceConfig(length=LENGTH))
+
+
 @pytest.fixture
 def open_filter(route: Route) -> Callable[..., RouteFilter]:
     def open_one(rig: RigConfig = RigConfig(), **tracking: Any) -> RouteFilter:  # noqa: B008  # frozen
-        return RouteFilter(route, TrackingConfig(**tracking), rig, LENGTH)
+        return RouteFilter(route, settings(rig, **tracking))
 
     return open_one
 
@@ -143,6 +150,72 @@ def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_filter: Cal
     assert (153.0 - fix.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "left of north is west"
 
 
+def beside_m(fix: PlaceFix | None) -> float:
+    """Meters to the left of the map's drive, for a vehicle that drives north."""
+    assert fix is not None and fix.lon_deg is not None
+    return (153.0 - fix.lon_deg) * 99_255
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
+    open_filter: Callable[..., RouteFilter], direction: str
+) -> None:
+    """The lane is 3.5 m to the left; this vehicle is 1.5 m further left, and each meter shows as 2.4 m of lag."""
+    lag = Parallax(lag_places=2.4 * 5.0 / SPACING_M, middle_places=0.0)
+    rig = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
+
+    def sees(place: int) -> PlaceMatch:
+        return match(place, direction, order="same", parallax=lag)
+
+    filters = {}
+    for name, one in (("measured", rig), ("not measured", msgspec.structs.replace(rig, parallax=0.0))):
+        drive = Drive(open_filter(one), 120 if direction == "reverse" else 40, direction)
+        drive.go(LENGTH, lambda _: None)
+        drive.go(40, sees)
+        filters[name] = drive.filter.at_exposure()
+    left = 1 if direction == "forward" else -1
+    assert left * beside_m(filters["measured"]) == pytest.approx(5.0, abs=0.3)
+    assert left * beside_m(filters["not measured"]) == pytest.approx(3.5, abs=0.01)
+    found, guessed = filters["measured"], filters["not measured"]
+    assert found is not None and guessed is not None
+    assert found.sigma_across_m < guessed.sigma_across_m
+
+
+def test_the_middle_of_both_regions_is_where_a_vehicle_is_along(open_filter: Callable[..., RouteFilter]) -> None:
+    """The line of both together is that of one of them, 4 m ahead."""
+    beyond = Parallax(lag_places=4.0, middle_places=-2.0)
+    drive = Drive(open_filter(), 40)
+    drive.go(LENGTH, lambda _: None)
+    drive.go(40, lambda place: match(place + 2, order="same", parallax=beyond))
+    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.3)
+
+
+def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    """This vehicle drives 2 m beside where the map expects it; only GPS has said so."""
+    rig = RigConfig(sigma_across_m=4.0)
+    with_gps, without = Drive(open_filter(rig), 40), Drive(open_filter(rig), 40)
+    for drive in (with_gps, without):
+        drive.go(LENGTH, lambda _: None)
+        lat_deg = LAT_DEG + drive.place * SPACING_M * METRE_DEG
+        if drive is with_gps:
+            own = VehiclePosition(drive.stamp_ns, lat_deg, 153.0 - 2.0 / 99_255, 0.0, 0.0, 10.0)
+            drive.filter.bind(own, 1.0)
+        drive.go(3)
+    assert beside_m(with_gps.filter.at_exposure()) == pytest.approx(2.0, abs=0.5)
+    assert beside_m(without.filter.at_exposure()) == pytest.approx(0.0, abs=0.01)
+
+
+def test_gps_that_disagrees_with_the_matches_begins_no_track(open_filter: Callable[..., RouteFilter]) -> None:
+    drive = Drive(open_filter(), 40)
+    drive.go(LENGTH, lambda _: None)
+    far = VehiclePosition(drive.stamp_ns, LAT_DEG + 200.0 * METRE_DEG, 153.0, 0.0, 0.0, 10.0)
+    drive.filter.bind(far, 1.0)
+    drive.go(3)
+    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
+
+
 @pytest.mark.parametrize(("direction", "heading_deg"), [("forward", 0.0), ("reverse", 180.0)])
 def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
     map_set: MapSet, direction: str, heading_deg: float
@@ -151,7 +224,7 @@ def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
     places["heading_deg"] = np.nan
     rig = RigConfig(left_forward_m=3.5, left_reverse_m=-3.5)
     route = Route(replace(map_set, places=places))
-    fix = warm(RouteFilter(route, TrackingConfig(), rig, LENGTH), 100, direction).filter.at_exposure()
+    fix = warm(RouteFilter(route, settings(rig)), 100, direction).filter.at_exposure()
     assert fix is not None
     assert fix.heading_deg == pytest.approx(heading_deg, abs=1e-3)
     assert (153.0 - fix.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "west, both ways"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.sequence.acceptance import REACH, end_between_places, places_nearly_as_good
+from edge.sequence.evidence import REACH, end_between_places, places_nearly_as_good
 from edge.sequence.search import NO_LINE
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from edge.reference_map import COST_ONE
 from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 
@@ -176,3 +178,65 @@ def test_slopes_of_the_paper() -> None:
     assert slopes[10] == pytest.approx(1.0)
     assert slopes[-1] == pytest.approx(1.508, abs=5e-4)
     assert len({math.floor(slope * 40 + 0.5) for slope in slopes_around_diagonal(0.2, 101)}) == 34
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    lengths=st.lists(st.integers(1, 25), min_size=1, max_size=3),
+    longer=st.integers(0, 12),
+    further=st.lists(st.integers(1, 12), max_size=2),
+    length=st.integers(2, 9),
+    slopes=st.integers(1, 7),
+    planes=st.lists(st.sampled_from(ALL_PLANES), min_size=1, max_size=4, unique=True),
+    frames=st.integers(1, 20),
+)
+def test_a_search_that_grows_is_one_that_always_had_all_places(
+    seed: int,
+    lengths: list[int],
+    longer: int,
+    further: list[int],
+    length: int,
+    slopes: int,
+    planes: list[Alignment],
+    frames: int,
+) -> None:
+    """To the bit, at once and with every frame after it, whether or not the ring was full."""
+    rng = np.random.default_rng(seed)
+    all_slopes = slopes_around_diagonal(0.3, slopes)
+    begin = list(itertools.pairwise(np.cumsum([0, *lengths]).tolist()))
+    segments = list(itertools.pairwise(np.cumsum([0, *lengths[:-1], lengths[-1] + longer, *further]).tolist()))
+    places = segments[-1][1]
+    whole = SequenceSearch(segments, planes, length, all_slopes, open_ends=True)
+    part = SequenceSearch(begin, planes, length, all_slopes, open_ends=True)
+    rows: list[NDArray[np.int32]] = []
+    for frame in range(frames + length):
+        row = rng.integers(0, 2**15 + 1, (2, places), dtype=np.int32)
+        rows = [*rows, row][-length:]
+        whole.push(row)
+        part.push(row if frame > frames else row[:, : sum(lengths)])
+        if frame == frames:
+            part = part.grown(segments, None, np.stack(rows)[:, :, sum(lengths) :])
+        if frame >= frames:
+            one, other = whole.lines(), part.lines()
+            assert (one is None) == (other is None)
+            if one is not None and other is not None:
+                np.testing.assert_array_equal(np.stack(one.by_plane), np.stack(other.by_plane))
+
+
+@pytest.mark.parametrize("overlap", [-1, 0, 3])
+def test_lines_on_a_closed_drive_are_those_on_one_that_was_driven_three_times(overlap: int) -> None:
+    rng, length, lap = np.random.default_rng(2), 9, 30
+    slopes = slopes_around_diagonal(0.2, 5)
+    places = lap + overlap
+    search = SequenceSearch([(0, places)], ALL_PLANES, length, slopes, open_ends=True, laps=[lap])
+    thrice = SequenceSearch([(0, 3 * lap)], ALL_PLANES, length, slopes, open_ends=True)
+    for _ in range(2 * length):
+        row = rng.integers(0, 2**15 + 1, (2, lap), dtype=np.int32)
+        repeated = np.tile(row, 3)
+        if overlap < 0:  # one place of the lap is in no map
+            repeated[:, lap - 1 :: lap] = COST_ONE
+        search.push(repeated[:, :places])
+        thrice.push(repeated)
+    of_one, of_three = searched_lines(search)[0], searched_lines(thrice)[0]
+    np.testing.assert_array_equal(of_one, of_three[lap : lap + places])

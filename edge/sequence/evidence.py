@@ -6,6 +6,9 @@ much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a pl
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,12 +30,17 @@ class Neighborhood:
         route_m: NDArray[np.float64],
         segment_of: NDArray[np.int32],
         config: AcceptanceConfig,
+        laps: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
-        """east_north_m (N, 2), route_m (N,) (NaN where unknown), segment_of (N,)."""
+        """east_north_m (N, 2), route_m (N,) (NaN where unknown), segment_of (N,).
+
+        laps: how many places a lap has, of those numbers in `segment_of` that are closed.
+        """
         self._east_m, self._north_m = np.ascontiguousarray(east_north_m.T)
         self._route_m = route_m
         self._segment_of = segment_of
         self._config = config
+        self._laps = laps
 
     def around(self, place: int) -> NDArray[np.bool_]:
         """Places (N,) within `window_m` of `place`, along its drive or as the crow flies.
@@ -49,7 +57,17 @@ class Neighborhood:
             around[max(segment.start, place - near) : min(segment.stop, place + near + 1)] = True
         else:
             around[segment] |= np.abs(self._route_m[segment] - self._route_m[place]) <= window_m
+        lap = self._laps.get(int(self._segment_of[place]))
+        if lap is not None:
+            self._mark_again(around[segment], self._route_m[segment], place - segment.start, lap)
         return around
+
+    def _mark_again(self, around: NDArray[np.bool_], route_m: NDArray[np.float64], place: int, lap: int) -> None:
+        """Mark the neighbors that a place of a closed drive (n,) has a lap before and after it."""
+        spacing_m = abs(float(route_m[-1] - route_m[0])) / max(1, len(route_m) - 1)
+        near = self._config.window_places if np.isnan(spacing_m) else round(self._config.window_m / spacing_m)
+        for image in (place - lap, place + lap):
+            around[max(0, image - near) : max(0, image + near + 1)] = True
 
     def segment(self, place: int) -> slice:
         """The places of the same drive."""
@@ -134,21 +152,6 @@ def lowest_around(row: NDArray[np.int32], place: int, length: int) -> int:
     return int(row[max(0, place - reach) : place + reach + 1].min())
 
 
-class HoldOff:
-    """Lets one event through, and the next after `hold_off_s`."""
-
-    def __init__(self, hold_off_s: float) -> None:
-        self._hold_off_ns = round(hold_off_s * 1e9)
-        self._last_ns: int | None = None
-
-    def passes(self, stamp_ns: int) -> bool:
-        """True if an event at this time is due; it then counts as sent."""
-        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._hold_off_ns:
-            return False
-        self._last_ns = stamp_ns
-        return True
-
-
 REACH = 5
 """Places to each side that the parabola goes through: over drives by night, 5 left 4.2 m of error where 1 left 4.8."""
 NEARLY = 0.2
@@ -195,3 +198,18 @@ def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) 
     after = worse[worse > place].min(initial=len(costs))
     before = worse[worse < place].max(initial=-1)
     return float(after - before - 1) / 2
+
+
+class HoldOff:
+    """When the next event may follow: it lets one through, and the next after `hold_off_s`."""
+
+    def __init__(self, hold_off_s: float) -> None:
+        self._hold_off_ns = round(hold_off_s * 1e9)
+        self._last_ns: int | None = None
+
+    def passes(self, stamp_ns: int) -> bool:
+        """True if an event at this time is due; it then counts as sent."""
+        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._hold_off_ns:
+            return False
+        self._last_ns = stamp_ns
+        return True

@@ -5,9 +5,10 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
-from edge.sequence.acceptance import HoldOff, Neighborhood, best_match
+from edge.sequence.evidence import HoldOff, Neighborhood, best_match
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 UNKNOWN = np.full(100, np.nan)
@@ -53,6 +54,16 @@ def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
     unknown = Neighborhood(np.full((100, 2), np.nan), route, segment_of, CONFIG)
     assert match(costs, known).uniqueness == pytest.approx(1.5)
     assert match(costs, unknown).uniqueness == pytest.approx(1.001)
+
+
+@pytest.mark.parametrize("route", [UNKNOWN, np.arange(100) * 3.0])
+def test_around_a_closed_lap_the_first_places_are_near_the_last(route: NDArray[np.float64]) -> None:
+    """The last ten places are the first ones again."""
+    segment_of = np.zeros(100, dtype=np.int32)
+    lap = Neighborhood(np.full((100, 2), np.nan), route, segment_of, CONFIG, {0: 90})
+    near = {1: [*range(5), *range(88, 95)], 60: range(57, 64), 97: [*range(4, 11), *range(94, 100)]}
+    for place, expected in near.items():
+        assert np.flatnonzero(lap.around(place)).tolist() == list(expected)
 
 
 def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
