@@ -41,6 +41,7 @@ soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults
 	$(BIN)/lookback sim fixes --course all --runs $(COURSE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
+	$(BIN)/lookback sim gps -o soak/gps
 
 check: lint test smoke
 

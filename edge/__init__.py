@@ -4,10 +4,12 @@ A frame goes through these stages in this order, and none calls back; each passe
 
     feed/           recorded traverses  read, written, sampled
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
-    descriptor/     -> (R, D) float32   fc6 of R regions, D = 4096, raw and normalized (NSD)
+    descriptor/     -> (R, D) float32   R regions, raw and normalized (NSD); fc6: D = 4096
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
+    mapping/        the drive becomes a map while it is driven, searched with the others
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
+    mission/        -> WayHome          a drive of the map reversed into a mission, on request
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd
@@ -16,17 +18,21 @@ A frame goes through these stages in this order, and none calls back; each passe
 
 The files beside them:
 
-    recognizer      one frame in, one match out: the file to read first
-    daemon          opens the parts that the config names, and runs the loop
-    config          the one TOML file
-    warm_start      what is kept from one run to the next
-    errors          everything that can go wrong, in three kinds
-    geodesy         degrees and local meters
-    toml_file       a TOML file as a typed record
-    atomic_file     a file that is replaced as a whole
-    backoff         delays that double while attempts fail
-    path_access     whether the paths of a config can be reached
-    extras          how to add the packages that only some users need
+    recognizer        one frame in, one match out: the file to read first
+    daemon            the loop that moves frames through the stages
+    opened_parts      what the loop needs, opened as the config names it
+    drive_mapper      which frames of which camera become places of this drive's map
+    config            the one TOML file
+    map_verification  which maps are used, and how far their positions are trusted
+    map_agreement     whether drives over one road agree about where it is
+    warm_start        what is kept from one run to the next
+    errors            everything that can go wrong, in three kinds
+    geodesy           degrees and local meters
+    toml_file         a TOML file as a typed record
+    atomic_file       a file that is replaced as a whole
+    backoff           delays that double while attempts fail
+    path_access       whether the paths of a config can be reached
+    extras            how to add the packages that only some users need
 
 The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.
 """

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 
 import edge
-from edge.commands import completion, doctor, map_build, record, replay, run
+from edge.commands import completion, doctor, home, map_build, record, replay, run
 from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
 from edge.extras import install_command
 
@@ -24,7 +24,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (run, record, map_build, replay, doctor):
+    for module in (run, record, map_build, replay, home, doctor):
         module.add_command(commands)
     completion.add_command(commands, parser)
     # By name: an installation from before the distribution was renamed may still be beside this one.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from edge.errors import ConfigError
 from edge.path_access import check_access
@@ -79,9 +79,10 @@ class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[descriptor]: how a frame becomes fc6, and how fc6 is normalized (eq. 1, sections III-B and III-D)."""
+    """[descriptor]: how a frame becomes a descriptor, and how that is normalized (eq. 1, sections III-B and III-D)."""
 
     model: str = ""
+    provider: str = "cpu"
     regions: Literal["left-right", "whole"] = "left-right"
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     normalization: Literal["online", "none"] = "online"
@@ -135,6 +136,7 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ahead_reverse_swapped_m: Ahead = 0.0
     left_forward_m: Left = 0.0
     left_reverse_m: Left = 0.0
+    parallax: Annotated[float, Meta(ge=0, le=20)] = 0.0
     sigma_forward_same_m: NotNegative = 0.0
     sigma_forward_swapped_m: NotNegative = 0.0
     sigma_reverse_same_m: NotNegative = 0.0
@@ -145,6 +147,10 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The offset of matches of that kind, in meters in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
+
+    def left_m(self, direction: Literal["forward", "reverse"]) -> float:
+        """Meters to the left of the map's drive, in the direction of travel."""
+        return self.left_reverse_m if direction == "reverse" else self.left_forward_m
 
     def sigma_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The standard deviation along the route that remains for matches of that kind, in meters."""
@@ -170,6 +176,9 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_move_m: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
     confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0
+    doubted_gps: Literal["tell", "switch", "send"] = "tell"
+    gps_false_call: Annotated[float, Meta(gt=0, le=0.1)] = 1e-3
+    gps_missed: Annotated[float, Meta(gt=0, le=0.5)] = 0.01
 
 
 class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -210,11 +219,42 @@ class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
     hosts: tuple[str, ...] = ()
 
 
+class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[mapping]: the drive becomes a map while it is driven.
+
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
+    """
+
+    folder: str = ""
+    max_sigma_m: Positive = 5.0
+    without_gps: Literal["stop", "continue"] = "stop"
+    behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
+    resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
+    quota_mb: Positive = 20_000.0
+    min_free_mb: NotNegative = 500.0
+    camera: CameraConfig | UnsetType = UNSET
+
+
 class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[recording]: the frames that `lookback run` uses, written as one feed per run."""
 
     folder: str = ""
     min_free_mb: NotNegative = 500.0
+
+
+class HomeConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[home]: the way home, as a mission for the autopilot; off by default."""
+
+    enabled: bool = False
+    socket: str = ""
+    turning_radius_m: Annotated[float, Meta(ge=0, le=1000)] = 6.0
+    tolerance_m: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
+    speed_mps: Annotated[float, Meta(ge=0, le=50)] = 0.0
+    altitude_m: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    max_start_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
+    max_gap_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
+    max_sigma_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
+    max_length_m: Annotated[float, Meta(gt=0, le=100_000)] = 20_000.0
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
@@ -232,6 +272,14 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     telemetry: TelemetryConfig = TelemetryConfig()
     page: PageConfig = PageConfig()
     recording: RecordingConfig = RecordingConfig()
+    mapping: MappingConfig = MappingConfig()
+    home: HomeConfig = HomeConfig()
+
+    def __post_init__(self) -> None:
+        if self.mapping.folder and self.sampling.by != "distance":
+            raise ValueError('[mapping] folder: mapping needs [sampling] by = "distance"')
+        if self.mapping.camera is not UNSET and not self.mapping.folder:
+            raise ValueError("[mapping] folder: is empty; name the folder of maps, or remove [mapping.camera]")
 
 
 def load_config(path: Path) -> Config:
@@ -294,11 +342,20 @@ def change_paths(config: Config, change: Callable[[str, str], str]) -> Config:
 
     telemetry = changed(config.telemetry, "telemetry", "journal", "signing_key", "signing_clock")
     links = tuple(changed(link, "telemetry.links", "signing_key") for link in telemetry.links)
+
+    def changed_camera(camera: CameraConfig, name: str) -> CameraConfig:
+        return changed(camera, name, "mask", *(["device"] if camera.kind in ("feed", "sim") else []))
+
+    mapping = changed(config.mapping, "mapping", "folder")
+    if mapping.camera is not UNSET:
+        mapping = msgspec.structs.replace(mapping, camera=changed_camera(mapping.camera, "mapping.camera"))
     return msgspec.structs.replace(
         config,
-        camera=changed(config.camera, "camera", "mask", *(["device"] if config.camera.kind in ("feed", "sim") else [])),
+        camera=changed_camera(config.camera, "camera"),
+        mapping=mapping,
         descriptor=changed(config.descriptor, "descriptor", "model"),
         map=changed(config.map, "map", "path", "require_signature_by"),
         telemetry=msgspec.structs.replace(telemetry, links=links),
         recording=changed(config.recording, "recording", "folder"),
+        home=changed(config.home, "home", "socket"),
     )

@@ -1,67 +1,38 @@
-"""The daemon: opens the parts that the config names, and moves frames through them until it is stopped.
+"""The daemon: moves frames through the parts that the config names (`opened_parts`) until it is stopped.
 
-camera -> usable, at a new place? -> recognizer -> localization -> event -> journal, people, live page
-                                                                -> position -> autopilot
+camera -> usable, at a new place? -> recognizer -> localizer -> event -> journal, people, live page
+                                                             -> position -> autopilot
 
 Read `Daemon.turn` first: each step of it is one of the methods below, in the same order.
 """
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Protocol
 
-from edge.camera import CameraHealth, Frame
-from edge.camera.frozen_picture import FrozenPictureDetector, PictureFault
-from edge.camera.newest import NewestFrame
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera import Frame, Frames
+from edge.camera.frozen_picture import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
-from edge.feed.recorder import Recorder, run_folder
 from edge.feed.sampling import Sampler
-from edge.geodesy import VehiclePosition
-from edge.health.monitor import HealthMonitor, Links
 from edge.health.service import Supervision, notify
-from edge.health.stage_times import StageTimes
-from edge.journal.journal import Journal
-from edge.journal.records import FrameUsed, MapExcluded, Record, Stopped
-from edge.localization.place_fix import frame_used, untracked_fix
-from edge.localization.route_filter import RouteFilter
-from edge.page import LiveStatus, Sources, map_view, open_page
-from edge.recognizer import open_recognizer
-from edge.reference_map import ExcludedMap, MapSet, Route
+from edge.journal.records import Stopped
+from edge.localization.dead_reckoning import TurnAround
+from edge.localization.localizer import Localizer
+from edge.opened_parts import OpenedParts
+from edge.page import map_view
 from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
-from edge.telemetry.autopilot import AutopilotConnection
-from edge.warm_start import WarmStart
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
-CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
-CHECK_BYTES = 8 << 20  # of the map, a few milliseconds, in a turn without a frame
 SURE_SIGMAS = 3.0
-log = logging.getLogger(__name__)
-
-
-class Frames(Protocol):
-    """Where the frames come from: `NewestFrame`, or the trial's, whose time is simulated."""
-
-    @property
-    def health(self) -> CameraHealth:
-        """State and counts."""
-
-    @property
-    def ended(self) -> bool:
-        """Whether there is no frame any more."""
-
-    def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame that was not taken yet; waits for one up to `timeout_s`."""
-
-    def close(self) -> None:
-        """Release the camera."""
 
 
 class Daemon:
@@ -74,92 +45,42 @@ class Daemon:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         *,
         frames: Frames | None = None,
+        mapping_frames: Frames | None = None,
         network: Network | None = None,
     ) -> None:
         """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order.
 
-        frames, network: instead of those that the config names.
+        frames, mapping_frames, network: instead of those that the config names.
         """
-        self._config, self._clock_ns = config, clock_ns
-        self._times = StageTimes()
-        self._journal: Journal | None = None
-        self._newest: PlaceMatch | None = None  # that was accepted
-        self._record: Callable[[Record], object] = lambda record: None
-        if config.telemetry.journal:
-            journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
-            self._journal = parts.enter_context(closing(journal))
-            self._record = self._journal.write
-        link = AutopilotConnection(config.telemetry, clock_ns, self._record, config.gates)
-        self._autopilot = parts.enter_context(closing(link))
-        # Before all others, so that it publishes which of them cannot be opened.
-        links = Links(link.set_system_status, link.status_text, link.say_now)
-        self.monitor = HealthMonitor(links, self._journal, clock_ns)
-        with self.monitor.failures():
-            self._open_recognizer(network)
-            self._open_camera(parts, frames)
-            self._open_page(parts)
+        opened = OpenedParts(config, parts, clock_ns, frames=frames, mapping_frames=mapping_frames, network=network)
+        self._config, self._clock_ns, self._times, self._record = config, clock_ns, opened.times, opened.record
+        self._autopilot, self._home_socket, self.monitor = opened.autopilot, opened.home_socket, opened.monitor
+        self._camera, self._device, self._recording = opened.camera, opened.device, opened.recording
+        self._recognizer, self._verification = opened.recognizer, opened.verification
+        self._mapper, self._warm_start = opened.mapper, opened.warm_start
+        self._live_status, self._page = opened.live_status, opened.page
+        self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
+        self._sampler = Sampler(config.sampling)
+        self._localizer = Localizer(self._verification.as_uncertain(self._recognizer.map_set), config)
+        self._supervision = Supervision()
+        self._turn_around = TurnAround()
         self._frames_used = self._events = self._distance_gaps = 0
         self._frame_s = 0.0  # what the last one took
-        self._supervision = Supervision()
-
-    def _open_recognizer(self, network: Network | None) -> None:
-        config = self._config
-        self._recognizer = open_recognizer(config, network=network, stopwatch=self._times.lap)
-        maps = self._recognizer.map_set
-        for excluded in maps.excluded:
-            self._publish_excluded(excluded)
-        self._checksums = maps.checksum_schedule()
-        self._warm_start = WarmStart(config, self._recognizer)
-        self._sampler = Sampler(config.sampling)
-        self._follow(maps)
-
-    def _follow(self, maps: MapSet) -> None:
-        """Follow the vehicle along the drives of these maps from now on."""
-        config = self._config
-        self._route = Route(maps)
-        self._filter = RouteFilter(self._route, config.tracking, config.rig, config.sequence.length)
-        self._newest = None
-
-    def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
-        config = self._config
-        self._device: NewestFrame | None = None
-        if frames is None:
-            frames = self._device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
-        self._camera: Frames = parts.enter_context(closing(frames))
-        self._frozen_pictures = FrozenPictureDetector()
-        self._picture_fault: PictureFault | None = None
-        self._recorder: Recorder | None = None
-        if config.recording.folder:
-            folder = Path(config.recording.folder)
-            recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
-            self._recorder = parts.enter_context(closing(recorder))
-
-    def _open_page(self, parts: ExitStack) -> None:
-        config, maps = self._config, self._recognizer.map_set
-        sources = Sources(
-            map_name=lambda: f"{Path(config.map.path).name}, {self._recognizer.map_set}",
-            costs=self._recognizer.cost_view,
-            camera=lambda: self._camera.health,
-            link=self._autopilot.status,
-            stages_ms=self._times.medians_ms,
-            journal_lost=lambda: self._journal.lost if self._journal else 0,
-            clock_ns=self._clock_ns,
-        )
-        self._live_status = LiveStatus(self._recognizer.model_name, config.acceptance.confidence_min, sources)
-        self._page = open_page(config.page, map_view(maps))
-        if self._page is not None:
-            parts.enter_context(closing(self._page))
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         self._autopilot.poll()
+        if self._home_socket is not None and self._home_socket.requested():
+            self._autopilot.request_home(self._home_socket.reply)
         frame = self._camera.take(TURN_S)
-        if frame is not None and self._is_usable(frame):
-            distance_m = self._autopilot.distance_m(frame.stamp_ns)
-            if self._sampler.is_place(frame.stamp_ns, distance_m):
-                self._process_frame(frame, distance_m)
-        elif not self._checksums.is_done:
-            self._check_maps(self._recognizer.matcher.search.folders_in_use)
+        is_usable = frame is not None and self._is_usable(frame)
+        if not (frame is not None and is_usable and self._process_if_place(frame)):
+            if self._mapper is not None:
+                self._mapper.map_next(self._describe)
+            if not (is_usable or self._verification.is_done):
+                self._check_maps(self._recognizer.matcher.search.folders_in_use)
+        if self._recording is not None:
+            self._recording.record()
         if self._update_health():
             self._reset()
         self._publish_position()
@@ -168,40 +89,48 @@ class Daemon:
         return not self._camera.ended
 
     def _is_usable(self, frame: Frame) -> bool:
-        """Whether a frame may be used; a camera that gives frozen pictures is opened again where that may help."""
-        speed_mps = self._autopilot.speed_mps()
-        moves = None if speed_mps is None else speed_mps >= self._config.gates.min_speed_mps
-        fault = self._picture_fault = self._frozen_pictures.check(frame.image, frame.stamp_ns, moves)
-        if fault and fault.reopen and self._device is not None:
-            self._device.reopen(fault.what)
-        return fault is None and not (self._device and self.monitor.is_first_after_gap(self._device.health))
+        """Whether a frame may be used: its picture shows something, and it is not the first after a gap."""
+        is_usable = self._pictures.is_usable(frame, self._autopilot.speed_mps())
+        return is_usable and not (self._device and self.monitor.is_first_after_gap(self._device.health))
+
+    def _process_if_place(self, frame: Frame) -> bool:
+        """Process a frame that shows a new place, by [sampling]; False if it does not."""
+        distance_m = self._autopilot.distance_m(frame.stamp_ns)
+        is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
+        if is_place:
+            self._process_frame(frame, distance_m)
+        return is_place
 
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
         began_ns, missed = self._clock_ns(), self._sampler.missed
-        if self._distance_gaps != self._autopilot.distance_gaps:
-            self._distance_gaps = self._autopilot.distance_gaps
-            self._recognizer.restart_odometer()
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
-        if match is not None and match.accepted and not self._is_verified(match):
-            match = None
-        self._filter.update(match, frame.stamp_ns, self._autopilot.displacement(frame.stamp_ns), missed)
-        used = frame_used(frame.index, frame.stamp_ns, match, self._route, self._config.rig, missed)
-        position = self._autopilot.position()
-        self._publish_frame(frame, match, used, position)
-        if self._recorder is not None:
-            self._recorder.record(frame, position, distance_m)
-        if match is not None and match.accepted:
-            self._newest = match
-            if match.event:
-                self._publish_place(match, frame.stamp_ns)
+        match = self._recognize(frame, distance_m, missed)
+        displacement = self._autopilot.displacement(frame.stamp_ns)
+        self._localizer.update(match, frame.stamp_ns, displacement, missed)
+        if self._turn_around.add(displacement):
+            self._recognizer.matcher.restart_statistics()
+        self._map_frame(frame, distance_m, missed)
+        self._use_gps(match, frame.stamp_ns, missed)
+        self._publish_frame(frame, match, missed)
+        if self._recording is not None:
+            self._recording.add(frame, distance_m)
         self._times.lap("telemetry")
         self._frames_used += 1
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
-        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._newest)
+        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._localizer.newest)
+
+    def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
+        """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
+        if self._distance_gaps != self._autopilot.distance_gaps:
+            self._distance_gaps = self._autopilot.distance_gaps
+            self._recognizer.restart_odometer()
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
+        if self._recognizer.was_carried:
+            self._localizer.reset()
+        return None if match is not None and match.accepted and not self._is_verified(match) else match
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
@@ -215,7 +144,7 @@ class Daemon:
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
         behind = self._recognizer.map_set.folders_behind(match.place_index, self._config.sequence.length)
-        while not self._checksums.is_verified(behind):
+        while not self._verification.is_verified(behind):
             if not self._check_maps(behind):
                 return False
             self._feed_watchdog()
@@ -223,41 +152,62 @@ class Daemon:
 
     def _check_maps(self, first: Sequence[Path]) -> bool:
         """Check a further piece of the maps, some of them first; False if one is damaged, and excluded from now on."""
-        damage = self._checksums.step(CHECK_BYTES, first)
-        if damage is None:
+        maps = self._verification.check_next(self._recognizer.map_set, first)
+        if maps is None:
             return True
-        maps = self._recognizer.map_set.without({damage.path: damage.why})
-        self._publish_excluded(maps.excluded[-1])
         self._recognizer.use_maps(maps)
-        self._follow(maps)
-        if self._page is not None:
-            self._page.show_map(map_view(maps))
+        self._localizer = Localizer(self._verification.as_uncertain(maps), self._config)
+        self._show_maps()
         return False
 
-    def _publish_frame(
-        self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, position: VehiclePosition | None
-    ) -> None:
-        """To the live page, and to the journal where it is to have every frame."""
+    def _map_frame(self, frame: Frame, distance_m: float | None, missed: int) -> None:
+        """Map a frame that was recognized, and search what of this drive's map lies far enough behind by now."""
+        raw = self._recognizer.raw_of(frame.stamp_ns)
+        if self._mapper is None or raw is None:
+            return
+        newest = self._mapper.map_recognized(frame, raw, distance_m, missed)
+        if newest is not None:
+            maps = self._recognizer.map_set.with_newest(newest)
+            self._recognizer.grow_maps(maps)
+            self._localizer.grow(self._verification.as_uncertain(maps))
+            self._show_maps()
+        self._times.lap("mapping")
+
+    def _describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Describe a frame of the camera that maps, timed as the others are."""
+        self._times.start()
+        return self._recognizer.describe(image)
+
+    def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, missed: int) -> None:
+        """Judge GPS by the place of a frame, and let GPS bound the position."""
+        if self._recognizer.state != "standing":
+            is_believed = match is not None and match.accepted
+            gps = self._autopilot.gps_fix(stamp_ns) if is_believed else None
+            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, missed))
+        position, gps_sigma_m = self._autopilot.position(), self._autopilot.gps_sigma_m
+        if position is not None and gps_sigma_m is not None:
+            self._localizer.bind(position, gps_sigma_m)
+
+    def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:
+        """To the live page, to the journal where it is to have every frame, and an event to people."""
+        used = self._localizer.frame_used(frame.index, frame.stamp_ns, match, missed)
+        position = self._autopilot.position()
         self._live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
         if self._config.telemetry.journal_frames:
             self._record(used)
-
-    def _publish_place(self, match: PlaceMatch, stamp_ns: int) -> None:
-        """An event, to people and the journal: with the tracked position, or with the place's own."""
-        fix = self._filter.at_exposure()
-        if fix is None or fix.stamp_ns != stamp_ns:
-            fix = untracked_fix(match, stamp_ns, self._route, self._config.rig)
-        self._events += 1
-        self._record(fix)
-        self._autopilot.publish_place(fix)
-
-    def _publish_excluded(self, excluded: ExcludedMap) -> None:
-        excluded.log()
-        self._record(MapExcluded(excluded.name, excluded.why))
+        if match is None or not match.accepted:
+            return
+        if self._mapper is not None:
+            self._mapper.count(match)
+        if match.event:
+            fix = self._localizer.place_fix(match, frame.stamp_ns)
+            self._events += 1
+            self._record(fix)
+            self._autopilot.publish_place(fix)
 
     def _update_health(self) -> bool:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""
-        fault = self._picture_fault
+        fault = self._pictures.fault
         return self.monitor.update(
             self._recognizer.state,
             self._frames_used,
@@ -266,13 +216,13 @@ class Daemon:
             link=(self._autopilot.state, self._autopilot.why_closed),
             picture_fault=fault.what if fault and fault.sure else "",
             hang=self._device.hang(self._clock_ns()) if self._device else "",
+            gps=self._autopilot.gps_fault,
         )
 
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
         self._recognizer.reset()
-        self._filter.reset()
-        self._newest = None
+        self._localizer.reset()
 
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
@@ -280,15 +230,19 @@ class Daemon:
             self._autopilot.withdraw_position()
             return
         time_base = self._autopilot.position_due()
-        if time_base is None or self._newest is None or self._picture_fault is not None:
+        if time_base is None or self._pictures.fault is not None:
             return
         if time_base == "exposure":
-            fix = self._filter.at_exposure()
+            fix = self._localizer.position_at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._filter.at(now_ns, self._autopilot.displacement(now_ns))
+            fix = self._localizer.position(now_ns, self._autopilot.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
+
+    def _show_maps(self) -> None:
+        if self._page is not None:
+            self._page.show_map(map_view(self._recognizer.map_set))
 
     def _update_page(self) -> None:
         if self._page is not None and self._page.wanted:
@@ -302,11 +256,15 @@ class Daemon:
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
         self._autopilot.restore_sources()
+        if self._mapper is not None:
+            self._mapper.add_placed(all_of_them=True)
+        if self._recording is not None:
+            self._recording.record(all_of_them=True)
         health = self._camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
-        self._warm_start.keep(self.monitor.health.state, self._newest)
+        self._warm_start.keep(self.monitor.health.state, self._localizer.newest)
         return stopped
 
 

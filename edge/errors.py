@@ -34,7 +34,7 @@ class MapError(SetupError):
 
 
 class ModelError(SetupError):
-    """A network file is missing, damaged, or not an fc6 model."""
+    """A network file is missing, damaged, or not one that Lookback can use."""
 
 
 class FeedError(SetupError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import pymap3d
@@ -12,12 +13,21 @@ from numpy.typing import NDArray
 Origin = tuple[float, float]
 """Latitude and longitude in degrees that local meters are counted from."""
 
+PositionSource = Literal[
+    "unknown", "gps", "dgps", "rtk_float", "rtk_fixed", "estimate", "dead_reckoning", "place_fixes", "survey", "ppp"
+]
+"""What a position rests on: a receiver, by its kind of fix; an autopilot's estimate with GPS in use, whose kind of fix
+is not known; an estimate without GPS; an estimate that rests on positions from Lookback; a better measurement."""
+POSITION_SOURCES: tuple[PositionSource, ...] = get_args(PositionSource)
+WORST_FIRST: tuple[PositionSource, ...] = ("place_fixes", "dead_reckoning", "unknown")
+
 
 @dataclass(frozen=True)
 class VehiclePosition:
     """Where an autopilot estimates its vehicle to be.
 
-    stamp_ns: CLOCK_MONOTONIC. Degrees (WGS 84), meters above mean sea level, heading clockwise from north.
+    stamp_ns: CLOCK_MONOTONIC. Degrees (WGS 84), meters above mean sea level, heading clockwise from north. sigma_m: one
+    standard deviation of the distance from the truth, None where not known.
     """
 
     stamp_ns: int
@@ -28,6 +38,13 @@ class VehiclePosition:
     speed_mps: float
     north_mps: float = 0.0
     east_mps: float = 0.0
+    sigma_m: float | None = None
+    source: PositionSource = "unknown"
+
+
+def worse_source(before: PositionSource, after: PositionSource) -> PositionSource:
+    """What a position between two others rests on."""
+    return next((source for source in WORST_FIRST if source in (before, after)), after)
 
 
 def first_known(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> Origin | None:

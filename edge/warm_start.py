@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.atomic_file import replacing
 from edge.config import Config
-from edge.descriptor.normalize import RunningStatistics
+from edge.descriptor import RunningStatistics
 from edge.recognizer import PlaceRecognizer
 from edge.sequence import PlaceMatch
 

@@ -6,7 +6,7 @@ import fcntl
 import os
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,11 @@ from numpy.typing import NDArray
 from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
+from edge.descriptor.normalize import normalize
 from edge.feed import FeedHeader, FeedWriter, read_feed
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import ModelKey, RegionsKey
+from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.model_tools.onnx_graph import MEAN_RGB, PAD_LEVEL, STD_RGB, alexnet_info
 from sim.model_tools.weights import Weights
@@ -164,6 +168,37 @@ def make_street(
         feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms))
         build_map([feed], folder / "map", DescriptorConfig(), sampling or SamplingConfig(), network=network)
         return folder
+
+    return make
+
+
+@pytest.fixture
+def map_along(tmp_path: Path) -> Callable[..., Path]:
+    """Makes a map of one or more drives along points, in meters east and north of the simulation's origin."""
+
+    def make(
+        *drives: NDArray[np.float64],
+        driven_m: Sequence[NDArray[np.float64]] | None = None,
+        name: str = "map",
+        lon_shift_deg: float = 0.0,
+        source: str = "drive_{}",
+        sigma_m: Callable[[int], float] = lambda row: 1.5,
+    ) -> Path:
+        path, rng = tmp_path / name, np.random.default_rng(1)
+        model, regions = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")
+        with MapBuilder(path, model, regions, SamplingConfig()) as new:
+            for number, points_m in enumerate(drives):
+                new.begin_segment(source.format(number), "rear")
+                legs_m = np.hypot(*np.diff(points_m, axis=0).T)
+                along_m = np.r_[0.0, np.cumsum(legs_m)] if driven_m is None else driven_m[number]
+                for row, (point_m, route_m) in enumerate(zip(points_m, along_m, strict=True)):
+                    lat_deg, lon_deg = (
+                        geodetic(*point_m, lon_shift_deg) if np.isfinite(point_m).all() else (np.nan, np.nan)
+                    )
+                    place = Place(row, lat_deg, lon_deg, route_m=float(route_m), position_sigma_m=sigma_m(row))
+                    new.add(rng.random((1, 4), dtype=np.float32), place)
+            new.finish(normalize, "test")
+        return path
 
     return make
 

@@ -42,6 +42,12 @@ def test_every_line_of_the_default_is_explained() -> None:
         ("[acceptance]\nuniqueness_min = 0.5", "[acceptance] uniqueness_min: expected `float` >= 1"),
         ("sequence = 3", "[sequence] expected `object`, got `int`"),
         ("[camera\n", "not TOML"),
+        (
+            "[mapping]\nfolder = 'm'\n[sampling]\nby = 'time'",
+            '[mapping] folder: mapping needs [sampling] by = "distance"',
+        ),
+        ("[mapping.camera]\nview = 'rear'", "[mapping] folder: is empty; name the folder of maps"),
+        ("[mapping]\nfolder = 'm'\n[mapping.camera]\nfps = 0", "[mapping] camera.fps: expected `float` > 0"),
         ("[camera]\nfps = 1\nfps = 2", "not TOML"),
     ],
 )

@@ -18,7 +18,7 @@ from edge.config import SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.journal.journal import records_of
-from edge.journal.records import PlaceFix, StateChanged
+from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
@@ -91,6 +91,25 @@ def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory:
         split_map(open_map(path), path.with_name("tiles"), 64)
         return path.with_name("tiles")
     return path
+
+
+def test_drives_that_disagree_are_published_at_the_start(street: Path, network: Network, tmp_path: Path) -> None:
+    road = np.random.default_rng(0).random((100, 2, 4096), dtype=np.float32)
+    with MapBuilder(
+        tmp_path / "map", model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
+    ) as builder:
+        for east_deg in (0.0, 40 / 98_800):
+            builder.begin_segment("drive", "rear")
+            for row, raw in enumerate(road):
+                at_deg = ORIGIN_LAT_DEG + 2 * row / 110_800, ORIGIN_LON_DEG + east_deg
+                builder.add(raw, Place(row, *at_deg, route_m=2.0 * row))
+        builder.finish(normalize, "test")
+    process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 0, said
+    (found,) = records_of(tmp_path / "events.jsonl", DrivesDisagree)
+    assert found.apart_m == pytest.approx(40.0, abs=0.5)
+    assert f"{found.where}; their positions count as that uncertain" in said
 
 
 @pytest.mark.parametrize("gps", [True, False])

@@ -9,7 +9,19 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-STAGES = ("feed", "camera", "descriptor", "reference_map", "sequence", "localization", "telemetry", "health", "page")
+STAGES = (
+    "feed",
+    "camera",
+    "descriptor",
+    "reference_map",
+    "mapping",
+    "sequence",
+    "localization",
+    "mission",
+    "telemetry",
+    "health",
+    "page",
+)
 """In the order of the data path: a stage may import itself, and the front door (`edge.STAGE`) of an earlier one.
 
 Feeds come first, since one of the cameras plays a feed.

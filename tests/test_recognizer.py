@@ -161,6 +161,22 @@ def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was
     assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, distance_m=40.0) is None
 
 
+@pytest.mark.parametrize(("shown", "is_carried"), [(26, False), (48, True)])
+def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], shown: int, is_carried: bool
+) -> None:
+    """After a halt of 10 s it shows the next place, or one that is 44 m further."""
+    recognizer = recognizer_of(network, street_map)
+    for index in range(26):
+        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+    later_ns = 25 * FRAME_NS + 10_000_000_000
+    match = recognizer.observe(frames[shown], later_ns, distance_m=52.0)
+    assert recognizer.was_carried == is_carried
+    assert (match is None) == is_carried, "no line has frames of both sides"
+    recognizer.observe(frames[shown + 1], later_ns + FRAME_NS, distance_m=54.0)
+    assert not recognizer.was_carried
+
+
 def test_places_passed_unseen_leave_room_in_the_line(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:

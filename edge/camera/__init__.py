@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 
-from edge.camera.frame import Camera, CameraHealth
+from edge.camera.frame import Camera, CameraHealth, Frames
 from edge.camera.preprocessing import PreprocessedCamera, Preprocessor
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import Frame
 
-__all__ = ["Camera", "CameraHealth", "Frame", "open_camera"]
+__all__ = ["Camera", "CameraHealth", "Frame", "Frames", "open_camera"]
 
 
 def open_camera(config: CameraConfig) -> Camera:

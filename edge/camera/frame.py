@@ -50,3 +50,21 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Release the device; more than once is harmless."""
+
+
+class Frames(Protocol):
+    """Where the frames come from: `NewestFrame`, or the trial's, whose time is simulated."""
+
+    @property
+    def health(self) -> CameraHealth:
+        """State and counts."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no frame any more."""
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The newest frame that was not taken yet; waits for one up to `timeout_s`."""
+
+    def close(self) -> None:
+        """Release the camera."""

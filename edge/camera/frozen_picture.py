@@ -1,6 +1,6 @@
 """Detects unusable images: blank (lens covered, no exposure) and frozen (the same image again and again).
 
-Cameras fail this way silently: frames keep coming, with valid timestamps.
+Cameras fail this way silently: frames keep coming, with valid timestamps. One whose images are frozen is opened again.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.backoff import BackOff
+from edge.camera.newest import NewestFrame
+from edge.feed import Frame
 
 BLANK_DEVIATION = 2.0
 """Standard deviation in gray levels, of the channel with the largest. The minimum in the recorded feeds is 56."""
@@ -78,3 +80,22 @@ class FrozenPictureDetector:
             return False
         self._reopening.failed(stamp_ns)
         return True
+
+
+class PictureCheck:
+    """Checks the frames of a camera, and opens it again where that may help."""
+
+    def __init__(self, device: NewestFrame | None, min_speed_mps: float) -> None:
+        """device: None for a camera that cannot be opened again. min_speed_mps: a slower vehicle stands."""
+        self._device, self._min_speed_mps = device, min_speed_mps
+        self._detector = FrozenPictureDetector()
+        self.fault: PictureFault | None = None
+        """Of the newest frame."""
+
+    def is_usable(self, frame: Frame, speed_mps: float | None) -> bool:
+        """Whether a frame may be used; speed_mps: of the vehicle, None if unknown."""
+        moves = None if speed_mps is None else speed_mps >= self._min_speed_mps
+        fault = self.fault = self._detector.check(frame.image, frame.stamp_ns, moves)
+        if fault and fault.reopen and self._device is not None:
+            self._device.reopen(fault.what)
+        return fault is None

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from edge.errors import FeedError
+from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.toml_file import read_toml
 
 View = Literal["front", "rear"]
@@ -42,12 +43,16 @@ def read_header(file: Path) -> FeedHeader:
     return header
 
 
-MEASURES = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "speed_mps", "distance_m")
+MEASURES = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "speed_mps", "distance_m", "position_sigma_m")
+SOURCE = "position_source"
 
 
 @dataclass(frozen=True)
 class FeedRow:
-    """One row of `frames.csv`; what is not known is None. `extra` has the further columns as text."""
+    """One row of `frames.csv`; what is not known is None. `extra` has the further columns as text.
+
+    The position is that at `stamp_ns`; position_sigma_m: one standard deviation of its distance from the truth.
+    """
 
     file: str
     stamp_ns: int
@@ -57,6 +62,8 @@ class FeedRow:
     heading_deg: float | None = None
     speed_mps: float | None = None
     distance_m: float | None = None
+    position_sigma_m: float | None = None
+    position_source: PositionSource = "unknown"
     extra: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -116,9 +123,14 @@ def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:
         raise FeedError(f"{where}: file is empty")
     if not stays_inside(texts["file"]):
         raise FeedError(f"{where}: file: {texts['file']!r} is outside the feed's folder")
-    extra = {key: text for key, text in texts.items() if key not in {"file", "stamp_ns", *MEASURES}}
+    extra = {key: text for key, text in texts.items() if key not in {"file", "stamp_ns", *MEASURES, SOURCE}}
     measures = {column: _parse_measure(where, column, texts.get(column)) for column in MEASURES}
-    return FeedRow(texts["file"], _parse_stamp(where, texts["stamp_ns"]), **measures, extra=extra)
+    if measures["position_sigma_m"] is not None and measures["position_sigma_m"] <= 0:
+        raise FeedError(f"{where}: position_sigma_m: {measures['position_sigma_m']:g} is not above 0")
+    source = _parse_source(where, texts.get(SOURCE))
+    return FeedRow(
+        texts["file"], _parse_stamp(where, texts["stamp_ns"]), **measures, position_source=source, extra=extra
+    )
 
 
 def _parse_stamp(where: str, text: str) -> int:
@@ -126,6 +138,13 @@ def _parse_stamp(where: str, text: str) -> int:
         return int(text)
     except ValueError:
         raise FeedError(f"{where}: stamp_ns: {text!r} is not a whole number") from None
+
+
+def _parse_source(where: str, text: str | None) -> PositionSource:
+    for source in POSITION_SOURCES:
+        if source == (text or "unknown"):
+            return source
+    raise FeedError(f"{where}: {SOURCE}: {text!r} is none of {', '.join(POSITION_SOURCES)}")
 
 
 def _parse_measure(where: str, column: str, text: str | None) -> float | None:

@@ -13,10 +13,12 @@ import shutil
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Protocol
 
 from edge.config import CameraConfig
 from edge.errors import FeedError
@@ -41,6 +43,34 @@ def free_bytes_at(path: Path) -> int:
     """Free bytes of the disk that `path` is on, or will be once it is made."""
     existing = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
     return shutil.disk_usage(existing).free
+
+
+class Positions(Protocol):
+    """Where the vehicle was at an exposure: `AutopilotConnection`."""
+
+    def position_at(self, stamp_ns: int) -> VehiclePosition | None:
+        """Its position at that moment, None where it is not known."""
+
+    def awaits_position(self, stamp_ns: int) -> bool:
+        """Whether the position after that moment has not come yet, and still may."""
+
+
+class FramesAwaitingPosition:
+    """Frames until the position after their exposure is known, since a position is interpolated; then recorded."""
+
+    def __init__(self, recorder: Recorder, positions: Positions) -> None:
+        self._recorder, self._positions = recorder, positions
+        self._frames: deque[tuple[Frame, float | None]] = deque()
+
+    def add(self, frame: Frame, distance_m: float | None) -> None:
+        """A frame that is to be recorded, and how far the vehicle had driven."""
+        self._frames.append((frame, distance_m))
+
+    def record(self, *, all_of_them: bool = False) -> None:
+        """Record what is ready, or all at the end."""
+        while self._frames and (all_of_them or not self._positions.awaits_position(self._frames[0][0].stamp_ns)):
+            frame, distance_m = self._frames.popleft()
+            self._recorder.record(frame, self._positions.position_at(frame.stamp_ns), distance_m)
 
 
 class Recorder:
@@ -74,7 +104,7 @@ class Recorder:
         self._thread.start()
 
     def record(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
-        """Hand a frame over, with what the autopilot reports of that moment; never waits and never raises."""
+        """Hand a frame over, with what the autopilot reports of its exposure; never waits and never raises."""
         if self.stopped:
             return
         try:
@@ -120,6 +150,8 @@ class Recorder:
             heading_deg=position.heading_deg if position else None,
             speed_mps=position.speed_mps if position else None,
             distance_m=queued.distance_m,
+            position_sigma_m=position.sigma_m if position else None,
+            position_source=position.source if position else "unknown",
         )
         self.written += 1
         self.with_position += position is not None

@@ -17,7 +17,8 @@ import tomli_w
 from numpy.typing import NDArray
 
 from edge.errors import FeedError
-from edge.feed.format import MEASURES, FeedHeader
+from edge.feed.format import MEASURES, SOURCE, FeedHeader
+from edge.geodesy import PositionSource
 
 JPEG_QUALITY = 92
 PNG_BEGINS = b"\x89PNG"
@@ -38,7 +39,7 @@ class FeedWriter:
             (path / "frames").mkdir(parents=True, exist_ok=True)
             (path / "feed.toml").write_text(tomli_w.dumps(msgspec.structs.asdict(header)), encoding="utf-8")
             self._file = (path / "frames.csv").open("wb", buffering=0)
-            self._append(["file", "stamp_ns", *MEASURES, *extra_columns])
+            self._append(["file", "stamp_ns", *MEASURES, SOURCE, *extra_columns])
         except OSError as error:
             raise FeedError(f"{path}: cannot write a feed here: {error.strerror}") from None
 
@@ -53,6 +54,8 @@ class FeedWriter:
         heading_deg: float | None = None,
         speed_mps: float | None = None,
         distance_m: float | None = None,
+        position_sigma_m: float | None = None,
+        position_source: PositionSource = "unknown",
         extra: Mapping[str, str] | None = None,
     ) -> None:
         """Append one frame; image (H, W, 3) uint8 BGR, or the bytes of a JPEG or PNG file, which are kept as they are.
@@ -63,9 +66,11 @@ class FeedWriter:
         name = f"frames/{self._count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
         try:
             (self._path / name).write_bytes(data)
-            measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m)
+            measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m, position_sigma_m)
             known = ["" if value is None else repr(float(value)) for value in measures]
-            self._append([name, str(stamp_ns), *known, *((extra or {}).get(key, "") for key in self._extra_columns)])
+            source = "" if lat_deg is None else position_source
+            others = [(extra or {}).get(key, "") for key in self._extra_columns]
+            self._append([name, str(stamp_ns), *known, source, *others])
         except OSError:
             (self._path / name).unlink(missing_ok=True)
             raise

@@ -60,7 +60,7 @@ class HealthInputs:
     recognizer: its state, as in `edge.recognizer`. frames_used: since the start, or since the last blindness.
     camera: running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed | waiting |
     up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how long the
-    last frame took.
+    last frame took. gps: what is wrong with it by the places, "" if nothing is.
     """
 
     recognizer: str = "warming up"
@@ -73,6 +73,7 @@ class HealthInputs:
     link_down_s: float = 0.0
     journal: str = ""
     frame_s: float = 0.0
+    gps: str = ""
 
     @property
     def blind(self) -> str:
@@ -88,7 +89,7 @@ STARTING = Health("starting")
 def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
     """The state now; `before` is the last one, which a standing vehicle keeps."""
     able = _able(signs, before)
-    troubles = [trouble for trouble in (_link_trouble(signs), _journal_trouble(signs), _slow(signs)) if trouble]
+    troubles = [one for one in (signs.gps, _link_trouble(signs), _journal_trouble(signs), _slow(signs)) if one]
     if signs.blind:
         return Health("degraded", "; ".join([f"blind, {signs.blind}", *troubles]), "starting")
     if troubles:

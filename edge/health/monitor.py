@@ -75,13 +75,14 @@ class HealthMonitor:
         link: tuple[str, str],
         picture_fault: str = "",
         hang: str = "",
+        gps: str = "",
     ) -> bool:
         """Derive and publish the state; True when what was recognized so far must be dropped.
 
         That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. recognizer: its
         state. frames_used, frame_s: frames since the start, and what the last one took. link: state, and why it is
         closed. picture_fault: what is wrong with the newest picture, for long enough to say so. hang: what the camera's
-        thread is stuck in.
+        thread is stuck in. gps: what is wrong with it by the places.
         """
         if hang and not self._hang:
             log.error("the camera hangs (%s); WATCHDOG=1 is no longer sent", hang)
@@ -97,6 +98,7 @@ class HealthMonitor:
             link_down_s=self._link_down_s(is_up=link[0] == "up"),
             journal=self._journal_fault(),
             frame_s=frame_s if frames_used > self._frames_before_gap else 0.0,
+            gps=gps,
         )
         is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)
         self._was_blind, self._reopened = bool(inputs.blind), camera.reopened

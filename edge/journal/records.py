@@ -70,6 +70,22 @@ class MapExcluded(_Tagged, frozen=True, tag="map_excluded"):
     why: Annotated[str, unit("", "what is wrong with it")]
 
 
+class MappingChanged(_Tagged, frozen=True, tag="mapping"):
+    """Live mapping began, pauses or stopped."""
+
+    state: Annotated[str, unit("", "mapping, waiting (until the reason is gone) or stopped")]
+    why: Annotated[str, unit("", 'why nothing is mapped, "" while it is')]
+    map: Annotated[str, unit("", "name of the map of this drive")]
+    places: Annotated[int, unit("places", "that it has")]
+
+
+class DrivesDisagree(_Tagged, frozen=True, tag="drives_disagree"):
+    """Two drives of the map show the same road at different positions, which then count as that uncertain."""
+
+    where: Annotated[str, unit("", "the places of both drives, and their maps")]
+    apart_m: Annotated[float, unit("m", "how far their positions are apart at most")]
+
+
 class LinkChanged(_Tagged, frozen=True, tag="link"):
     """The state of a link changed."""
 
@@ -201,6 +217,25 @@ class SourceSetAnswered(_Tagged, frozen=True, tag="source_set"):
     result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
 
 
+class HomeAnswered(_Tagged, frozen=True, tag="home"):
+    """A request for the way home was answered; docs/home.md describes requests."""
+
+    verified: Annotated[bool, unit("", "whether the autopilot now has the mission, downloaded again and compared")]
+    text: Annotated[str, unit("", "what was uploaded, or why nothing was")]
+    items: Annotated[int, unit("", "of the mission, ArduPilot's home position among them; 0 if nothing was uploaded")]
+
+
+class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
+    """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
+
+    state: Annotated[str, unit("", "cannot say, agrees, doubtful, wrong, or map shifted (the same since it began)")]
+    east_m: Annotated[float | None, unit("m", "GPS less places, to the east, null where not known")] = None
+    north_m: Annotated[float | None, unit("m", "the same to the north")] = None
+    doubt: Annotated[
+        float | None, unit("", "evidence that GPS is wrong, as a share of what it takes to call it so, 0 to 1")
+    ] = None
+
+
 class Stopped(_Tagged, frozen=True, tag="stopped"):
     """The daemon ended in order: the last record of such a run."""
 
@@ -215,6 +250,8 @@ Record = (
     | JournalResumed
     | StateChanged
     | MapExcluded
+    | MappingChanged
+    | DrivesDisagree
     | LinkChanged
     | FrameUsed
     | PlaceFix
@@ -224,6 +261,8 @@ Record = (
     | FixAnswered
     | FixChecked
     | SourceSetAnswered
+    | HomeAnswered
+    | GpsJudged
     | Stopped
 )
 

@@ -41,6 +41,11 @@ class _OneStatus(Collector):
         yield _gauge(
             "gps_healthy", "Whether the autopilot uses a good GPS fix", {}, float(status.link.gps == "healthy")
         )
+        yield _gauge("gps_wrong", "Whether the places contradict GPS", {}, float(status.link.gps_verdict == "wrong"))
+        if status.link.gps_doubt is not None:
+            yield _gauge("gps_doubt", "Evidence that GPS is wrong, from 0; called at 1", {}, status.link.gps_doubt)
+        if status.link.gps_off_m is not None:
+            yield _gauge("gps_off_meters", "How far GPS is from the places", {}, status.link.gps_off_m)
         yield _gauge(
             "journal_lines_lost", "Lines that could not be written since the last one that was", {}, status.journal_lost
         )

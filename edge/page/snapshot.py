@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import edge
 from edge.camera import CameraHealth, Frame
 from edge.journal.records import FrameUsed
+from edge.mapping import MappingView
 from edge.sequence import CostView, PlaceMatch
 from edge.telemetry import LinkStatus
 
@@ -61,6 +62,7 @@ class Status(msgspec.Struct, frozen=True):
     camera: CameraHealth
     link: LinkStatus
     history: tuple[HistoryFrame, ...]
+    mapping: MappingView | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Sources:
     """Where a snapshot gets the rest of what it shows; they are asked only when somebody looks.
 
     map_name: for people. costs: of the newest match. stages_ms: median time of each stage of a frame. journal_lost:
-    lines that could not be written.
+    lines that could not be written. mapping: the map of this drive, None where none is made.
     """
 
     map_name: Callable[[], str]
@@ -97,6 +99,7 @@ class Sources:
     stages_ms: Callable[[], dict[str, float]]
     journal_lost: Callable[[], int]
     clock_ns: Callable[[], int]
+    mapping: Callable[[], MappingView | None] = lambda: None
 
 
 class LiveStatus:
@@ -154,6 +157,7 @@ class LiveStatus:
             journal_lost=sources.journal_lost(),
             camera=sources.camera(),
             link=sources.link(),
+            mapping=sources.mapping(),
             history=tuple(self._history),
         )
 

@@ -4,9 +4,11 @@
 `port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `gps`
 for its receivers and `velocity_aid` for what measures its velocity without them; `link_protocol` has the heartbeats,
 requests and lines of text that are due. `position_messages` says which message carries a position to which firmware,
-`encoders` writes all that is sent, `acknowledgements` says what an answer means, `source_selection` selects ArduPilot's
-sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `report_link` is for people.
-`autopilot` joins all into the one object that the daemon polls.
+`doubted_gps` publishes what the places say of GPS, `encoders` writes all that is sent, `acknowledgements` says what an
+answer means, `source_selection` selects ArduPilot's sources, `remembered_bound` outlives a restart, and
+`position_sender` joins those. `position_history` has the position at an exposure. `report_link` is for people.
+`home_requests` answers requests for the way home, which come by MAVLink or by `local_socket`, and `mission_transfer`
+uploads it. `autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ class LinkStatus:
     """What is known of the autopilot's link; degrees (WGS 84), heading clockwise from north; None where not known.
 
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
-    velocity_aid: what measures velocity without GPS, "none" where nothing does.
+    velocity_aid: what measures velocity without GPS, "none" where nothing does. gps_verdict, gps_off_m, gps_off,
+    gps_doubt: what the places say of GPS, see GpsVerdict; gps_off in words.
     """
 
     state: str
@@ -34,6 +37,10 @@ class LinkStatus:
     gps: str = "unknown"
     gps_why: str = ""
     velocity_aid: str | None = None
+    gps_verdict: str = "cannot say"
+    gps_off_m: float | None = None
+    gps_off: str = ""
+    gps_doubt: float | None = None
 
 
 def open_link(connection: str) -> Link:

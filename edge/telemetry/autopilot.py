@@ -5,20 +5,23 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import GatesConfig, LinkConfig, TelemetryConfig
-from edge.geodesy import VehiclePosition
+from edge.config import GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
+from edge.geodesy import PositionSource, VehiclePosition
 from edge.journal.records import LinkChanged, Record
-from edge.localization import Displacement, PlaceFix
+from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.home_requests import Answer, HomeRequests, Plan
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol, StatusTexts
 from edge.telemetry.port import Port
+from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender
 from edge.telemetry.report_link import ReportLink
@@ -43,6 +46,7 @@ class AutopilotConnection:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
+        home: HomeConfig = HomeConfig(),  # noqa: B008
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key."""
         self._clock_ns = clock_ns
@@ -55,10 +59,13 @@ class AutopilotConnection:
         self._protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
         self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
+        self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text)
+        self._home.position = lambda: (self.position(), self.uncertainty_m)
         self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
+        self._history = PositionHistory()
         self._session = 0
         self._has_warned = False  # in this session, that nothing measures velocity
         self._system_status: int = mavlink.MAV_STATE_ACTIVE
@@ -76,6 +83,34 @@ class AutopilotConnection:
     def position(self) -> VehiclePosition | None:
         """The autopilot's own newest position, None where it has none."""
         return self.vehicle.position(self._clock_ns())
+
+    @property
+    def gps_sigma_m(self) -> float | None:
+        """One standard deviation of that position while GPS bounds it, None while it does not."""
+        now_ns = self._clock_ns()
+        return self.vehicle.gps.bound_m(self.vehicle.position(now_ns), now_ns)
+
+    def position_at(self, stamp_ns: int) -> VehiclePosition | None:
+        """The autopilot's own position at an exposure, with its accuracy and source; None where it is not known."""
+        return self._history.at(stamp_ns)
+
+    def awaits_position(self, stamp_ns: int) -> bool:
+        """Whether the position after an exposure has not come yet, and still may."""
+        return self._history.is_awaited(stamp_ns, self._clock_ns())
+
+    def gps_fix(self, stamp_ns: int) -> GpsFix | None:
+        """Where GPS puts the vehicle at a moment, None without GPS."""
+        now_ns = self._clock_ns()
+        return self.vehicle.gps.fix(self.vehicle.position(now_ns), stamp_ns, now_ns)
+
+    def judge_gps(self, verdict: GpsVerdict) -> None:
+        """What the places say of GPS now."""
+        self._positions.judge_gps(verdict, self._clock_ns())
+
+    @property
+    def gps_fault(self) -> str:
+        """What is wrong with GPS by the places, for people; "" where nothing is."""
+        return self._positions.doubted_gps.words
 
     def speed_mps(self) -> float | None:
         """How fast the vehicle moves, None where nobody knows."""
@@ -98,6 +133,7 @@ class AutopilotConnection:
         """The link, and what the autopilot says of itself, for people."""
         now_ns = self._clock_ns()
         position = self.vehicle.position(now_ns)
+        verdict = self._positions.doubted_gps.verdict or GpsVerdict()
         return LinkStatus(
             state=self.state,
             connection=self._connection,
@@ -109,6 +145,10 @@ class AutopilotConnection:
             gps=self.vehicle.gps.state(now_ns),
             gps_why=self.vehicle.gps.why(now_ns),
             velocity_aid=velocity_aid(self.vehicle, self._positions.set_without_gps),
+            gps_verdict="wrong" if self._positions.doubted_gps.is_wrong else verdict.state,
+            gps_off_m=verdict.distance_m,
+            gps_off=verdict.where,
+            gps_doubt=verdict.doubt,
         )
 
     @property
@@ -145,6 +185,19 @@ class AutopilotConnection:
         for link in self._report_links:
             link.publish_place(fix)
 
+    def plan_home_by(self, plan: Plan) -> None:
+        """Plan the way home, when it is requested, by this function."""
+        self._home.plan = plan
+
+    @property
+    def is_ready_for_home(self) -> bool:
+        """Whether the way home can be requested: the autopilot and how well it knows its position are known."""
+        return self.state == "up" and self.position() is not None and self.uncertainty_m is not None
+
+    def request_home(self, reply: Callable[[Answer], object]) -> None:
+        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
+        self._send(self._home.request(reply, self._clock_ns()))
+
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
         return self._positions.due(self._clock_ns()) if self.state == "up" else None
@@ -179,7 +232,12 @@ class AutopilotConnection:
         self._positions.withdraw()
 
     def restore_sources(self) -> None:
-        """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer."""
+        """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer.
+
+        Not while GPS is ignored: the vehicle would follow it as soon as this program ends.
+        """
+        if self._positions.doubted_gps.is_ignored:
+            return
         for _ in range(RESTORE_TRIES):
             messages = self._positions.sources.restore(self._clock_ns()) if self.state == "up" else []
             if not messages:
@@ -204,9 +262,25 @@ class AutopilotConnection:
                 self._port.codec.system_id = self.vehicle.system_id or self._port.codec.system_id
                 self._set_state("up")
                 self._answer(message)
+                self._keep_position(now_ns)
+            self._send(self._home.read(message, now_ns))
         self.vehicle.expire(now_ns)
         if self._port.is_open and not self.vehicle.connected:
             self._set_state("waiting")
+
+    def _keep_position(self, now_ns: int) -> None:
+        """With its accuracy: of the receiver behind it, else of the filter."""
+        own, sender = self.vehicle.position(now_ns), self._positions
+        if own is None:
+            return
+        receiver = self.vehicle.gps.behind(own, now_ns)
+        source: PositionSource = "dead_reckoning"
+        sigma_m = sender.uncertainty_m(now_ns)
+        if self.vehicle.has_our_position:
+            source = "place_fixes"
+        elif receiver is not None:
+            source, sigma_m = receiver.source, receiver.accuracy_m or self.vehicle.accuracy_m(now_ns)
+        self._history.add(replace(own, sigma_m=sigma_m, source=source))
 
     def _answer(self, message: Message) -> None:
         now_ns = self._clock_ns()
@@ -227,6 +301,7 @@ class AutopilotConnection:
 
     def _send_due(self, now_ns: int) -> None:
         self._send(self._protocol.heartbeat(self._system_status, now_ns))
+        self._send(self._home.due(now_ns))
         if self.state != "up":
             return
         if self._session != self.vehicle.session:
@@ -234,8 +309,10 @@ class AutopilotConnection:
             self._protocol.new_session()
             self._has_warned = False
             self._positions.new_session()
+            self._history.clear()
         self._send(self._protocol.requests(self._clock_ns()))
         self._send(self._positions.follow_up(now_ns))
+        self._send(self._positions.doubted_gps.due(now_ns))
         self._send(self._texts.due(now_ns))
 
     def _send(self, messages: list[Message]) -> None:

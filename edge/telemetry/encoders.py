@@ -17,6 +17,7 @@ EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
 SET_EKF_SOURCE_SET = 42007  # MAV_CMD_SET_EKF_SOURCE_SET, of ArduPilot's dialect
 TEXT_BYTES = 50
 UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
+GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,16 @@ def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
     ]
 
 
+def gps_values(doubt: float | None, off_m: float | None, boot_ms: int) -> list[Message]:
+    """NAMED_VALUE_FLOAT: whether GPS is doubted, 0 to 1, where 1 is called wrong, and by how many meters it is off.
+
+    doubt: None where nothing is known, which is sent as -1; off_m: None is not sent.
+    """
+    values = [(GPS_DOUBT_NAME, UNKNOWN_DOUBT if doubt is None else doubt)]
+    values += [] if off_m is None else [(GPS_OFF_NAME, off_m)]
+    return [mavlink.MAVLink_named_value_float_message(boot_ms % 2**32, name, value) for name, value in values]
+
+
 def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:
     """COMMAND_LONG 511: request a message at a rate, on this link."""
     return _command(system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
@@ -174,6 +185,11 @@ def parameter_request(system_id: int, name: str) -> Message:
 def source_set(system_id: int, number: int) -> Message:
     """COMMAND_LONG 42007: which of ArduPilot's sets of sources (1 to 3) its filter uses."""
     return _command(system_id, SET_EKF_SOURCE_SET, number)
+
+
+def acknowledgement(command: int, result: int, param2: int, system_id: int, component_id: int) -> Message:
+    """COMMAND_ACK to the component that sent a command."""
+    return mavlink.MAVLink_command_ack_message(command, result, 0, param2, system_id, component_id)
 
 
 def _command(system_id: int, command: int, param1: float, param2: float = 0.0) -> Message:

@@ -13,8 +13,8 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import GPS_SIGMA_M, GpsState
+from edge.geodesy import PositionSource, VehiclePosition, east_north_of, moved
+from edge.localization import GPS_SIGMA_M, GpsFix, GpsState
 from edge.telemetry.codec import Message
 
 FRESH_NS = 3_000_000_000
@@ -27,6 +27,12 @@ GOOD_M, BAD_M = 10.0, 25.0
 """Reported accuracy from which a fix becomes good, and beyond which it stays so no longer."""
 APART_SIGMAS, APART_M, LATENCY_S = 3.0, 10.0, 0.3
 """How far the filter's position may be from that of a receiver that it uses."""
+SOURCES: dict[int, PositionSource] = {
+    mavlink.GPS_FIX_TYPE_DGPS: "dgps",
+    mavlink.GPS_FIX_TYPE_RTK_FLOAT: "rtk_float",
+    mavlink.GPS_FIX_TYPE_RTK_FIXED: "rtk_fixed",
+    mavlink.GPS_FIX_TYPE_PPP: "ppp",
+}
 UNSTEADY = "its fix has just come or gone"
 GLITCHES = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: 1 << 15,  # EKF_GPS_GLITCHING, in EKF_STATUS_REPORT
@@ -41,6 +47,9 @@ class Receiver:
         self.name = name
         self.heard_ns: int | None = None
         self.sigma_m = GPS_SIGMA_M
+        self.accuracy_m: float | None = None
+        """As it reports it, None where it does not."""
+        self.source: PositionSource = "unknown"
         self.at = (0.0, 0.0)
         """Latitude and longitude in degrees (WGS 84)."""
         self._good_ns: int | None = None  # since when it has been
@@ -58,6 +67,7 @@ class Receiver:
         if is_good and (message.lat or message.lon):
             self.at = message.lat / 1e7, message.lon / 1e7
             self.sigma_m = max(GPS_SIGMA_M, accuracy_m)
+            self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
             self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
         else:
             self._good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
@@ -129,10 +139,35 @@ class Gps:
 
     def bound_m(self, own: VehiclePosition | None, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position by GPS; None where GPS does not bound it."""
-        if own is None or not self._hears_filter(now_ns) or self._unused_ns:
+        receiver = self.behind(own, now_ns)
+        return receiver.sigma_m if receiver and self._hears_filter(now_ns) else None
+
+    def behind(self, own: VehiclePosition | None, now_ns: int) -> Receiver | None:
+        """The receiver that the autopilot's own position agrees with, the less accurate of two; None: there is none.
+
+        Nor where the filter reports that it does not use GPS.
+        """
+        if own is None or (self._unused_ns and self._hears_filter(now_ns)):
             return None
-        sigmas_m = [one.sigma_m for one in self.receivers if one.state(now_ns) == "healthy" and _is_near(one, own)]
-        return max(sigmas_m, default=None)
+        near = [one for one in self.receivers if one.state(now_ns) == "healthy" and _is_near(one, own)]
+        return max(near, key=lambda one: one.sigma_m, default=None)
+
+    def fix(self, own: VehiclePosition | None, stamp_ns: int, now_ns: int) -> GpsFix | None:
+        """Where GPS puts the vehicle at a moment: by the filter while it uses GPS, else by a healthy receiver.
+
+        None without a healthy receiver, and without the autopilot's velocity.
+        """
+        if own is None:
+            return None
+        sigma_m, at, at_ns = self.bound_m(own, now_ns), (own.lat_deg, own.lon_deg), own.stamp_ns
+        if sigma_m is None:
+            healthy = [one for one in self.receivers if one.state(now_ns) == "healthy"]
+            if not healthy:
+                return None
+            best = min(healthy, key=lambda one: one.sigma_m)
+            at, at_ns, sigma_m = best.at, best.heard_ns or 0, math.hypot(best.sigma_m, LATENCY_S * own.speed_mps)
+        since_s = (stamp_ns - at_ns) / 1e9
+        return GpsFix(*moved(*at, own.east_mps * since_s, own.north_mps * since_s), sigma_m)
 
     def _hears_filter(self, now_ns: int) -> bool:
         return self._flags_ns is not None and now_ns - self._flags_ns <= FRESH_NS

@@ -12,12 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from msgspec.structs import replace
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
     CORRELATION_M,
+    GpsVerdict,
     Integrity,
     PlaceFix,
     Refusal,
@@ -39,6 +41,7 @@ from edge.telemetry.acknowledgements import (
     result_name,
 )
 from edge.telemetry.codec import Message
+from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
 from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
@@ -48,6 +51,11 @@ from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
 REMEMBER_NS = 1_000_000_000
+SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
+LESS_ACCURATE = 2.0
+"""An autopilot that is so many times as certain as a position would lose by a reset to it; others are weighed."""
+CALLED_SIGMA_M = 10.0
+"""Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 NEAR_SIGMAS = 3.0
 """An autopilot that is as near as this to a position of a stream follows it."""
 log = logging.getLogger(__name__)
@@ -80,6 +88,7 @@ class PositionSender:
         self._disabled = False
         self._reset_counter = 0
         self.sources = SourceSelection(vehicle, record, send_text)
+        self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
         self._remember_due_ns = 0
         self._withheld = ""
         self._recorded_ns = 0
@@ -130,6 +139,14 @@ class PositionSender:
         vehicle = self._vehicle
         return self._uncertainty.at(vehicle.driven_m(now_ns), vehicle.accuracy_m(now_ns), self._velocity_error)
 
+    def judge_gps(self, verdict: GpsVerdict, now_ns: int) -> None:
+        """What the places say of GPS now."""
+        was_called = self.doubted_gps.judge(verdict, now_ns)
+        if was_called and self.doubted_gps.is_ignored:
+            # What GPS has contradicted so far is not contradicted any more.
+            self._uncertainty.bind(CALLED_SIGMA_M, self._vehicle.driven_m(now_ns))
+            self._integrity.bound(by_gps=False)
+
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
         if self.message is None or self._disabled or self._unanswered is not None or not self._back_off.is_over(now_ns):
@@ -169,16 +186,20 @@ class PositionSender:
         vehicle, self._velocity_error = self._vehicle, fix.velocity_error
         situation = Situation(
             now_ns,
-            vehicle.gps.state(now_ns),
+            "not healthy" if self.doubted_gps.is_ignored else vehicle.gps.state(now_ns),
             vehicle.speed_mps(now_ns),
-            vehicle.position(now_ns),
+            self.doubted_gps.corrected(vehicle.position(now_ns)),
             self.uncertainty_m(now_ns),
             self._uncertainty.by_gps,
             self._last_sent_ns,
             vehicle.displacement(fix.stamp_ns),
         )
         period_s = self._period_s(message) if period_s is None else period_s
-        return self._integrity.refusal(fix, situation, period_s, message.max_age_s)
+        refused = self._integrity.refusal(fix, situation, period_s, message.max_age_s)
+        known_m = situation.uncertainty_m
+        if refused is None and message.acknowledged and known_m is not None and fix.sigma_m > LESS_ACCURATE * known_m:
+            return Refusal("less accurate than the autopilot")
+        return refused
 
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
@@ -228,7 +249,7 @@ class PositionSender:
                     fix.map,
                 )
             )
-        self._last_sent_ns = now_ns
+        self._last_sent_ns, self._vehicle.has_our_position = now_ns, True
         if not message.acknowledged:
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending)]
@@ -264,6 +285,8 @@ class PositionSender:
         """The autopilot's position is as good as that now."""
         self._uncertainty.bind(sigma_m, self._vehicle.driven_m(now_ns), by_gps=by_gps)
         self._integrity.bound(by_gps=by_gps)
+        if not by_gps:
+            self.doubted_gps.bound()
 
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
@@ -306,11 +329,15 @@ class PositionSender:
         messages: list[Message] = []
         vehicle = self._vehicle
         bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
-        if bound_m is not None:
+        if bound_m is not None and not self.doubted_gps.is_ignored:
             self._bind(bound_m, now_ns, by_gps=True)
+            if self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS:
+                vehicle.has_our_position = False
+        if self.doubted_gps.is_ignored:
+            messages += self._leave_gps(now_ns)
         # Whether or not the filter uses GPS: with the second set it does not.
-        if vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
-            messages += self._select_sources(GPS_SET, now_ns)
+        elif vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
+            messages += self._select_sources(GPS_SET, now_ns) or self._return_to_gps(now_ns)
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
         self._remember_bound(now_ns)
@@ -318,6 +345,19 @@ class PositionSender:
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
         return messages
+
+    def _leave_gps(self, now_ns: int) -> list[Message]:
+        """With doubted_gps "switch": ArduPilot's second set of sources, where positions are sent to be used with it."""
+        is_ardupilot = self._vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
+            self.sources.wanted = VISION_SET
+        return self.sources.due(now_ns)
+
+    def _return_to_gps(self, now_ns: int) -> list[Message]:
+        """The first set again, if we have selected the second: GPS agrees."""
+        if self.sources.wanted == VISION_SET:
+            self.sources.wanted = GPS_SET
+        return self.sources.due(now_ns)
 
     def _remember_bound(self, now_ns: int) -> None:
         """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
@@ -327,9 +367,11 @@ class PositionSender:
         driven_m = self._vehicle.driven_m(now_ns)
         ours_m = self._uncertainty.at(driven_m, None)
         if ours_m is not None:
-            self._remembered.keep(ours_m, self._vehicle, now_ns)
-        elif (remembered_m := self._remembered.recall(self._vehicle, now_ns)) is not None:
+            self._remembered.keep(ours_m, self._vehicle, now_ns, by_fixes=self._vehicle.has_our_position)
+        elif (remembered := self._remembered.recall(self._vehicle, now_ns)) is not None:
+            remembered_m, by_fixes = remembered
             self._bind(remembered_m, now_ns)
+            self._vehicle.has_our_position |= by_fixes
 
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
         self._unanswered = None

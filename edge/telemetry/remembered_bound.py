@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 
 import msgspec
+from msgspec.structs import replace
 
 from edge.geodesy import east_north_of
 from edge.telemetry.vehicle import Vehicle
@@ -26,7 +27,10 @@ log = logging.getLogger(__name__)
 
 
 class Bound(msgspec.Struct, frozen=True):
-    """One standard deviation of the autopilot's position at `stamp_ns` of CLOCK_MONOTONIC, in this boot of ours."""
+    """One standard deviation of the autopilot's position at `stamp_ns` of CLOCK_MONOTONIC, in this boot of ours.
+
+    by_fixes: whether it rests on positions of ours, or may.
+    """
 
     computer_boot: str
     system_id: int
@@ -36,6 +40,7 @@ class Bound(msgspec.Struct, frozen=True):
     speed_mps: float
     lat_deg: float
     lon_deg: float
+    by_fixes: bool = True
 
 
 class RememberedBound:
@@ -50,20 +55,23 @@ class RememberedBound:
             with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
                 self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
 
-    def keep(self, sigma_m: float, vehicle: Vehicle, now_ns: int) -> None:
+    def keep(self, sigma_m: float, vehicle: Vehicle, now_ns: int, *, by_fixes: bool) -> None:
         """Replace what is remembered; not where the autopilot has no position, time or speed."""
         bound = self._present(sigma_m, vehicle, now_ns)
         if bound is None:
             return
-        self._bound = bound
+        bound = self._bound = replace(bound, by_fixes=by_fixes)
         if self._path is not None:
             new = self._path.with_name(f"{self._path.name}.new")
             with contextlib.suppress(OSError):  # a full disk costs the memory, not the flight
                 new.write_bytes(msgspec.json.encode(bound))
                 new.replace(self._path)
 
-    def recall(self, vehicle: Vehicle, now_ns: int) -> float | None:
-        """The standard deviation now; None where the autopilot has rebooted, or too long ago, or not known yet."""
+    def recall(self, vehicle: Vehicle, now_ns: int) -> tuple[float, bool] | None:
+        """The standard deviation now, and whether it rests on positions of ours.
+
+        None where the autopilot has rebooted, or too long ago, or not known yet.
+        """
         before, now = self._bound, self._present(0.0, vehicle, now_ns)
         if before is None or now is None or not self._is_same_boot(before, now):
             return None
@@ -72,7 +80,7 @@ class RememberedBound:
         driven_m = max(FASTER * max(before.speed_mps, now.speed_mps) * gap_s, moved_m)
         sigma_m = math.hypot(before.sigma_m, self._drift * driven_m)
         log.info("the autopilot has not rebooted: %.1f s ago its position was known to %.1f m", gap_s, before.sigma_m)
-        return sigma_m
+        return sigma_m, before.by_fixes
 
     def _is_same_boot(self, before: Bound, now: Bound) -> bool:
         """Whether both are of one boot of the autopilot and of this computer; False where that is not certain."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
-from edge.feed.format import MEASURES
+from edge.feed.format import MEASURES, SOURCE
 from edge.feed.sampling import Sampler
 from edge.feed.traverse import driven_m
 from sim.datasets import Traverse
@@ -153,7 +153,7 @@ def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
 
 
 def _write_row(writer: FeedWriter, image: NDArray[np.uint8] | bytes, row: FeedRow) -> None:
-    known = {name: getattr(row, name) for name in MEASURES}
+    known = {name: getattr(row, name) for name in (*MEASURES, SOURCE)}
     writer.write(image, row.stamp_ns, **known, extra=row.extra)
 
 

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from edge.errors import ConfigError, FeedError, FrameError
 from edge.extras import install_command
 from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
-from edge.feed.format import MEASURES
+from edge.feed.format import MEASURES, SOURCE
+from edge.geodesy import PositionSource
 
 FRAME = "camera"
 STAMP = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -52,7 +53,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "/row": (
         "lookback.Row",
-        {name: {"type": "number"} for name in MEASURES[2:]},
+        {**{name: {"type": "number"} for name in MEASURES[2:]}, SOURCE: {"type": "string"}},
     ),
     "/feed": ("lookback.Feed", {"name": {"type": "string"}, "view": {"type": "string"}}),
 }
@@ -109,10 +110,16 @@ def _messages(feed: Feed) -> Iterator[tuple[str, int, Fields]]:
         yield "/camera", row.stamp_ns, picture
         if row.lat_deg is not None and row.lon_deg is not None:
             where = {"latitude": row.lat_deg, "longitude": row.lon_deg, "altitude": row.alt_m or 0.0}
-            unknown = {"position_covariance": [0.0] * 9, "position_covariance_type": 0}
-            yield "/position", row.stamp_ns, {"timestamp": stamp, "frame_id": FRAME, **where, **unknown}
-        known = {name: getattr(row, name) for name in MEASURES[2:]}
+            yield "/position", row.stamp_ns, {"timestamp": stamp, "frame_id": FRAME, **where, **_covariance(row)}
+        known = {name: getattr(row, name) for name in (*MEASURES[2:], SOURCE)}
         yield "/row", row.stamp_ns, {**known, "extra": dict(row.extra)}
+
+
+def _covariance(row: FeedRow) -> Fields:
+    """That of a LocationFix: approximated, and nothing known of the altitude; all zero where not known."""
+    per_axis = (row.position_sigma_m or 0.0) ** 2 / 2
+    diagonal = [per_axis, 0.0, 0.0, 0.0, per_axis, 0.0, 0.0, 0.0, 0.0]
+    return {"position_covariance": diagonal, "position_covariance_type": int(per_axis > 0)}
 
 
 def _picture(feed: Feed, images: FeedImages, index: int) -> tuple[str, bytes]:
@@ -138,6 +145,8 @@ class _Row(msgspec.Struct):
     heading_deg: float | None = None
     speed_mps: float | None = None
     distance_m: float | None = None
+    position_sigma_m: float | None = None
+    position_source: PositionSource = "unknown"
     extra: dict[str, str] = {}
 
 
@@ -207,7 +216,7 @@ def _read(path: Path, output: Path) -> int:
     extra = tuple(dict.fromkeys(key for row in feed.rows for key in row.extra))
     with FeedWriter(output, feed.header, extra) as writer:
         for index, row in enumerate(feed.rows):
-            known = {name: getattr(row, name) for name in MEASURES}
+            known = {name: getattr(row, name) for name in (*MEASURES, SOURCE)}
             writer.write(pictures.data(index), row.stamp_ns, **known, extra=row.extra)
     print(f"{output}: {len(feed.rows)} frames")
     return 0

@@ -137,7 +137,9 @@ def _messages(path: Path, topic: str) -> Iterator[Any]:
 def _fixes(path: Path, topic: str) -> Iterator[Fix]:
     for message in _messages(path, topic):
         if message.status.status > NO_FIX and math.isfinite(message.latitude + message.longitude):
-            yield Fix(_stamp_ns(message), message.latitude, message.longitude, message.altitude)
+            sigma_m = math.sqrt(message.position_covariance[0] + message.position_covariance[4]) or math.nan
+            position = message.latitude, message.longitude, message.altitude
+            yield Fix(_stamp_ns(message), *position, sigma_m=sigma_m, source="gps")
 
 
 def _stamp_ns(message: Any) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
-from edge.geodesy import east_north
+from edge.geodesy import POSITION_SOURCES, PositionSource, east_north, worse_source
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,10 @@ Otherwise a stop at a red light would become a street of pictures."""
 
 @dataclass(frozen=True)
 class Fix:
-    """One measured position; NaN is not known. heading_deg is clockwise from north."""
+    """One measured position; NaN is not known. heading_deg is clockwise from north.
+
+    sigma_m: one standard deviation of the distance from the truth.
+    """
 
     stamp_ns: int
     lat_deg: float
@@ -33,6 +36,8 @@ class Fix:
     alt_m: float = math.nan
     heading_deg: float = math.nan
     speed_mps: float = math.nan
+    sigma_m: float = math.nan
+    source: PositionSource = "unknown"
 
 
 class Track:
@@ -53,7 +58,8 @@ class Track:
             raise FeedError(f"{source}: {len(by_stamp) or 'no'} position(s) in it, and two at least are needed")
         self.fixes = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
         self._stamps_ns = np.array(sorted(by_stamp), dtype=np.int64)
-        self._values: Floats = np.array([astuple(fix)[1:] for fix in self.fixes], dtype=np.float64)
+        self._values: Floats = np.array([astuple(fix)[1:-1] for fix in self.fixes], dtype=np.float64)
+        self._sources = np.array([POSITION_SOURCES.index(fix.source) for fix in self.fixes])
         self._when, self._where = _without_wandering(self._stamps_ns, self._values[:, 0], self._values[:, 1])
 
     def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -72,9 +78,19 @@ class Track:
         known = (self._stamps_ns - self._stamps_ns[0]).astype(np.float64)
         values = self._unwrapped()
         lat, lon = (np.interp(times, known[self._when], values[self._where, column]) for column in (0, 1))
-        alt, heading, speed = (np.interp(times, known, values[:, column]) for column in (2, 3, 4))
-        columns = (lat, lon, alt, np.degrees(heading) % 360.0, speed)
-        return [Fix(int(stamp), *map(float, values)) for stamp, *values in zip(stamps_ns, *columns, strict=True)]
+        alt, heading, speed, sigma = (np.interp(times, known, values[:, column]) for column in (2, 3, 4, 5))
+        columns = np.column_stack([lat, lon, alt, np.degrees(heading) % 360.0, speed, sigma])
+        after = np.searchsorted(known, times).clip(0, len(known) - 1)
+        sources = [
+            worse_source(*(POSITION_SOURCES[self._sources[index]] for index in pair))
+            for pair in zip((after - 1).clip(0), after, strict=True)
+        ]
+        return [
+            Fix(int(stamp), lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m, source)
+            for stamp, (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m), source in zip(
+                stamps_ns, columns.tolist(), sources, strict=True
+            )
+        ]
 
     def _unwrapped(self) -> Floats:
         """The values with headings in radians that do not jump from 360 to 0."""
@@ -125,9 +141,10 @@ def _without_wandering(
 
 def row_at(file: str, fix: Fix) -> FeedRow:
     """A feed's row for the picture taken at a fix."""
-    known = [None if math.isnan(value) else value for value in astuple(fix)[1:]]
-    lat_deg, lon_deg, alt_m, heading_deg, speed_mps = known
-    return FeedRow(file, fix.stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps)
+    known = [None if math.isnan(value) else value for value in astuple(fix)[1:-1]]
+    lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m = known
+    at = lat_deg, lon_deg, alt_m, heading_deg, speed_mps
+    return FeedRow(file, fix.stamp_ns, *at, position_sigma_m=sigma_m, position_source=fix.source)
 
 
 def _seconds(stamp_ns: np.int64) -> str:

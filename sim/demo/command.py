@@ -20,7 +20,7 @@ from edge.extras import install_command
 from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
-from sim.calibration.offset import rig_config
+from sim.calibration.offset import measure_parallax, rig_config
 from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
 from sim.vehicle.daemon_drive import DaemonDrive, ReceivedFix, start_daemon_drive
 from sim.world.recording import record_drive
@@ -106,8 +106,8 @@ def _measure_rig(folder: Path, reference_map: ReferenceMap) -> RigConfig:
         path = folder / f"gps_{scenario.direction}"
         record_drive(scenario, path, up_to_m=MEASURED_M, show_progress=True)
         drives.append(read_feed(path))
-    offsets, _ = measure_rig(reference_map, drives)
-    return rig_config(offsets)
+    offsets, seen = measure_rig(reference_map, drives)
+    return rig_config(offsets, measure_parallax(seen))
 
 
 def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: Path | None) -> list[DaemonDrive]:

@@ -30,7 +30,7 @@ def pooled_features(weights: Weights, info: ModelInfo, image: NDArray[np.uint8])
     model = onnx_graph.build_float(weights, info)
     model.graph.output.append(onnx.helper.make_tensor_value_info(POOLED, onnx.TensorProto.FLOAT, None))
     session = open_session(model.SerializeToString())
-    pooled: Floats = session.run([POOLED], {IMAGE: cut_regions(image, "whole", 1.0)})[0][0]
+    pooled: Floats = session.run([POOLED], {IMAGE: cut_regions(image, "whole", 1.0, info.size)})[0][0]
     return pooled
 
 

@@ -90,6 +90,13 @@ def _places(reference: Traverse) -> list[Place]:
 
     rows = zip(reference.feed_rows(), reference.distance_m.tolist(), strict=True)
     return [
-        Place(number, lat_deg=known(row.lat_deg), lon_deg=known(row.lon_deg), route_m=distance_m)
+        Place(
+            number,
+            lat_deg=known(row.lat_deg),
+            lon_deg=known(row.lon_deg),
+            route_m=distance_m,
+            position_sigma_m=known(row.position_sigma_m),
+            position_source=row.position_source,
+        )
         for number, (row, distance_m) in enumerate(rows)
     ]

@@ -12,6 +12,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         required=True, metavar="COMMAND"
     )
     _add_run(actions.add_parser("run", help="run a plan and write its report"))
+    _add_networks(actions.add_parser("networks", help="compare networks on the traverses of a plan"))
     _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
     shrinking = actions.add_parser(
         "shrinking", help="measure the effect of fewer dimensions on matching, with a map that has them"
@@ -21,11 +22,31 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
+    _add_plan(parser)
+    elsewhere = parser.add_mutually_exclusive_group()
+    elsewhere.add_argument("--workers", type=int, default=1, metavar="N", help="compute descriptors in N processes")
+    elsewhere.add_argument("--cluster", default="", metavar="ADDRESS", help="compute descriptors on a Dask cluster")
+    parser.set_defaults(run=_run)
+
+
+def _add_networks(parser: argparse.ArgumentParser) -> None:
+    _add_plan(parser)
+    parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="NAME=PATH",
+        help="a network file or folder beside those of the plan; may be repeated",
+    )
+    parser.set_defaults(run=_networks)
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "plan",
         type=Path,
         metavar="PLAN",
-        help="a plan (TOML, see sim/evaluation/plan.py), or a shipped one: simulator, real_feeds",
+        help="a plan (TOML, see sim/evaluation/plan.py), or a shipped one: simulator, real_feeds, real_front_rear",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for HTML, CSV and PNG files"
@@ -36,10 +57,6 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--models", type=Path, metavar="FOLDER", help="folder of the plan's models (default: beside the plan)"
     )
-    elsewhere = parser.add_mutually_exclusive_group()
-    elsewhere.add_argument("--workers", type=int, default=1, metavar="N", help="compute descriptors in N processes")
-    elsewhere.add_argument("--cluster", default="", metavar="ADDRESS", help="compute descriptors on a Dask cluster")
-    parser.set_defaults(run=_run)
 
 
 def _add_match(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +77,12 @@ def _add_match(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     from sim.evaluation.run import run
+
+    return run(args)
+
+
+def _networks(args: argparse.Namespace) -> int:
+    from sim.evaluation.network_comparison import run
 
     return run(args)
 

@@ -80,6 +80,10 @@ class Descriptions:
             self._raw[task] = describe(task, progress=True)
         return self._raw[task]
 
+    def forget(self, name: str) -> None:
+        """Release the descriptors of a network."""
+        self._raw = {task: raw for task, raw in self._raw.items() if task.network != name}
+
     def external(self, traverse: Traverse, name: str) -> Raw:
         """Descriptors (n, 1, D) that another program made of a whole feed; ConfigError names the file."""
         where = f"traverses.{traverse.name}: external.{name}"
@@ -146,7 +150,9 @@ def describe(task: DescribeTask, progress: bool = False) -> NDArray[np.float32]:
         for target, row in zip(
             out, tqdm(task.rows, desc=title, unit="frame", leave=False, disable=not progress), strict=True
         ):
-            target[:] = network.describe(cut_regions(images.read(row), task.regions, task.region_width))
+            target[:] = network.describe(
+                cut_regions(images.read(row), task.regions, task.region_width, network.info.size)
+            )
     except FrameError as error:
         raise ConfigError(f"traverses.{task.traverse}: {error}") from None
     finally:

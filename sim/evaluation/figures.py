@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import textwrap
 from collections.abc import Mapping, Sequence
 
@@ -29,6 +30,18 @@ def precision_recall_plot(curves: Mapping[str, PrecisionRecall]) -> bytes:
     axes.set(xlabel="recall of places", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.03))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="lower left", ncols=2)
+    return to_png(figure)
+
+
+def time_plot(points: Mapping[str, tuple[float, float]], time: str, score: str) -> bytes:
+    """A named point for each (time, score); the times in steps of equal ratio."""
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.2))
+    for (name, (x, y)), marker in zip(points.items(), itertools.cycle(MARKERS), strict=False):
+        axes.scatter(x, y, marker=marker, s=50, label=name)
+        axes.annotate(name, (x, y), xytext=(6, 4), textcoords="offset points", fontsize=7)
+    axes.set(xlabel=time, ylabel=score, xscale="log")
+    axes.grid(alpha=0.3, which="both")
+    axes.margins(0.2)
     return to_png(figure)
 
 

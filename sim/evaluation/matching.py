@@ -12,7 +12,7 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
-from edge.sequence.acceptance import Neighborhood
+from edge.sequence.evidence import Neighborhood
 from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
 from sim.evaluation import seqslam

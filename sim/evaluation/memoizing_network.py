@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.network import Network
+from edge.descriptor.network import CPU, Network
 
 
 class MemoizingNetwork(Network):
@@ -17,9 +17,9 @@ class MemoizingNetwork(Network):
     _known: dict[bytes, NDArray[np.float32]]
 
     @classmethod
-    def load(cls, path: Path | None = None) -> MemoizingNetwork:
+    def load(cls, path: Path | None = None, provider: str = CPU) -> MemoizingNetwork:
         """See Network."""
-        network = super().load(path)
+        network = super().load(path, provider)
         assert isinstance(network, MemoizingNetwork)
         network._known = {}
         return network

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor import NormalizedRows
-from edge.descriptor.normalize import OnlineNormalizer, RunningStatistics, normalize
+from edge.descriptor import NormalizedRows, RunningStatistics
+from edge.descriptor.normalize import OnlineNormalizer, normalize
 from edge.descriptor.regions import Regions
 from edge.errors import ConfigError
 

@@ -97,34 +97,40 @@ def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
 
 def run(args: argparse.Namespace) -> int:
     """Run a plan and write its report; SetupError, in one line, for any error in it."""
-    path = _find_plan(args.plan)
-    plan, beside = load_plan(path), path.parent
-    runner = open_runner(plan, Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds"))
+    path = find_plan(args.plan)
+    plan = load_plan(path)
+    runner = open_runner(plan, folders_of(args, path))
     for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
         runner.method(text)
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
     with open_executor(args.workers, args.cluster) as executor:
         if executor is not None:
             runner.describe_all(executor)
     sections = list(run_plan(runner, args.output))
-    page = write_report(args.output, plan.title, _about(path, plan, runner), sections)
+    page = write_report(args.output, plan.title, about(path, plan, runner), sections)
     _print_overview(sections[0])
     print(page)
     return 0
 
 
-def _find_plan(path: Path) -> Path:
+def folders_of(args: argparse.Namespace, path: Path) -> Folders:
+    """The folders that the options name, or else that of the plan. ConfigError if the report cannot be written."""
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
+    beside = path.parent
+    return Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds")
+
+
+def find_plan(path: Path) -> Path:
     """A file, or one of the shipped plans by its name."""
     shipped = SHIPPED / f"{path}.toml"
     return shipped if not path.exists() and shipped.is_file() else path
 
 
-def _about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
+def about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
     """What is needed to run the same again."""
-    about = {
+    terms = {
         "command": shlex.join(["lookback", *sys.argv[1:]]),
         "plan": f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}",
         "lookback": edge.__version__,
@@ -134,8 +140,8 @@ def _about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
     }
     for network in runner.descriptions.opened():
         info = network.info
-        about[f"network {info.name}, {info.tap}, {info.precision}"] = f"sha256 {info.sha256}"
-    return about | ({"notes": plan.notes} if plan.notes else {})
+        terms[f"network {info.name}, {info.output}, {info.precision}"] = f"sha256 {info.sha256}"
+    return terms | ({"notes": plan.notes} if plan.notes else {})
 
 
 def _print_overview(section: Section) -> None:

@@ -20,7 +20,7 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.sequence.acceptance import Neighborhood
+from edge.sequence.evidence import Neighborhood
 from edge.sequence.submap import RowMatcher
 from sim.evaluation.matching import int8_matcher
 

@@ -15,14 +15,21 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import Message
+from sim.trial import gps_histories
 from sim.trial.draft import GPS_S, Draft, Stretch
 from sim.trial.rules import (
+    arrives,
+    back_to_usual,
+    called_before_50_m,
+    called_soon,
     close,
     first_in_time,
+    never_called,
     never_sent,
     no_false_place,
     not_with_gps,
     not_worse,
+    on_its_lane,
     resumes,
     sends,
     sources_restored,
@@ -35,12 +42,27 @@ from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 FALSE_BY_M = 300.0
+HOME_LIGHTS = ("day", "dusk", "night", "rain")
+SET_OFF_M = 40.0
+"""From the start of the road: a vehicle that comes home may drive on too far."""
 GPS_WORKS = {
     "rtk": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_RTK_FIXED, accuracy_m=0.02),
     "ppp": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_PPP, accuracy_m=0.02),
     "second-only": GpsReport(second=True),
     "lost-request": GpsReport(),
 }
+
+SPOOFS: dict[str, Callable[[float], gps_histories.History]] = {
+    **{
+        f"drag-{rate:g}-{way}": partial(gps_histories.drag, rate, way)
+        for rate in gps_histories.DRAG_MPS
+        for way in ("along", "left")
+    },
+    "jump": partial(gps_histories.jump, 60.0),
+    "replay": partial(gps_histories.replay, 30.0),
+    "jammed": lambda start_s: gps_histories.jammed(8.0, gps_histories.jump(60.0, start_s), start_s),
+}
+BY_SCRIPT = ("jump", "drag-1-along")
 
 Course = Callable[[Draft], None]
 COURSES: dict[str, Course] = {}
@@ -70,6 +92,27 @@ def about(name: str) -> str:
 def _home(draft: Draft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
     draft.rules = (within_sigmas, no_false_place, not_worse, close, sends, resumes)
+
+
+@course("take-me-home")
+def _take_me_home(draft: Draft) -> None:
+    """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in one of four lights."""
+    _home_in(draft, str(draft.rng.choice(HOME_LIGHTS)))
+
+
+@course("take-me-home-{}", *HOME_LIGHTS)
+def _home_in(draft: Draft, value: str) -> None:
+    """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in this light."""
+    draft.home = draft.road(light=value)
+    out = along(draft.road(light="day", direction="forward", drive_seed=1), SET_OFF_M, draft.length_m)
+    turned = out.turned(180.0, radius_m=draft.home.lane_m)
+    way = turned.then(along(draft.home, draft.length_m, 0.0))
+    home_m = way.length_m - SET_OFF_M
+    draft.drive(way, Leg(out.length_m), Leg(turned.length_m + 5, 2.0), Leg(home_m))
+    draft.maps_live = True
+    draft.map = [Stretch(SET_OFF_M, draft.length_m)]
+    draft.gps_at, draft.gps_until_m = lambda time_s: GpsReport(), out.length_m
+    draft.rules = (within_sigmas, no_false_place, not_worse, arrives, on_its_lane, resumes)
 
 
 @course("one-stretch")
@@ -225,6 +268,35 @@ def _gps_drag(draft: Draft, value: float) -> None:
     draft.steers = False
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
     draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("gps-{}", "multipath", "rtk-2-cm")
+def _gps_honest(draft: Draft, value: str) -> None:
+    """D: an honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
+    _follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
+    draft.rules = (never_called,)
+
+
+@course("gps-spoofed-{}", *SPOOFS)
+def _gps_spoofed(draft: Draft, value: str) -> None:
+    """D: GPS is spoofed while a person drives; the places contradict it, and positions are used in its place."""
+    start_s = draft.share(0.55) / 8.0
+    _follow_history(draft, SPOOFS[value](start_s))
+    draft.doubted_gps = "send" if value in BY_SCRIPT else "switch"
+    draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
+
+
+def _follow_history(draft: Draft, history: gps_histories.History) -> None:
+    """GPS as a history says, for a vehicle at 8 m/s; a person drives."""
+    time_s = np.arange(0.0, draft.way.length_m / 4.0, 0.1)
+    true_m = np.array([draft.way.at(min(8.0 * t, draft.way.length_m - 1.0))[:2] for t in time_s])
+    offsets_m = history(time_s, true_m, draft.rng)
+
+    def report(at_s: float) -> GpsReport:
+        east_m, north_m = offsets_m[int(np.clip(at_s / 0.1, 0, len(offsets_m) - 1))]
+        return NO_FIX if np.isnan(east_m) else GpsReport(east_off_m=float(east_m), north_off_m=float(north_m))
+
+    draft.gps_at, draft.steers = report, False
 
 
 @course("lost-acknowledgements")

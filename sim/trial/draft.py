@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -46,10 +48,12 @@ class Stretch:
 class Draft:
     """One seeded drive of a course. Seconds count from the start of the drive, meters along its way.
 
-    killed_s: when the daemon dies at once and is started again. restarted_s: the same of the autopilot. loses: whether
-    the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to when the
-    autopilot sends nothing but heartbeats. steers: whether the autopilot drives, or a person. unsent: parts of the way
-    on which no position may be expected.
+    killed_s: when the daemon dies at once and is started again. restarted_s: the same of the autopilot. loses:
+    whether the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to
+    when the autopilot sends nothing but heartbeats. gps_until_m: where GPS fails, whatever gps_at says. maps_live:
+    the map is made while driving, with a second camera, instead of before. doubted_gps: of [gates]; with "send" the
+    autopilot runs our script. steers: whether the autopilot drives, or a person. unsent: parts of the way on which
+    no position may be expected.
     """
 
     rng: np.random.Generator
@@ -65,11 +69,14 @@ class Draft:
     emit: str = "auto"
     steers: bool = True
     gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+    gps_until_m: float = math.inf
     has_gps: bool = True
+    maps_live: bool = False
     loses: Callable[[float, Message, bool], bool] = lambda time_s, message, outgoing: False
     silence_s: tuple[float, float] | None = None
     killed_s: float | None = None
     restarted_s: float | None = None
+    doubted_gps: Literal["tell", "switch", "send"] = "tell"
     lon_shift_deg: float = 0.0
     booted_before_s: float = 0.0
     unsent: list[tuple[float, float]] = field(default_factory=list)

@@ -16,6 +16,8 @@ FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S, SENT_SHARE = 3.0, 0.4
 FAILSAFE_S = 6.0
 WARNING, WARNED_S = 4, 30.0
+CALLED_M, USUAL_M = 50.0, 10.0
+ARRIVED_M, LANE_M = 10.0, 5.0
 
 
 class Failure(NamedTuple):
@@ -30,7 +32,8 @@ class Track:
     """Truth and belief of a drive, ten times a second: arrays (N,).
 
     along_m, left_m: true place on the way. error_m: of the autopilot's own position. gps: whether its filter fuses GPS.
-    expected: whether positions may be expected here, since the road is on a right map and GPS is lost.
+    expected: whether positions may be expected here, since the road is on a right map and GPS is lost. end_off_m: from
+    where the vehicle stops to where it should.
     """
 
     time_s: Array
@@ -39,6 +42,7 @@ class Track:
     error_m: Array
     gps: NDArray[np.bool_]
     expected: NDArray[np.bool_]
+    end_off_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,13 @@ class Run:
         before = np.searchsorted(self.sent.time_s, times_s, side="right")
         last_s = np.concatenate([[-math.inf], self.sent.time_s])[before]
         return float(np.mean(times_s - last_s <= SENT_WITHIN_S))
+
+    @property
+    def first_after_m(self) -> float:
+        """Meters from the loss of GPS to the first position; NaN without either."""
+        sent_s = self.sent.time_s[self.sent.time_s >= _lost_s(self)]
+        along_m = np.interp([_lost_s(self), *sent_s[:1]], self.track.time_s, self.track.along_m)
+        return float(along_m[1] - along_m[0]) if len(along_m) > 1 else math.nan
 
 
 Rule = Callable[[Run], str]
@@ -149,6 +160,22 @@ def resumes(run: Run) -> str:
     return ""
 
 
+def arrives(run: Run) -> str:
+    """The vehicle ends within 10 m of where it should."""
+    return f"{run.track.end_off_m:.0f} m off" if run.track.end_off_m > ARRIVED_M else ""
+
+
+def on_its_lane(run: Run) -> str:
+    """Without GPS, the cross-track error is at most 5 m (95 %)."""
+    left_m = lane_off_m(run.track)
+    return f"cross-track {left_m:.1f} m" if left_m > LANE_M else ""
+
+
+def lane_off_m(track: Track) -> float:
+    """95 % of the cross-track error without GPS, m."""
+    return float(np.percentile(np.abs(track.left_m[~track.gps]), 95)) if not track.gps.all() else 0.0
+
+
 def never_sent(run: Run) -> str:
     """GPS works, so no position is sent."""
     return f"{len(run.sent.time_s)} sent" if len(run.sent.time_s) else ""
@@ -186,6 +213,45 @@ def first_in_time(run: Run) -> str:
     lost_s = _lost_s(run)
     first_s = min((time_s for time_s in run.sent.time_s if time_s >= lost_s), default=math.inf) - lost_s
     return f"first after {first_s:.1f} s" if first_s > FAILSAFE_S else ""
+
+
+def called_before_50_m(run: Run) -> str:
+    """GPS is called wrong before the autopilot, which follows it, is 50 m wrong."""
+    called_s = _called_s(run)
+    worst_m = run.track.error_m[run.track.time_s <= called_s].max()
+    return f"{worst_m:.0f} m before a call" if worst_m >= CALLED_M else ""
+
+
+def called_soon(run: Run) -> str:
+    """GPS is called wrong within 200 m of the moment at which the autopilot is 20 m wrong."""
+    wrong = np.flatnonzero(run.track.error_m > CALLED_M * 0.4)
+    if not len(wrong):
+        return ""
+    until = np.searchsorted(run.track.time_s, _called_s(run)).clip(0, len(run.track.time_s) - 1)
+    driven_m = abs(run.track.along_m[until] - run.track.along_m[wrong[0]])
+    return f"not called for {driven_m:.0f} m" if driven_m > AGAIN_M else ""
+
+
+def never_called(run: Run) -> str:
+    """GPS is not called wrong."""
+    return "" if math.isinf(_called_s(run)) else f"called at {_called_s(run):.0f} s"
+
+
+def back_to_usual(run: Run) -> str:
+    """From 200 m after the call on, the autopilot's error is at most 10 m (95 %)."""
+    track, called_s = run.track, _called_s(run)
+    if math.isinf(called_s):
+        return ""
+    at_m = np.interp(called_s, track.time_s, track.along_m)
+    errors_m = track.error_m[(track.time_s > called_s) & (track.along_m > at_m + AGAIN_M)]
+    if not len(errors_m):
+        return ""
+    error_m = np.percentile(errors_m, 95)
+    return f"error {error_m:.0f} m after the call" if error_m > USUAL_M else ""
+
+
+def _called_s(run: Run) -> float:
+    return min((time_s for time_s, _, text in run.texts if "GPS is wrong" in text), default=math.inf)
 
 
 def _lost_s(run: Run) -> float:

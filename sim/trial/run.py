@@ -21,7 +21,9 @@ from edge.config import (
     CameraConfig,
     Config,
     DescriptorConfig,
+    GatesConfig,
     MapConfig,
+    MappingConfig,
     PageConfig,
     RigConfig,
     SamplingConfig,
@@ -36,14 +38,16 @@ from edge.reference_map.store import RegionsKey
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim.trial.cameras import PlacedNetwork
 from sim.trial.courses import COURSES
 from sim.trial.draft import Draft, Stretch
 from sim.trial.rules import Run, Sent, Track, failures
-from sim.trial.simulation import PlacedNetwork, Silent, Simulation
+from sim.trial.simulation import Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.world.recording import TRUE_SIGMA_M
 from sim.world.route import Route
 from sim.world.scenario import Scenario
 
@@ -53,6 +57,7 @@ RIG = RigConfig(
     sigma_forward_swapped_m=4.1,
     ahead_reverse_same_m=-1.0,
     left_reverse_m=3.5,
+    parallax=2.4,
     sigma_reverse_same_m=2.8,
 )
 """Of the simulated rig, as `lookback calibrate` measures it."""
@@ -62,15 +67,19 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
     """Drive a course once with the daemon and once without; its journal stays in `folder`."""
     network = PlacedNetwork.load()
     assert isinstance(network, PlacedNetwork)
+    network.library = library
     draft = drafted(name, seed, length_m, world)
     with TemporaryDirectory(dir=folder) as passing:
         map_path = Path(passing) / "map"
-        build_course_map(draft, map_path, network, library)
+        if draft.maps_live:
+            map_path.mkdir()
+        else:
+            build_course_map(draft, map_path, network, library)
         with closing(open_pty()) as link:
-            simulation = Simulation(draft, link, library, seed)
-            simulation.network = network
+            simulation = Simulation(draft, link, seed)
+            simulation.show(network)
             _run_daemon(simulation, draft, link, map_path, folder, network)
-    alone = Simulation(drafted(name, seed, length_m, world), Silent(), library, seed)
+    alone = Simulation(drafted(name, seed, length_m, world), Silent(), seed)
     if not draft.has_gps:
         alone.autopilot.estimate.shift(ORIGIN_OFF_M, 0.0)
     while not alone.ended:
@@ -90,11 +99,14 @@ def _run_daemon(
 ) -> None:
     config = _settings(draft, link, map_path, folder, simulation.driver.pose)
     restarted_s = draft.restarted_s or math.inf
+    mapping = simulation.rear if draft.maps_live else None
     for until_s in (draft.killed_s, math.inf):
         if until_s is None:
             continue
         with ExitStack() as parts:
-            daemon = Daemon(config, parts, lambda: simulation.now_ns, frames=simulation, network=network)
+            daemon = Daemon(
+                config, parts, lambda: simulation.now_ns, frames=simulation, mapping_frames=mapping, network=network
+            )
             while daemon.turn() and simulation.time_s() < until_s:
                 if simulation.time_s() >= restarted_s:
                     restarted_s = math.inf
@@ -109,12 +121,15 @@ def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path, start: 
     """The defaults, but for the rig and what the course asks for; nothing is kept from an earlier drive."""
     (folder / JOURNAL).unlink(missing_ok=True)
     lat_deg, lon_deg = geodetic(start.east_m + ORIGIN_OFF_M, start.north_m, draft.lon_shift_deg)
+    mapping = MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear"))
     return Config(
         camera=CameraConfig(kind="sim", view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(map_path)),
+        mapping=mapping if draft.maps_live else MappingConfig(),
         page=PageConfig(port=0),
         rig=RIG,
+        gates=GatesConfig(doubted_gps=draft.doubted_gps),
         telemetry=msgspec.structs.replace(
             TelemetryConfig(),
             connection=f"serial:{link.device}:921600",
@@ -162,7 +177,8 @@ def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: floa
         east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m)
     lat_deg, lon_deg = geodetic(east_m + stretch.off_m[0], north_m + stretch.off_m[1], draft.lon_shift_deg)
     heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
-    return Place(row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m)
+    known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
+    return Place(*known, position_sigma_m=TRUE_SIGMA_M, position_source="survey")
 
 
 def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) -> Run:
@@ -185,7 +201,7 @@ def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) 
 
 
 def _track(draft: Draft, simulation: Simulation) -> Track:
-    time_s, along_m, left_m, _, _, error_m, gps = np.array(simulation.rows).T
+    time_s, along_m, left_m, east_m, north_m, error_m, gps = np.array(simulation.rows).T
     row = along_m.astype(int).clip(0, len(draft.way.route_m) - 1)
     expected = (
         (gps == 0) & (np.array(draft.way.roads, object)[draft.way.road[row]] == draft.home) & ~draft.way.carried[row]
@@ -195,7 +211,9 @@ def _track(draft: Draft, simulation: Simulation) -> Track:
     expected &= np.any(known, axis=0) if known else False
     for start_m, end_m in draft.unsent:
         expected &= ~((along_m >= start_m) & (along_m < end_m))
-    return Track(time_s, along_m, left_m, error_m, gps != 0, expected)
+    end_east_m, end_north_m, _ = draft.way.at(draft.legs[-1].to_m)
+    end_off_m = math.hypot(east_m[-1] - end_east_m, north_m[-1] - end_north_m)
+    return Track(time_s, along_m, left_m, error_m, gps != 0, expected, end_off_m)
 
 
 def _sent(draft: Draft, simulation: Simulation) -> Sent:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.trial.rules import Array, Run
+from sim.trial.rules import Array, Run, lane_off_m
 
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
 RMS = (0.8, 1.1)
@@ -25,7 +25,12 @@ HEADER = (
 def line(name: str, run: Run) -> str:
     """One drive, for people."""
     verdict = "; ".join(f"{failure.rule}: {failure.found}" for failure in run.failures) or "passed"
-    return f"{name:<26} seed {run.seed:3d}  {len(run.sent.time_s):4d} positions  {_spread(run.sent.error_m)}  {verdict}"
+    ends = ", ".join(f"{track.end_off_m:.0f} m" for track in (run.track, run.alone))
+    lanes = ", ".join(f"{lane_off_m(track):.1f} m" for track in (run.track, run.alone))
+    return (
+        f"{name:<26} seed {run.seed:3d}  {len(run.sent.time_s):4d} positions  {_spread(run.sent.error_m)}"
+        f"  first after {run.first_after_m:.0f} m  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What a camera sees of a road, as descriptors: rendered and described once for each cell of the road, then kept.
 
-A cell is a meter along the road, a meter across it and 4 degrees of heading, so that many drives share the minutes
+A cell is a meter along the road, a meter across it and 2 degrees of heading, so that many drives share the minutes
 that rendering and the network cost. The matching of the recognizer itself works on these descriptors as on a vehicle.
 """
 
@@ -25,7 +25,7 @@ from sim.world.scenario import Scenario
 if TYPE_CHECKING:
     from sim.world.renderer import Renderer
 
-CELL_DEG = 4.0
+CELL_DEG = 2.0
 MOST_LEFT_M = 25
 Cell: TypeAlias = tuple[int, int, int]
 
@@ -64,8 +64,8 @@ class RoadViews:
         covered_m = route_m if sign > 0 else self.drive.route.length_m - route_m
         time_s = self.drive.time_at_s(covered_m)
         image = self._renderer.render(Pose(east_m, north_m, float(heading_deg) % 360.0, 0.0, covered_m), time_s)
-        config = DescriptorConfig()
-        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width))
+        config, size = DescriptorConfig(), self._network.info.size
+        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width, size))
 
     def save(self) -> None:
         """Keep on disk what was described."""

@@ -16,6 +16,8 @@ from sim.world.drive import Drive
 from sim.world.scenario import Scenario
 
 SPACING_M = SamplingConfig().spacing_m
+TRUE_SIGMA_M = 0.1
+"""Accuracy of positions that are the simulator's truth."""
 
 
 def times_by_distance(drive: Drive, spacing_m: float) -> list[float]:
@@ -79,5 +81,7 @@ def _write_frame(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: fl
         heading_deg=pose.heading_deg,
         speed_mps=pose.speed_mps,
         distance_m=pose.distance_m,
+        position_sigma_m=TRUE_SIGMA_M,
+        position_source="survey",
         extra={"route_m": f"{drive.route_m(time_s):.3f}"},
     )

@@ -22,6 +22,8 @@ from pymavlink.dialects.v20.common import MAVLink_heartbeat_message
 
 import edge
 from edge.config import Config, parse_config
+from edge.feed.format import MEASURES, SOURCE
+from edge.geodesy import POSITION_SOURCES
 from edge.journal.records import JournalLine, Record
 from sim.world.scenario import Scenario
 
@@ -165,7 +167,7 @@ def unknown_words(text: str) -> list[str]:
     known = set().union(
         *keys.values(), config_values(), journal_words(), message_words(), plug_in_words(), edge.__all__
     )
-    known |= set(Scenario.__struct_fields__) | names_of_tests()
+    known |= {*Scenario.__struct_fields__, *names_of_tests(), *MEASURES, SOURCE, *POSITION_SOURCES}
     return [
         word for section, word in WORD.findall(text) if word not in (keys.get(section, set()) if section else known)
     ]

@@ -30,11 +30,21 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     with FeedWriter(tmp_path / "feed", HEADER, extra_columns=("weather",)) as writer:
         writer.write(image, 5, lat_deg=-27.4772, lon_deg=153.0283, heading_deg=0.1, extra={"weather": "Schnee, 雪"})
         writer.write(image + 50, 7, alt_m=20.0, speed_mps=1 / 3, distance_m=np.float64(2.5))
+        writer.write(image, 9, lat_deg=1.0, lon_deg=2.0, position_sigma_m=0.02, position_source="rtk_fixed")
     feed = read_feed(tmp_path / "feed")
     assert feed.header == HEADER
     assert feed.rows == (
         FeedRow("frames/000000.jpg", 5, -27.4772, 153.0283, None, 0.1, extra={"weather": "Schnee, 雪"}),
         FeedRow("frames/000001.jpg", 7, alt_m=20.0, speed_mps=1 / 3, distance_m=2.5, extra={"weather": ""}),
+        FeedRow(
+            "frames/000002.jpg",
+            9,
+            1.0,
+            2.0,
+            position_sigma_m=0.02,
+            position_source="rtk_fixed",
+            extra={"weather": ""},
+        ),
     )
     images = FeedImages(feed)
     assert [level(images.read(index)) for index in (1, 0)] == pytest.approx([140, 90], abs=1)
@@ -80,6 +90,8 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         ("frames.csv", "1050000000", "1000000000", r"line 3: stamp_ns 1000000000 is not after 1000000000"),
         ("frames.csv", "1050000000", "1150000000", r"line 4: stamp_ns 1100000000 is not after 1150000000"),
         ("frames.csv", "0,,,,,,2.0", "0,,,,,,two", r"frames\.csv: line 4: distance_m: 'two' is not a number"),
+        ("frames.csv", "0,,,,,,2.0,", "0,,,,,,2.0,0", r"line 4: position_sigma_m: 0 is not above 0"),
+        ("frames.csv", "0,,,,,,2.0,,", "0,,,,,,2.0,,sun", r"line 4: position_source: 'sun' is none of unknown, gps"),
         ("frames.csv", "0,,,,,,2.0", "0,nan,,,,,2.0", r"frames\.csv: line 4: lat_deg: 'nan' is not a number"),
         (
             "frames.csv",
@@ -108,9 +120,9 @@ def test_a_malformed_feed_is_one_line_that_names_the_place(
 def test_a_last_line_that_is_cut_short_is_named(feed_path: Path) -> None:
     file = feed_path / "frames.csv"
     whole = file.read_bytes()
-    for cut in range(len(whole) - len(b"frames/000011.jpg,1550000000,,,,,,11.0\n") + 1, len(whole) - len(b",11.0\n")):
+    for cut in range(len(whole) - len(b"frames/000011.jpg,1550000000,,,,,,11.0,,\n") + 1, len(whole) - len(b",,\n")):
         file.write_bytes(whole[:cut])
-        with pytest.raises(FeedError, match=r"frames\.csv: line 13: only . of 8 values; if the file is cut short"):
+        with pytest.raises(FeedError, match=r"frames\.csv: line 13: only . of 10 values; if the file is cut short"):
             read_feed(feed_path)
 
 

@@ -22,6 +22,7 @@ from sim import ORIGIN_ALT_M
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
+from sim.world.recording import TRUE_SIGMA_M
 from sim.world.scenario import Scenario
 from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, cases, load_case, run_daemon
 
@@ -111,6 +112,8 @@ def _write(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: float, n
         heading_deg=pose.heading_deg,
         speed_mps=pose.speed_mps,
         distance_m=pose.distance_m,
+        position_sigma_m=TRUE_SIGMA_M,
+        position_source="survey",
     )
 
 

@@ -15,16 +15,20 @@ from edge.errors import ConfigError
 from edge.journal.journal import Journal, read_journal, records_of
 from edge.journal.records import (
     SCHEMA,
+    DrivesDisagree,
     FixAnswered,
     FixChecked,
     FixSent,
     FixWithheld,
     FrameUsed,
+    GpsJudged,
+    HomeAnswered,
     JournalLine,
     JournalOpened,
     JournalResumed,
     LinkChanged,
     MapExcluded,
+    MappingChanged,
     PlaceFix,
     PositionMessageChosen,
     Record,
@@ -130,6 +134,7 @@ EVERY_KIND: tuple[Record, ...] = (
     JournalResumed(7),
     StateChanged("degraded", "camera: it is gone"),
     MapExcluded("tile-3", "damaged"),
+    MappingChanged("waiting", "no GPS", "20260101T120000Z", 12),
     LinkChanged("up", "", "udp:127.0.0.1:14550"),
     FrameUsed(5, 9_000_000_000),
     FrameUsed(
@@ -158,6 +163,9 @@ EVERY_KIND: tuple[Record, ...] = (
     FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
+    DrivesDisagree("places 3 to 9 of out and 12 to 18 of again", 41.5),
+    GpsJudged("wrong", -3.5, 12.0, 1.0),
+    HomeAnswered(True, "uploaded and verified: 300 m back along drive 1 (out), 12 waypoints for 151 places", 13),
     SourceSetAnswered(2, "ACCEPTED"),
     Stopped(120, 7, {"network": 8.5}, {"delivered": 130, "overwritten": 10, "bad": 0}),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
 import tracemalloc
@@ -20,12 +21,17 @@ from edge.feed import read_feed
 from edge.feed.traverse import traverse
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
+from edge.mapping import MappingStatus, MappingView, WayHome
 from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
 
 FRAMES, LENGTH = 30, 10
+MAPPING = MappingView(
+    MappingStatus("waiting", "no GPS", "20260101T120000Z", 40, 32, 80.0), ((47.0, 8.0), (47.1, 8.0)), 1,
+    WayHome(0.75, 155.0, 240.0, 12.0),
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +56,7 @@ def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
         stages_ms=lambda: {"network": 8.5},
         journal_lost=lambda: 0,
         clock_ns=lambda: 10**9 * FRAMES,
+        mapping=lambda: MAPPING,
     )
     status = LiveStatus("a model", 1.08, sources)
     for item in traverse(read_feed(street.path.with_name("feed")), SamplingConfig()):
@@ -81,6 +88,13 @@ def test_a_snapshot_shows_the_newest_frame_and_how_it_came_to_its_place(watched:
     assert [sample.used.uniqueness is None for sample in status.history] == [True] * (LENGTH - 1) + [False] * (
         FRAMES - LENGTH + 1
     )
+
+
+def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus) -> None:
+    shown = json.loads(watched.snapshot("on the map", "").as_json(0))["mapping"]
+    assert shown["status"]["why"] == "no GPS"
+    assert shown["line"] == [[47.0, 8.0], [47.1, 8.0]]
+    assert shown["way_home"] == {"share": 0.75, "first_m": 155.0, "longest_m": 240.0, "drift_m": 12.0}
 
 
 def test_a_snapshot_is_not_changed_by_later_frames(

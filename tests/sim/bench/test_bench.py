@@ -15,7 +15,7 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError
 from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_map
-from sim.bench import frame_rows, map_rows, memory_rows, page_rows, search_rows
+from sim.bench import frame_rows, map_rows, mapping_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
 from sim.bench.rows import Row, Section, Target, page
 from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
@@ -92,9 +92,10 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
         search_rows.measure([200], 2),
         frame_rows.measure(MACHINE, tmp_path, 200, 3),
         map_rows.measure(tmp_path, [300], 2, KEY),
+        mapping_rows.measure(tmp_path, 200, 20),
     ]
     text = page(MACHINE, sections, "Made by a test.")
-    for what in ("L = 80", "whole frame", "300 places: opening, with its search"):
+    for what in ("L = 80", "whole frame", "300 places: opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
 

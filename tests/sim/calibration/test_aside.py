@@ -12,7 +12,7 @@ from edge.descriptor.normalize import normalize
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from sim.calibration.offset import measure_offsets, rig_config
+from sim.calibration.offset import measure_offsets, measure_parallax, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
 
 METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
@@ -51,3 +51,21 @@ def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
     assert rig.left_forward_m == 0.3
     assert rig.sigma_across_m == pytest.approx(3.0, abs=0.4)
     assert rig_config(measure_offsets(again)).sigma_across_m == 2.5, "no lane is kept better"
+
+
+def test_parallax_is_measured_beside_the_maps_drive_and_not_on_it() -> None:
+    rng = np.random.default_rng(3)
+
+    def drive(left_m: float, wrong: float = 0.0) -> list[Sighting]:
+        beside_m = rng.normal(left_m, 0.5, 200)
+        lag_m = np.where(rng.random(200) < wrong, -8.0, 2.4 * left_m + rng.normal(0.0, 2.0, 200))
+        return [
+            Sighting("reverse", "same", 0.0, 0.9, True, left, lag_m=lag)
+            for left, lag in zip(beside_m, lag_m, strict=True)
+        ]
+
+    assert measure_parallax(drive(3.5, wrong=0.1)) == pytest.approx(2.4, rel=0.1)
+    assert measure_parallax(drive(-3.5)) == pytest.approx(2.4, rel=0.1)
+    assert measure_parallax(drive(0.2)) is None, "the same lane shows nothing"
+    assert measure_parallax([Sighting("reverse", "same", 0.0, 0.9, True, 3.5)] * 50) is None, "no region alone"
+    assert measure_parallax([]) is None

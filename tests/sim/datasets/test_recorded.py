@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -118,6 +119,25 @@ def write_tlog(file: Path, degrees_at: Degrees, count: int) -> None:
     file.write_bytes(bytes(log) + struct.pack(">Q", 1_714_557_700_000_000) + b"\xfd\x1c\x00")
 
 
+def test_positions_in_a_log_have_the_accuracy_of_the_receiver(tmp_path: Path) -> None:
+    """An RTK fix, then none: what the autopilot then estimates may rest on anything."""
+    vehicle, log = mavlink.MAVLink(None, 1, 1), bytearray()
+    for number, fix_type in enumerate([None, 6, 6, 0, 0, 3]):
+        own = mavlink.MAVLink_global_position_int_message(number * 200, 10_000_000 + number, 1, 0, 0, 0, 0, 0, 0)
+        sent = [own]
+        if fix_type is not None:
+            sent.insert(0, mavlink.MAVLink_gps_raw_int_message(0, fix_type, 1, 1, 0, 0, 0, 0, 0, 9, h_acc=140))
+        for message in sent:
+            log += struct.pack(">Q", 1_714_557_600_000_000 + number * 200_000) + message.pack(vehicle)
+    (tmp_path / "a.tlog").write_bytes(bytes(log))
+    track = read_log(tmp_path / "a.tlog")
+    found = [(fix.source, fix.sigma_m) for fix in track.fixes]
+    rtk, lost = ("rtk_fixed", 0.14), ("dead_reckoning", pytest.approx(math.nan, nan_ok=True))
+    assert found == [("unknown", lost[1]), rtk, rtk, lost, lost, ("gps", 0.14)]
+    between = track.fixes[2].stamp_ns + np.array([-100_000_000, 100_000_000])
+    assert [fix.source for fix in track.at(between)] == ["rtk_fixed", "dead_reckoning"]
+
+
 def write_dataflash(file: Path, degrees_at: Degrees, count: int) -> None:
     """ArduPilot's format messages first (FMT describes itself), then POS at 5 Hz."""
     layouts = {
@@ -167,6 +187,7 @@ def test_each_log_gives_the_positions_that_were_driven(tmp_path: Path, degrees_a
         assert fix.stamp_ns - start_ns == pytest.approx(after_us * 1000, abs=1000)
         assert [fix.lat_deg, fix.lon_deg] == pytest.approx(degrees, abs=1e-7)
         assert fix.alt_m == pytest.approx(110.5)
+    assert {fix.source for fix in fixes} == {"gps" if suffix == ".bin" else "unknown"}
     if suffix == ".tlog":
         assert (start_ns, fixes[3].heading_deg, fixes[3].speed_mps) == (1_714_557_600_000_000_000, 0.0, 5.0)
 

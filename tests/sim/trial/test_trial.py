@@ -24,19 +24,23 @@ from sim.vehicle.driver import Driver, Leg
 from sim.world.scenario import Scenario
 
 LENGTH_M, WORLD = 560.0, 21
-SMALL = {
-    "home": "autopilot's error 18.8 m, alone 10.9 m; median after a position 7.8 m",
-    "one-stretch": "",
-    "turn-off": "autopilot's error 9.2 m, alone 7.0 m",
-    "reversing-4": "autopilot's error 13.8 m, alone 10.4 m",
-    "tow": "20.6 sigma; 3 of a false place, up to 99 m",
-    "false-260": "",
-    "two-laps": "",
-    "gps-rtk": "",
-    "daemon-killed": "",
-    "px4-aided": "",
-}
-"""Courses driven in every test run, and what is known to fail."""
+SMALL = (
+    "home",
+    "take-me-home-night",
+    "one-stretch",
+    "turn-off",
+    "reversing-4",
+    "tow",
+    "false-260",
+    "two-laps",
+    "gps-rtk",
+    "gps-multipath",
+    "gps-spoofed-jump",
+    "gps-spoofed-drag-2-left",
+    "daemon-killed",
+    "px4-aided",
+)
+"""Courses driven in every test run."""
 
 
 @pytest.fixture(scope="module")
@@ -58,13 +62,7 @@ def _render_lanes(folder: Path) -> None:
     found.close()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(strict=False, reason=f"measured: {known}") if known else ())
-        for name, known in SMALL.items()
-    ],
-)
+@pytest.mark.parametrize("name", SMALL)
 def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> None:
     run = drive(name, 1, LENGTH_M, WORLD, tmp_path, library)
     assert not run.failures, f"{name}, seed 1: {line(name, run)}"
@@ -93,6 +91,10 @@ def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> Run
     return replace(run, **changes)  # type: ignore[arg-type]  # fields by name
 
 
+CALLED = ((30.0, 4, "Lookback: GPS is wrong by 45 m to the E"),)
+"""After 240 m."""
+DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
+"""45 m wrong from 160 m on."""
 NOTHING = Sent(np.array([]), np.array([]), np.array([]))
 
 
@@ -112,12 +114,27 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
         (rules.resumes, run_of(), ""),
         (rules.resumes, run_of(sent=NOTHING), "none for 350 m at 42"),
         (rules.resumes, run_of(sent=Sent(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
+        (rules.arrives, run_of(), ""),
+        (rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
+        (rules.on_its_lane, run_of(), ""),
+        (rules.on_its_lane, run_of(track=replace(straight(), left_m=np.full(600, -6.0))), "cross-track 6.0 m"),
         (rules.never_sent, run_of(), "50 sent"),
         (rules.not_with_gps, run_of(), ""),
         (rules.not_with_gps, run_of(track=replace(straight(), gps=straight().time_s > 40)), "17 sent with GPS"),
         (rules.sources_restored, run_of(source_set=2), "ends on source set 2"),
         (rules.warns, run_of(), "no warning"),
         (rules.warns, run_of(texts=((20.0, 4, "positions are not used"),)), ""),
+        (rules.called_before_50_m, run_of(), ""),
+        (rules.called_before_50_m, run_of(track=DRAGGED, texts=CALLED), ""),
+        (rules.called_before_50_m, run_of(track=replace(straight(), error_m=np.full(600, 60.0))), "60 m before a call"),
+        (rules.called_soon, run_of(), ""),
+        (rules.called_soon, run_of(track=DRAGGED, texts=CALLED), ""),
+        (rules.called_soon, run_of(track=DRAGGED), "not called for 3"),
+        (rules.never_called, run_of(), ""),
+        (rules.never_called, run_of(texts=CALLED), "called at 30 s"),
+        (rules.back_to_usual, run_of(track=DRAGGED), ""),
+        (rules.back_to_usual, run_of(texts=CALLED), ""),
+        (rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
         (rules.first_in_time, run_of(), ""),
         (rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
     ],
@@ -125,6 +142,11 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
 def test_what_a_rule_finds(rule: rules.Rule, run: Run, found: str) -> None:
     assert rule(run).startswith(found)
     assert bool(rule(run)) == bool(found)
+
+
+def test_where_the_first_position_comes() -> None:
+    assert run_of().first_after_m == pytest.approx(8.8)  # GPS is lost at 71.2 m
+    assert np.isnan(run_of(sent=NOTHING).first_after_m)
 
 
 def test_the_table_counts_failures_and_judges_all_drives_together() -> None:

@@ -1,0 +1,120 @@
+"""The parts of the daemon that the config names, opened: links, recognizer, maps, camera, recording and live page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+from edge.camera import Frames
+from edge.camera.newest import NewestFrame
+from edge.config import Config
+from edge.descriptor.network import Network
+from edge.descriptor.open_network import open_network
+from edge.drive_mapper import DriveMapper
+from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
+from edge.health.monitor import HealthMonitor, Links
+from edge.health.stage_times import StageTimes
+from edge.journal.journal import Journal
+from edge.journal.records import Record
+from edge.map_verification import MapVerification
+from edge.mission import plan_way_home
+from edge.page import LiveStatus, Sources, map_view, open_page
+from edge.recognizer import model_key, open_recognizer
+from edge.reference_map import MapSet
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.local_socket import LocalSocket
+from edge.warm_start import WarmStart
+
+CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
+
+
+class OpenedParts:
+    """What `Daemon` moves frames through; None: a part that the config does not name."""
+
+    def __init__(
+        self,
+        config: Config,
+        parts: ExitStack,
+        clock_ns: Callable[[], int],
+        *,
+        frames: Frames | None = None,
+        mapping_frames: Frames | None = None,
+        network: Network | None = None,
+    ) -> None:
+        """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order.
+
+        frames, mapping_frames, network: instead of those that the config names.
+        """
+        self._config, self._clock_ns = config, clock_ns
+        self.times = StageTimes()
+        self._journal: Journal | None = None
+        self.record: Callable[[Record], object] = lambda record: None
+        if config.telemetry.journal:
+            journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
+            self._journal = parts.enter_context(closing(journal))
+            self.record = self._journal.write
+        link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, config.home)
+        self.autopilot = parts.enter_context(closing(link))
+        # Before all others, so that it publishes which of them cannot be opened.
+        links = Links(link.set_system_status, link.status_text, link.say_now)
+        self.monitor = HealthMonitor(links, self._journal, clock_ns)
+        with self.monitor.failures():
+            self._open_recognizer(parts, network, mapping_frames)
+            self._open_camera(parts, frames)
+            self._open_page(parts)
+            self._open_home(parts)
+
+    def _open_recognizer(self, parts: ExitStack, network: Network | None, mapping_frames: Frames | None) -> None:
+        config = self._config
+        network = network or open_network(config.descriptor)
+        self.mapper: DriveMapper | None = None
+        if config.mapping.folder:
+            others = parts, self.autopilot, self.record, self._clock_ns
+            self.mapper = DriveMapper(config, model_key(network), *others, frames=mapping_frames)
+        newest = self.mapper.so_far() if self.mapper else None
+        self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
+        maps = self.recognizer.map_set
+        self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
+        self.warm_start = WarmStart(config, self.recognizer)
+
+    def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
+        config = self._config
+        self.device: NewestFrame | None = None
+        if frames is None:
+            frames = self.device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
+        self.camera: Frames = parts.enter_context(closing(frames))
+        self.recording: FramesAwaitingPosition | None = None
+        if config.recording.folder:
+            folder = Path(config.recording.folder)
+            recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
+            self.recording = FramesAwaitingPosition(parts.enter_context(closing(recorder)), self.autopilot)
+
+    def _open_page(self, parts: ExitStack) -> None:
+        config, maps = self._config, self.recognizer.map_set
+        sources = Sources(
+            map_name=lambda: f"{Path(config.map.path).name}, {self.recognizer.map_set}",
+            costs=self.recognizer.cost_view,
+            camera=lambda: self.camera.health,
+            link=self.autopilot.status,
+            stages_ms=self.times.medians_ms,
+            journal_lost=lambda: self._journal.lost if self._journal else 0,
+            clock_ns=self._clock_ns,
+            mapping=lambda: self.mapper.view() if self.mapper else None,
+        )
+        self.live_status = LiveStatus(self.recognizer.model_name, config.acceptance.confidence_min, sources)
+        self.page = open_page(config.page, map_view(maps))
+        if self.page is not None:
+            parts.enter_context(closing(self.page))
+
+    def _open_home(self, parts: ExitStack) -> None:
+        home, left_m = self._config.home, self._config.rig.left_reverse_m
+        self.autopilot.plan_home_by(lambda start: plan_way_home(self._maps_to_here(), start, home, left_m))
+        self.home_socket: LocalSocket | None = None
+        if home.enabled and home.socket:
+            self.home_socket = parts.enter_context(closing(LocalSocket(Path(home.socket))))
+
+    def _maps_to_here(self) -> MapSet:
+        """The maps, with that of this drive up to the vehicle."""
+        maps = self.recognizer.map_set
+        return maps.with_newest(self.mapper.whole()) if self.mapper is not None else maps

@@ -1,0 +1,86 @@
+"""The cameras of a course: frames come late and with holes, and are described only where the daemon asks for it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera import CameraHealth, Frame
+from edge.descriptor.network import Network
+from sim.trial.views import RoadLibrary
+from sim.world.scenario import Scenario
+
+LATENCY_S = (0.03, 0.25)
+HOLE_RATE, LONGEST_HOLE_S = 0.01, 1.5
+"""Share of the frames at which a hole begins, as on a computer that is busy with something else."""
+
+
+class View(NamedTuple):
+    """What a camera sees: a road in some light, an arc length, meters left of the lane, degrees right of the lane."""
+
+    scenario: Scenario
+    route_m: float
+    left_m: float
+    turn_deg: float
+
+
+class PlacedNetwork(Network):
+    """The network of a drive: it describes what the camera saw whose frame was taken last."""
+
+    library: RoadLibrary
+    seen: View
+
+    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """The descriptors of the view, whatever the images."""
+        return self.library[self.seen.scenario].raw(*self.seen[1:])
+
+
+class TrialCamera:
+    """One camera in simulated time: `expose` when it is due, `take` what has arrived."""
+
+    def __init__(self, now_ns: Callable[[], int], rng: np.random.Generator) -> None:
+        self.network: PlacedNetwork | None = None
+        """Describes the frames; without it none is delivered."""
+        self._now_ns, self._rng = now_ns, rng
+        self._delivered = 0
+        self._hole_until_s = 0.0
+        self._waiting: deque[tuple[float, int, View]] = deque()
+
+    def expose(self, view: View) -> None:
+        """A frame of this view, unless there is a hole."""
+        now_s = self._now_ns() / 1e9
+        if self._rng.random() < HOLE_RATE:
+            self._hole_until_s = now_s + self._rng.uniform(0.0, LONGEST_HOLE_S)
+        latency_s = self._rng.uniform(*LATENCY_S)
+        if now_s >= self._hole_until_s:
+            self._waiting.append((now_s + latency_s, self._now_ns(), view))
+
+    @property
+    def health(self) -> CameraHealth:
+        """See NewestFrame."""
+        return CameraHealth("running", "", 0, delivered=self._delivered)
+
+    @property
+    def ended(self) -> bool:
+        """See NewestFrame."""
+        return False
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The newest frame that has arrived since the last call; does not wait."""
+        arrived = None
+        while self._waiting and self._waiting[0][0] <= self._now_ns() / 1e9:
+            arrived = self._waiting.popleft()
+        if arrived is None or self.network is None:
+            return None
+        self._delivered += 1
+        self.network.seen = arrived[2]
+        # Only so that it is neither blank nor frozen.
+        picture = np.random.default_rng(self._delivered).integers(0, 255, (32, 32, 3), np.uint8)
+        return Frame(picture, arrived[1], self._delivered)
+
+    def close(self) -> None:
+        """See NewestFrame."""
