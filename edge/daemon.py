@@ -105,11 +105,11 @@ class Daemon:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
         began_ns, missed = self._clock_ns(), self._sampler.missed
-        match = self._recognize(frame, distance_m, missed)
         displacement = self._autopilot.displacement(frame.stamp_ns)
-        self._localizer.update(match, frame.stamp_ns, displacement, missed)
         if self._turn_around.add(displacement):
-            self._recognizer.matcher.restart_statistics()
+            self._recognizer.begin_way_back()
+        match = self._recognize(frame, distance_m, missed)
+        self._localizer.update(match, frame.stamp_ns, displacement, missed)
         self._map_frame(frame, distance_m, missed)
         self._use_gps(match, frame.stamp_ns, missed)
         self._publish_frame(frame, match, missed)

@@ -88,10 +88,9 @@ class SequenceMatcher:
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
-        if map_set.index.places:
-            self._normalizer.begin_with(_statistics_of(map_set))
         self._frame = 0
         self.use_maps(map_set)
+        self._begin_statistics()
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on, beginning a new sequence; the normalization's statistics stay."""
@@ -137,7 +136,7 @@ class SequenceMatcher:
         self._stopwatch("search")
         belief = self._consensus.update(PlaceVote.of(match, self._drives) if match else None, odometer_m, missed)
         believed = self._believed(match, belief)
-        self.search.follow(believed.place_index if believed and believed.accepted else None)
+        self.search.follow(believed)
         believed = self._with_parallax(believed)
         self._stopwatch("belief")
         return believed
@@ -154,9 +153,17 @@ class SequenceMatcher:
             match = found
         return replace(match, confidence=belief.confidence, accepted=belief.is_believed)
 
-    def restart_statistics(self) -> None:
-        """Normalize by the map's statistics and what follows: the light and the side of the road are other ones."""
-        self._normalizer.begin_with(_statistics_of(self.map_set))
+    def begin_way_back(self) -> None:
+        """The vehicle has turned around: the light and the side of the road are other ones, and no line goes on.
+
+        What follows is normalized by the map's statistics at first, as when the drive began.
+        """
+        self.reset()
+        self._begin_statistics()
+
+    def _begin_statistics(self) -> None:
+        if self.map_set.index.places:
+            self._normalizer.begin_with(_statistics_of(self.map_set))
 
     def _with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
         """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
@@ -301,6 +308,10 @@ class PlaceRecognizer:
         self.matcher.reset()
         self._last, self._unmoved = None, 0
         self.state = "warming up"
+
+    def begin_way_back(self) -> None:
+        """The vehicle has turned around; see `SequenceMatcher.begin_way_back`."""
+        self.matcher.begin_way_back()
 
     def restart_odometer(self) -> None:
         """The distance driven before cannot be compared with what follows."""

@@ -177,6 +177,22 @@ def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
     assert not recognizer.was_carried
 
 
+def test_after_turning_around_nothing_of_the_way_out_counts(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    recognizer, fresh = recognizer_of(network, street_map), recognizer_of(network, street_map)
+    drive(recognizer, frames[:30])
+    recognizer.begin_way_back()
+    back, expected = (drive(one, frames[45:15:-1], 31 * FRAME_NS) for one in (recognizer, fresh))
+    assert [match is None for match in back] == [match is None for match in expected]
+    apart = [
+        abs(found.place_index - match.place_index)
+        for found, match in zip(back, expected, strict=True)
+        if found and match
+    ]
+    assert len(apart) == 31 - LENGTH and max(apart) <= 1
+
+
 def test_places_passed_unseen_leave_room_in_the_line(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:

@@ -95,6 +95,11 @@ class RouteEstimate:
         return self.mean[:2]
 
     @property
+    def scale(self) -> float:
+        """Share by which the autopilot's velocity is found to be too low."""
+        return float(self.mean[3])
+
+    @property
     def scale_sigma(self) -> float:
         """Standard deviation of the scale error."""
         return float(np.sqrt(self.covariance[3, 3]))

@@ -37,6 +37,8 @@ OFF_LANE = 2.0
 """Times by which the road counts as wider where a parallax could say where the vehicle is across."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
+ODD_SIGMAS = 1.5
+"""Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
 RIVAL_MATCHES = 3
 """Matches in a row that disagree with the estimate before its positions are disputed."""
 
@@ -170,7 +172,11 @@ class RouteFilter:
 
     @property
     def _is_disputed(self) -> bool:
-        return self._rival is not None and self._rival.matches >= RIVAL_MATCHES
+        """Whether matches disagree with the estimate, or agree only if the odometer is wrong by too much."""
+        is_odd = (
+            self._track is not None and abs(self._track.estimate.scale) > ODD_SIGMAS * self._config.drift_percent / 100
+        )
+        return is_odd or (self._rival is not None and self._rival.matches >= RIVAL_MATCHES)
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""

@@ -81,9 +81,11 @@ RIGHT: dict[str, Callable[[np.random.Generator], Course]] = {
     "two drives that disagree by 40 m": drives_disagree,
     "a map of 5 m accuracy": lambda rng: Course(stretches=(Stretch(0.0, 1200.0, sigma_m=5.0),)),
     "two drives of 5 and 7 m accuracy": drives_of_5_m,
-    "odometer -15 %": lambda rng: Course(scale=-0.15),
     "odometer -3 %, heading 3 degrees": lambda rng: Course(scale=-0.03, heading_deg=3.0),
     "odometer +3 %, heading -3 degrees": lambda rng: Course(scale=0.03, heading_deg=-3.0),
+}
+ODD: dict[str, Callable[[np.random.Generator], Course]] = {
+    "odometer -15 %": lambda rng: Course(scale=-0.15),
     "odometer +12 %": lambda rng: Course(scale=0.12),
 }
 FALSE: dict[str, Callable[[np.random.Generator], Course]] = {
@@ -113,6 +115,13 @@ def check_right(results: list[Result]) -> None:
         assert np.median(result.own_m) <= 1.05 * np.median(result.alone_m) + 5.0, "never worse than without fixes"
 
 
+def check_odd(results: list[Result]) -> None:
+    """Wrong by far more than is assumed: positions only until that is found, and none that is far off."""
+    for result in results:
+        assert not result.sigmas or max(result.sigmas) <= 4.0
+        assert np.median(result.own_m) <= 1.05 * np.median(result.alone_m) + 5.0, "never worse than without fixes"
+
+
 def check_false(results: list[Result]) -> None:
     assert not any(result.sigmas for result in results)
 
@@ -120,6 +129,13 @@ def check_false(results: list[Result]) -> None:
 @pytest.mark.parametrize("course", RIGHT.values(), ids=RIGHT.keys())
 def test_positions_are_as_good_as_they_say(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
     check_right(drives(course, 4, tmp_path))
+
+
+@pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
+def test_an_odometer_that_is_wrong_by_far_moves_nothing_far(
+    course: Callable[[np.random.Generator], Course], tmp_path: Path
+) -> None:
+    check_odd(drives(course, 4, tmp_path))
 
 
 @pytest.mark.parametrize("course", FALSE.values(), ids=FALSE.keys())
@@ -140,6 +156,14 @@ def test_positions_are_as_good_as_they_say_in_full(
     course: Callable[[np.random.Generator], Course], tmp_path: Path
 ) -> None:
     check_right(drives(course, 50, tmp_path))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
+def test_an_odometer_that_is_wrong_by_far_moves_nothing_far_in_full(
+    course: Callable[[np.random.Generator], Course], tmp_path: Path
+) -> None:
+    check_odd(drives(course, 50, tmp_path))
 
 
 @pytest.mark.soak

@@ -286,6 +286,7 @@ def test_a_wrong_scale_is_found(open_filter: Callable[..., RouteFilter]) -> None
     assert fix is not None
     assert drive.north_m(fix) == pytest.approx(drive.place * SPACING_M, abs=2.0)
     assert fix.velocity_error == pytest.approx(0.087, abs=0.03)
+    assert fix.disputed, "by more than drift_percent allows: what else is wrong, nobody knows"
 
 
 def test_one_false_match_changes_nothing(open_filter: Callable[..., RouteFilter]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -67,13 +68,15 @@ class Drive:
     def __init__(self, reference_map: ReferenceMap, look: Callable[[int], np.ndarray], config: Config = CONFIG) -> None:
         self.search = PlaceSearch(MapSet.of(reference_map), config)
         self._look = look
+        self.is_measured = False
+        self._length = config.sequence.length
         self._ring: list[np.ndarray] = []
 
     def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
-        self._ring = [*self._ring, self._look(place)][-LENGTH:]
+        self._ring = [*self._ring, self._look(place)][-self._length :]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), near)
-        self.search.follow(match.place_index if match and is_unique(match) else None)
+        match = self.search.push(change, lambda: np.stack(self._ring), near, is_measured=self.is_measured)
+        self.search.follow(replace(match, accepted=True) if match and is_unique(match) else None)
         return match
 
     def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
@@ -195,3 +198,18 @@ def test_after_a_gap_the_position_is_searched_around_again(
     assert drive.search.part is not None
     assert matches[-1] is not None
     assert matches[-1].place == 2540 + LENGTH - 1
+
+
+@pytest.mark.parametrize("pace", [0.85, 1.0, 1.18])
+def test_lines_follow_an_odometer_that_is_wrong(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], pace: float
+) -> None:
+    """Where distance is measured, lines are searched within a tenth of it, and turned where they lie at that limit."""
+    config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES), sequence=SequenceConfig(length=40))
+    drive = Drive(long_map, look, config)
+    drive.is_measured = True
+    found = [drive.see(round(100 + pace * number)) for number in range(160)]
+    assert found[-1] is not None and abs(found[-1].slope - pace) < 0.03
+    assert abs(found[-1].place_index - (100 + pace * 159)) <= 2
+    back = [drive.see(1500 + number) for number in range(160)]
+    assert back[-1] is not None and abs(back[-1].slope - 1.0) < 0.03, "and back again"
