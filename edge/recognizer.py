@@ -136,7 +136,7 @@ class SequenceMatcher:
         self._stopwatch("search")
         belief = self._consensus.update(PlaceVote.of(match, self._drives) if match else None, odometer_m, missed)
         believed = self._believed(match, belief)
-        self.search.follow(believed)
+        self.search.follow(believed.place_index if believed and believed.accepted else None)
         believed = self._with_parallax(believed)
         self._stopwatch("belief")
         return believed

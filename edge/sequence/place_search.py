@@ -8,7 +8,6 @@ around a position, the maps are scanned besides. No frame costs more than its sh
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,11 +32,8 @@ WINDOW_PLACES = 60
 """Places on either side of the match that people are shown of the cost matrix."""
 
 MEASURED_SLOPE_RAD = 0.05
-"""Limit of the slopes where the distance between places is measured, in which an odometer is wrong by a tenth."""
-STEEPEST_SHARE = 0.5
-"""Share of a sequence by which more lines are at one limit of those slopes than are not, from which the slopes are
-turned by as much. A vehicle that changes its lane has lines of other slopes for a few frames, and of the opposite ones
-when it comes back; where no place is recognized, lines have any slope."""
+"""Limit of the slopes where the distance between places is measured: an odometer is wrong by a tenth at most. In a
+wider one, lines drift away from a vehicle that leaves its lane, whose regions then show places that are apart."""
 REGULAR, REGULAR_SHARE = 0.1, 0.9
 """The places of a map are regularly spaced if so many stretches of half a sequence are within this share of their
 median length: single steps differ by more, since a camera that maps has no frame at the very moment."""
@@ -101,10 +97,6 @@ class PlaceSearch:
         self._is_position_known = False  # of the autopilot, at the newest frame
         self._measured_frames = config.sequence.length  # in a row of which the distance driven is known
         self._is_regular = is_regular(map_set, config.sequence.length)
-        self._turned_rad = 0.0  # of the measured slopes: more where the odometer counts too little
-        self._steepest = (
-            0  # more frames with lines at the steep limit of the measured slopes than without; < 0: the flat one
-        )
         self._search(self._everything(), None)
         orders = map_set.headers[0].regions.count
         self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
@@ -171,16 +163,13 @@ class PlaceSearch:
         """The best line that ends at places [first, end) of one drive; None where none of them is searched."""
         return self.part.best_between(first, end, direction) if self.part is not None else None
 
-    def follow(self, match: PlaceMatch | None) -> None:
-        """Use the answer to a frame, with its confidence, from the next frame on: search around a place if believed."""
-        if match is not None:
-            self._watch_slope(match)
+    def follow(self, place_index: int | None) -> None:
+        """Search around the place that is believed, None if there is none, from the next frame on."""
         if self._is_whole:
             return
-        is_believed = match is not None and match.accepted
-        self._unbelieved = 0 if is_believed else self._unbelieved + 1
-        if match is not None and is_believed and not self._is_position_known:
-            self._follow(match.place_index)
+        self._unbelieved = 0 if place_index is not None else self._unbelieved + 1
+        if place_index is not None and not self._is_position_known:
+            self._follow(place_index)
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in."""
@@ -268,9 +257,7 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(
-            ranges, self._map_set, self._slopes_config, self._frame, self._turned_rad if self._is_measured else 0.0
-        )
+        return Submap(ranges, self._map_set, self._slopes_config, self._frame)
 
     @property
     def _slopes_config(self) -> Config:
@@ -280,29 +267,9 @@ class PlaceSearch:
     def _is_measured(self) -> bool:
         return self._measured_frames >= self._config.sequence.length
 
-    def _watch_slope(self, match: PlaceMatch) -> None:
-        """Where most lines are at one limit of the measured slopes, the odometer is wrong: turn the slopes."""
-        if not self._is_measured:
-            return
-        limit_rad = min(MEASURED_SLOPE_RAD, self._config.sequence.slope_limit_rad)
-        off_rad = math.atan(match.slope) - math.pi / 4 - self._turned_rad
-        is_at_limit = abs(off_rad) > (1 - 1 / MEASURED_SLOPES) * limit_rad
-        self._steepest += int(np.sign(off_rad) if is_at_limit else -np.sign(self._steepest))
-        if abs(self._steepest) < STEEPEST_SHARE * self._config.sequence.length:
-            return
-        turned_rad = self._turned_rad + math.copysign(limit_rad, self._steepest)
-        self._steepest = 0
-        if abs(turned_rad) + limit_rad <= self._config.sequence.slope_limit_rad + 1e-9:
-            self._turned_rad = turned_rad
-            self._slopes_changed()
-
-    def _slopes_changed(self) -> None:
-        if self.part is not None:
-            self.part, self._is_fresh = self._submap(self.part.ranges), True
-
     def _measure(self, is_measured: bool) -> None:
         """Search other slopes where distance is known now, and was not within the sequence; or the reverse."""
         was_measured = self._is_measured
         self._measured_frames = self._measured_frames + 1 if is_measured and self._is_regular else 0
-        if self._is_measured != was_measured:
-            self._slopes_changed()
+        if self.part is not None and self._is_measured != was_measured:
+            self.part, self._is_fresh = self._submap(self.part.ranges), True

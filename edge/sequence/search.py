@@ -32,15 +32,11 @@ FIRST_FRAMES = 16
 """Frames before the first answer with open ends: the deviations of the normalization are not known with fewer."""
 
 
-def slopes_around_diagonal(limit_rad: float, count: int, turned_rad: float = 0.0) -> tuple[float, ...]:
-    """`count` slopes (places a frame) at even angles within +-limit_rad of the diagonal (section III-C).
-
-    turned_rad: by which the diagonal is steeper, where places are known to be passed faster than frames come.
-    """
-    middle_rad = math.pi / 4 + turned_rad
+def slopes_around_diagonal(limit_rad: float, count: int) -> tuple[float, ...]:
+    """`count` slopes (places a frame) at even angles within +-limit_rad of the diagonal (section III-C)."""
     if count == 1:
-        return (math.tan(middle_rad),) if turned_rad else (1.0,)
-    return tuple(math.tan(middle_rad + limit_rad * (2 * k / (count - 1) - 1)) for k in range(count))
+        return (1.0,)
+    return tuple(math.tan(math.pi / 4 + limit_rad * (2 * k / (count - 1) - 1)) for k in range(count))
 
 
 @dataclass(frozen=True)

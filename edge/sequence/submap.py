@@ -37,19 +37,17 @@ class RowMatcher:
         *,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
-        turned_rad: float = 0.0,
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. frame: how many frames came before the first row. open_ends:
-        whether lines may begin before their drive does, and laps: see `SequenceSearch`. turned_rad: see
-        `slopes_around_diagonal`.
+        whether lines may begin before their drive does, and laps: see `SequenceSearch`.
         """
         self.neighborhood = neighborhood
         self._count = segments[-1][1]
         self._per_frame_order = config.sequence.region_order == "frame"
         planes, possible = _planes(segments, views, regions, config)
-        slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes, turned_rad)
+        slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
             segments, planes, config.sequence.length, slopes, possible, frame, open_ends=open_ends, laps=laps
         )
@@ -113,15 +111,11 @@ class RowMatcher:
 class Submap(RowMatcher):
     """A `RowMatcher` of some ranges, whose answers are in coordinates of the maps."""
 
-    def __init__(
-        self, ranges: Ranges, map_set: MapSet, config: Config, frame: int = 0, turned_rad: float = 0.0
-    ) -> None:
-        """frame: how many frames came before the first that this part will match. turned_rad: see `RowMatcher`."""
+    def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, frame: int = 0) -> None:
+        """frame: how many frames came before the first that this part will match."""
         segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
         regions = map_set.headers[0].regions.count
-        super().__init__(
-            segments, views, regions, neighborhood, config, frame, open_ends=True, laps=laps, turned_rad=turned_rad
-        )
+        super().__init__(segments, views, regions, neighborhood, config, frame, open_ends=True, laps=laps)
 
     def _choose(
         self, ranges: Ranges, map_set: MapSet, config: Config

@@ -189,6 +189,7 @@ def main() -> None:
     parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
     args = parser.parse_args()
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
+    args.cache.mkdir(parents=True, exist_ok=True)
     for road, drives in worlds(args.seeds, args.length, args.cache):
         whole = {name: believe(road, query, "whole", args.odometer) for name, query in drives.items()}
         for cut, (name, query) in product(CUTS, drives.items()):

@@ -111,7 +111,7 @@ class Drive:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
         match = self.search.push(change, lambda: np.stack(self._ring), near)
-        self.search.follow(replace(match, accepted=True) if match and is_unique(match) else None)
+        self.search.follow(match.place_index if match and is_unique(match) else None)
         return match
 
     def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
