@@ -26,8 +26,8 @@ STALE_GROWTH = 0.05
 below it the mean moves by under a twentieth of a deviation."""
 RENEWED_AT_ONCE, RENEWED_EVERY = 5, 3
 """How many stale rows are normalized again together, and after how many frames at the earliest. Matching six rows
-takes twice as long as matching one, a ring of forty eight times: so no frame takes half as long again as the others, and
-most take no longer at all."""
+takes twice as long as matching one, a ring of forty eight times: so no frame takes half as long again as the others,
+and most take no longer at all."""
 
 
 def normalize(
