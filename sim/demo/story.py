@@ -18,7 +18,7 @@ from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off
 from sim.trial.run import drafted, drive
 from sim.trial.views import RoadLibrary
 
-COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 7, 400.0
+COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 500.0
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 
@@ -61,7 +61,9 @@ def section(run: Run) -> report.Section:
         ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
         ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
     ]
-    table = report.Table("story", "In numbers", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth.")
+    table = report.Table(
+        "story", "In numbers", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth."
+    )
     figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
     return report.Section("Take me home", text, tables=[table], figures=[figure])
 
