@@ -1,5 +1,4 @@
-"""The steps of the demo: take me home in one drive; then out by day with the rear camera, then with the front camera again at dusk and home at
-night."""
+"""The steps of the demo: take me home in one drive; then out by day, again at dusk and home at night."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 def write_pictures(
     folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review], story: Run
 ) -> list[Path]:
-    """Write the story and plots of the last drive as PNG and matched pairs of all drives as one JPEG; returns their paths."""
+    """Write the story, plots of the last drive, and matched pairs of all drives; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     plots = {"take_me_home": story_picture(story), "precision_recall": curves(lives, reviews)}
     plots["cost_matrix"] = cost_matrix(reference_map, reviews[-1])
