@@ -18,7 +18,7 @@ from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off
 from sim.trial.run import drafted, drive
 from sim.trial.views import RoadLibrary
 
-COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 500.0
+COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 560.0
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 
@@ -44,8 +44,8 @@ def lost_at_m(run: Run) -> float:
 def section(run: Run) -> report.Section:
     """The story in the report: what happened, the map, the numbers."""
     text = (
-        f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far end GPS"
-        " fails, and the vehicle turns round and drives home at night: the autopilot steers by its own estimate, to"
+        f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far"
+        " end GPS fails, and the vehicle turns round and drives home at night: the autopilot steers by its own estimate, to"
         " which Lookback sends the places that the front camera recognizes. Then the same drive without Lookback."
     )
     lost_m, first_m = lost_at_m(run), run.first_after_m
