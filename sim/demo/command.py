@@ -7,7 +7,9 @@ import shutil
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -66,14 +68,17 @@ def _run(args: argparse.Namespace) -> int:
     started_s = time.monotonic()
     _make_folder(folder)
     print("1. Out by day with two cameras; GPS fails at the far end; home at night on the map made on the way")
-    story = drive_story(folder / "take_me_home")
+    # On the other core, until the live drives need both.
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        driven = pool.submit(drive_story, folder / "take_me_home")
+        print("2. Meanwhile, out along another route by day, with the camera that looks back, to make a map")
+        reference_map = _make_map(folder)
+        print("3. Two short drives with GPS: how far ahead of the vehicle does the matched place lie?")
+        rig = _measure_rig(folder, reference_map)
+        again_m, home_m = rig.ahead_forward_swapped_m, rig.ahead_reverse_same_m
+        print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
+        story = driven.result()
     print(f"   {line(COURSE, story)}")
-    print("2. Out along the route by day, with the camera that looks back, to make the map")
-    reference_map = _make_map(folder)
-    print("3. Two short drives with GPS: how far ahead of the vehicle does the matched place lie?")
-    rig = _measure_rig(folder, reference_map)
-    again_m, home_m = rig.ahead_forward_swapped_m, rig.ahead_reverse_same_m
-    print(f"   {again_m:.0f} m driving the same way, {home_m:.0f} m on the way home")
     print("4. Live, with the front camera, GPS failing soon: once more at dusk, and home at night (at the same time)")
     lives = _drive(folder, reference_map, rig, args.pictures)
     print("5. Their answers, compared with the truth")
