@@ -44,9 +44,9 @@ def lost_at_m(run: Run) -> float:
 def section(run: Run) -> report.Section:
     """The story in the report: what happened, the map, the numbers."""
     text = (
-        f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far end"
-        " GPS fails, and the vehicle turns around and drives home at night. The autopilot steers by its own estimate; at"
-        " the places that the front camera recognizes, Lookback sends it a position. Then the same drive without it."
+        f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far"
+        " end GPS fails. The vehicle turns around and drives home at night. Its autopilot steers by its own estimate;"
+        " at the places that the front camera recognizes, Lookback sends it a position. Then the same drive without it."
     )
     lost_m, first_m = lost_at_m(run), run.first_after_m
     errors_m, sigma_m = run.sent.error_m, run.sent.sigma_m
