@@ -73,7 +73,7 @@ def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics(
             np.testing.assert_allclose(normalized, expected[count - 1 - age], atol=1e-3)
             ring[-1 - age] = count, normalized
         np.testing.assert_array_equal(online.rows(), np.stack([normalized for _, normalized in ring]))
-        if count > 20:  # eight at once are enough for ten rows in two renewals, each four frames apart
+        if count > 20:  # five at once are enough for ten rows in two renewals, each three frames apart
             assert min(when for when, _ in ring) >= min(count - 8, count / (1 + STALE_GROWTH) - 8)
     renewals = [online.push(row).ages for row in descriptors(40, seed=1)]
     assert sum(len(ages) > 1 for ages in renewals) <= 10  # of forty frames
