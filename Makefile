@@ -39,7 +39,7 @@ COURSE_RUNS ?= 50
 soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
-	$(BIN)/python -m pytest -m soak tests/faults
+	$(BIN)/python -m pytest -m soak tests/faults tests/localization
 	$(BIN)/lookback sim fixes --course all --runs $(COURSE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
 	$(BIN)/lookback sim gps -o soak/gps
 

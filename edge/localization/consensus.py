@@ -5,7 +5,7 @@ chance resemblance does not for long. Every match is moved on by what was driven
 the vehicle then is:
 
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
-    weight = (uniqueness - 1) * sharpness * sqrt(row support)
+    weight = min(uniqueness - 1, 0.15) * sharpness * sqrt(row support)
     live = sum of agreeing weights * (share of the recent weights that agree)^2
     confidence = (live - others) / (live + others + prior)
                  * (1 - overrun / slack) * min(1, 2 * pace) * min(1, support / 0.4)
@@ -42,6 +42,9 @@ FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
 LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
+MOST_UNIQUE = 0.15
+"""Uniqueness over 1 that counts at most: the one night drive in a map of day drives differs from all the others by much
+more, and that says nothing about where in it the vehicle is."""
 STILL_LIKE = 0.1
 """The same, for a frame that shows what the place shows."""
 
@@ -218,7 +221,8 @@ class PlaceConsensus:
     def _weight(self, vote: PlaceVote) -> float:
         self._rows.append(vote.row_share < LIKE_NEWEST)
         support = sum(self._rows) / len(self._rows)
-        return max(0.0, vote.uniqueness - 1) * max(0.0, vote.sharpness) * math.sqrt(support)
+        uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
+        return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
 
     def _believe(self) -> PlaceBelief | None:
         settings = self._settings

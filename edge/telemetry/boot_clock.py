@@ -10,6 +10,7 @@ from __future__ import annotations
 
 # Short, since the clock of a simulated autopilot was seen to run 0.75 % slow: 7.5 ms for every second of memory.
 WINDOW_NS = 250_000_000
+TURN_MS, NEAR_MS = 2**32, 60_000  # a message counts milliseconds in 32 bits; by how much it may differ
 
 
 class _Tightest:
@@ -56,6 +57,18 @@ class BootClock:
         if at_least is None or negated is None or -negated < at_least:
             return at_least  # crossed bounds: the clock drifts faster than the requests come
         return (at_least - negated) // 2
+
+    def unwrapped_ms(self, boot_ms: int, received_ns: int) -> int:
+        """Milliseconds since boot, which messages count in 32 bits: again from 0 after 49.7 days.
+
+        The nearest to what this clock says; a stamp that is near to it with no number of turns is of another boot.
+        """
+        expected_ns = self.boot_ns(received_ns)
+        if expected_ns is None:
+            return boot_ms
+        expected_ms = expected_ns // 1_000_000
+        unwrapped_ms = boot_ms + round((expected_ms - boot_ms) / TURN_MS) * TURN_MS
+        return unwrapped_ms if abs(unwrapped_ms - expected_ms) <= NEAR_MS else boot_ms
 
     def boot_ns(self, monotonic_ns: int) -> int | None:
         """The autopilot's time since boot at that moment of CLOCK_MONOTONIC."""

@@ -16,7 +16,6 @@ from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
     ANSWER_NS,
     BACK_OFF_FIRST_NS,
-    BACK_OFF_LAST_NS,
     NO_ANSWER,
     VERDICTS,
     result_name,
@@ -25,6 +24,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Vehicle
 
 GPS_SET, VISION_SET = 1, 2
+AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
 log = logging.getLogger(__name__)
 
 
@@ -46,7 +46,7 @@ class SourceSelection:
         self._selected: int | None = None
         self._asked: tuple[int, int] | None = None  # the set, and when
         self._refused = False
-        self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
+        self._back_off = BackOff(BACK_OFF_FIRST_NS, AGAIN_NS)
         self._published = ""
 
     def due(self, now_ns: int) -> list[Message]:

@@ -206,6 +206,7 @@ class Vehicle:
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC."""
+        boot_ms = self._clock.unwrapped_ms(boot_ms, now_ns)
         if boot_ms < self._newest_boot_ms - REBOOT_BACK_MS:
             log.warning(
                 "the autopilot has rebooted: its clock went back from %d to %d ms", self._newest_boot_ms, boot_ms

@@ -17,6 +17,8 @@ from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import ReferenceMap
 from sim.demo.report import cost_matrix, curves, route
 from sim.demo.review import Review
+from sim.demo.story import picture as story_picture
+from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
 
 DPI = 80
@@ -26,11 +28,11 @@ log = logging.getLogger(__name__)
 
 
 def write_pictures(
-    folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review]
+    folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review], story: Run
 ) -> list[Path]:
-    """Write plots of the last drive as PNG and matched pairs of all drives as one JPEG; returns their paths."""
+    """Write the story, plots of the last drive, and matched pairs of all drives; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    plots = {"precision_recall": curves(lives, reviews)}
+    plots = {"take_me_home": story_picture(story), "precision_recall": curves(lives, reviews)}
     plots["cost_matrix"] = cost_matrix(reference_map, reviews[-1])
     plots["route"] = route(reference_map, lives[-1], reviews[-1])
     written = [_save(plot, folder / f"{name}.png") for name, plot in plots.items()]

@@ -17,9 +17,11 @@ from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.review import TOLERANCE_M, Review, stages_ms
+from sim.demo.story import section
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
+from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it logs its font cache
@@ -27,7 +29,12 @@ BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
-    path: Path, reference_map: ReferenceMap, rig: RigConfig, lives: list[DaemonDrive], reviews: list[Review]
+    path: Path,
+    reference_map: ReferenceMap,
+    rig: RigConfig,
+    lives: list[DaemonDrive],
+    reviews: list[Review],
+    story: Run,
 ) -> Path:
     """Write the page for all drives and return its path."""
     header = reference_map.header
@@ -37,6 +44,7 @@ def write_report(
         "model": f"{header.model.name}, sha256 {header.model.sha256}",
     }
     sections = [
+        section(story),
         _overview(reference_map, rig, lives, reviews),
         *(_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)),
         report.Section("Precision and recall", figures=[_curves(lives, reviews)]),

@@ -14,6 +14,8 @@ from functools import partial
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.config import GatesConfig
+from edge.localization.integrity import SAME_DRIVE
 from edge.telemetry.codec import Message
 from sim.trial import gps_histories
 from sim.trial.draft import GPS_S, Draft, Stretch
@@ -43,6 +45,8 @@ from sim.vehicle.gps import NO_FIX, GpsReport
 
 FALSE_BY_M = 300.0
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
+FIRST_LINE_M = 120.0
+"""A line of 80 m, and a few more frames: before that no place is believed, and its drive not confirmed."""
 SET_OFF_M = 40.0
 """From the start of the road: a vehicle that comes home may drive on too far."""
 GPS_WORKS = {
@@ -197,8 +201,9 @@ def _false_no_gps(draft: Draft, value: float) -> None:
 
 @course("no-gps")
 def _no_gps(draft: Draft) -> None:
-    """No GPS from boot, and an origin that was set by hand 6 m off; the map is right."""
+    """No GPS from boot, and an origin that was set by hand 6 m off; the map is right. For roads of over 700 m."""
     draft.has_gps = False
+    draft.unsent = [(0.0, SAME_DRIVE * GatesConfig().confirm_m + FIRST_LINE_M)]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
@@ -310,7 +315,7 @@ def _lost_acknowledgements(draft: Draft) -> None:
 
 @course("lost-source-set")
 def _lost_source_set(draft: Draft) -> None:
-    """E: the command that selects the second set of sources is lost for 20 s, and its answers after that."""
+    """E: the command that selects the second set of sources is lost until 31 s after GPS; GPS comes back later."""
     draft.emit = "vision_position"
     draft.loses = lambda time_s, message, outgoing: not outgoing and time_s < 40.0 and _is_command(message, 42007)
     draft.rules = (within_sigmas, no_false_place, sources_restored)

@@ -29,13 +29,13 @@ from edge.reference_map.store import RegionsKey
 from edge.sequence import PlaceMatch
 from sim import ORIGIN_ALT_M, geodetic
 from sim.trial.gps_histories import Array, History
+from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.run import RIG, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.world.scenario import Scenario
 
 STEP_S, LENGTH_M = 0.1, 1600.0
-MAP_BIAS_M, MAP_WANDER_M, MAP_WANDER_AT_M = 1.2, 1.5, 200.0
-MAP_SIGMA_M = math.hypot(MAP_BIAS_M, MAP_WANDER_M) * math.sqrt(2)
+MAP_SIGMA_M = 2.7
 WORLDS = (401, 402, 403, 404, 405)
 DRIVES = (
     Scenario(light="night", direction="reverse", drive_seed=2, length_m=LENGTH_M),
@@ -89,7 +89,7 @@ def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network
     out = map_scenario(Scenario(seed=world, length_m=LENGTH_M))
     views, rng = library[out], np.random.default_rng([world, seed, 5])
     places_m = np.arange(0.0, LENGTH_M + 1, 2.0)
-    errors_m = rng.normal(0.0, MAP_BIAS_M, 2) + _wander(len(places_m), rng)
+    errors_m = MAP_SIGMA_M / math.sqrt(2) * receiver_errors(len(places_m), 2.0, WANDERS_AT_M, rng)
     config = DescriptorConfig()
     regions = RegionsKey(config.regions, config.region_width, "set")
     with MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=True) as builder:
@@ -102,15 +102,6 @@ def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network
             builder.add(views.raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
         builder.finish(normalize, edge.__version__)
     return path
-
-
-def _wander(count: int, rng: np.random.Generator) -> Array:
-    kept = math.exp(-2.0 / MAP_WANDER_AT_M)
-    errors, error = np.empty((count, 2)), rng.normal(0.0, MAP_WANDER_M, 2)
-    for row in range(count):
-        error = kept * error + rng.normal(0.0, MAP_WANDER_M * math.sqrt(1 - kept**2), 2)
-        errors[row] = error
-    return errors
 
 
 def truth(scenario: Scenario, speed_mps: float, seed: int) -> tuple[Array, Array, Array]:

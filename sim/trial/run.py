@@ -7,6 +7,7 @@ so are the messages; only its pictures come as descriptors (`sim.trial.views`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -41,17 +42,19 @@ from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.courses import COURSES
 from sim.trial.draft import Draft, Stretch
-from sim.trial.rules import Run, Sent, Track, failures
+from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
+from sim.trial.rules import Array, Run, Sent, Track, failures
 from sim.trial.simulation import Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.pty_link import PtyLink, open_pty
-from sim.world.recording import TRUE_SIGMA_M
 from sim.world.route import Route
 from sim.world.scenario import Scenario
 
 ORIGIN_OFF_M = 6.0
+MAP_SIGMA_M = math.sqrt(2)
+"""Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
 RIG = RigConfig(
     ahead_forward_swapped_m=32.0,
     sigma_forward_swapped_m=4.1,
@@ -74,7 +77,7 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
         if draft.maps_live:
             map_path.mkdir()
         else:
-            build_course_map(draft, map_path, network, library)
+            build_course_map(draft, map_path, network, library, seed)
         with closing(open_pty()) as link:
             simulation = Simulation(draft, link, seed)
             simulation.show(network)
@@ -145,18 +148,23 @@ def map_scenario(home: Scenario) -> Scenario:
     return msgspec.structs.replace(home, view="rear", light="day", direction="forward", drive_seed=1)
 
 
-def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLibrary) -> None:
-    """The map of a course, made by day with the camera that looks back, on the way out."""
+def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLibrary, seed: int) -> None:
+    """The map of a course, made by day with the camera that looks back, on the way out.
+
+    Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states.
+    """
     out = map_scenario(draft.home)
     config = DescriptorConfig()
     regions = RegionsKey(config.regions, config.region_width, "set")
-    rng = np.random.default_rng([draft.world, 11])
+    rng, errors_rng = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
     with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
         for number, stretch in enumerate(draft.map):
             builder.begin_segment(f"stretch {number}", "rear")
-            for row, route_m in enumerate(_places_m(stretch, rng)):
+            places_m = _places_m(stretch, rng)
+            off_m = _errors_m(places_m, errors_rng) + np.array(stretch.off_m)
+            for row, route_m in enumerate(places_m):
                 raw = library[out].raw(route_m, stretch.left_m)
-                builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m))
+                builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
         builder.finish(normalize, edge.__version__)
 
 
@@ -167,7 +175,16 @@ def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
     return places_m[:-1]
 
 
-def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: float) -> Place:
+def _errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
+    """East and north (n, 2) of each place of a drive."""
+    length_m = places_m[-1] - places_m[0]
+    errors = receiver_errors(int(length_m) + 2, 1.0, WANDERS_AT_M, rng)
+    rows = np.array([int(route_m - places_m[0]) for route_m in places_m])
+    off_m: Array = MAP_SIGMA_M / math.sqrt(2) * errors[rows]
+    return off_m
+
+
+def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: float, off_m: Array) -> Place:
     if stretch.on_way:
         # Against the way, on the lane that the rig's offset expects.
         at_m = float(np.argmin(np.abs(draft.way.route_m - route_m)))
@@ -175,10 +192,10 @@ def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: floa
         heading_rad += math.pi
     else:
         east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m)
-    lat_deg, lon_deg = geodetic(east_m + stretch.off_m[0], north_m + stretch.off_m[1], draft.lon_shift_deg)
+    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], draft.lon_shift_deg)
     heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
     known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
-    return Place(*known, position_sigma_m=TRUE_SIGMA_M, position_source="survey")
+    return Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps")
 
 
 def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) -> Run:
@@ -240,5 +257,10 @@ def _position(
     if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
         return *east_north_m(message.lat / 1e7, message.lon / 1e7, shift_deg), message.eph, 0.0
     if kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
-        return message.y + origin_m[0], message.x + origin_m[1], math.sqrt(message.covariance[0]), 0.0
+        return message.y + origin_m[0], message.x + origin_m[1], _ardupilot_sigma_m(message.covariance), 0.0
     return None
+
+
+def _ardupilot_sigma_m(covariance: Sequence[float]) -> float:
+    """As its filter reads a VISION_POSITION_ESTIMATE (`cbrtf` in GCS_MAVLINK::handle_vision_position_estimate)."""
+    return float(np.cbrt(sum(covariance[axis] ** 2 for axis in (0, 6, 11))))

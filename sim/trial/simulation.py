@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -12,6 +13,7 @@ from edge.camera import CameraHealth, Frame
 from edge.telemetry.link import Link
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.draft import Draft
+from sim.trial.receiver_errors import WANDERS_AT_S, receiver_errors
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.driver import Driver
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -48,6 +50,7 @@ class Simulation:
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]))
         self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
         """The camera that maps, where the course has one."""
+        self._gps_errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))
         self._epoch_s = self.now_ns / 1e9 + UP_S
         self.driver = Driver(draft.way, draft.legs, np.random.default_rng([seed, 10]))
         self.autopilot = SimulatedAutopilot(
@@ -112,7 +115,12 @@ class Simulation:
             self.rear.expose(view._replace(scenario=msgspec.structs.replace(view.scenario, view="rear")))
 
     def _gps(self, time_s: float) -> GpsReport:
-        return self._draft.gps_at(time_s) if self.driver.along_m < self._draft.gps_until_m else NO_FIX
+        """The receiver's report, as wrong as the accuracy that it states."""
+        report = self._draft.gps_at(time_s) if self.driver.along_m < self._draft.gps_until_m else NO_FIX
+        row = int(np.clip(time_s + UP_S, 0, len(self._gps_errors) - 1))
+        off_m = report.accuracy_m / math.sqrt(2) * self._gps_errors[row]
+        east_off_m, north_off_m = report.east_off_m + float(off_m[0]), report.north_off_m + float(off_m[1])
+        return replace(report, east_off_m=east_off_m, north_off_m=north_off_m)
 
     def _loses(self, message: Any, outgoing: bool) -> bool:
         silence = self._draft.silence_s

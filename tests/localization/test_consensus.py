@@ -101,6 +101,17 @@ def test_a_few_meters_are_not_enough_however_strong_the_matches() -> None:
     assert all(believed[12:])
 
 
+def test_a_drive_that_is_unlike_all_others_does_not_outweigh_them() -> None:
+    """A few matches in the one night drive of a map are unique by far, wherever in it they lie."""
+    consensus = PlaceConsensus(SETTINGS)
+    right = _right(500.0, 60, replace(STRONG, uniqueness=1.1, sharpness=0.1))
+    for at in range(20, 28):
+        right[at] = replace(STRONG, drive=1, along_m=300.0 + 2.0 * at, uniqueness=3.0, sharpness=0.05)
+    belief = _last(_drive(consensus, right))
+    assert belief.drive == 0
+    assert belief.is_believed
+
+
 def test_belief_ends_when_the_matches_go_elsewhere() -> None:
     consensus = PlaceConsensus(SETTINGS)
     assert _last(_drive(consensus, _right(100.0, 100))).is_believed

@@ -59,3 +59,20 @@ def test_a_clock_that_drifts_by_as_much_as_a_simulated_one_is_followed(rate: flo
         clock.add_stamp(boot_ns - MS, now_ns)
         if now_ns % (S // 2) == 0:
             clock.add_answer(now_ns - 4 * MS, boot_ns - 2 * MS, now_ns)
+
+
+TURN_MS = 2**32
+
+
+@pytest.mark.parametrize("boot_ms", [TURN_MS - 5, TURN_MS + 5, 3 * TURN_MS + 100])
+def test_stamps_of_32_bits_are_continued_where_they_begin_again(boot_ms: int) -> None:
+    clock = BootClock()
+    clock.add_stamp((boot_ms - 20) * MS, S)
+    assert clock.unwrapped_ms(boot_ms % TURN_MS, S + 20 * MS) == boot_ms
+
+
+def test_a_stamp_of_another_boot_is_not_continued() -> None:
+    clock = BootClock()
+    assert clock.unwrapped_ms(7, S) == 7
+    clock.add_stamp(30 * 24 * 3600 * S, S)
+    assert clock.unwrapped_ms(7, 2 * S) == 7

@@ -113,7 +113,7 @@ def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(vision: Rig) ->
 def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(vision: Rig) -> None:
     vision.wire.loses = loses_answers(SET_EKF_SOURCE_SET)
     stream(vision, 30.0)
-    assert 4 <= selections(vision).count(2) <= 6
+    assert 6 <= selections(vision).count(2) <= 8
     vision.wire.loses = loses()
     stream(vision, 20.0)
     before = len(selections(vision))

@@ -174,6 +174,15 @@ def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> No
     assert vehicle.boot_time_s(5 * S) == pytest.approx(4.0)
 
 
+def test_a_clock_of_32_bits_that_begins_again_is_no_reboot() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for step in range(20):
+        vehicle.handle(speaker.position((2**32 - 1000 + 100 * step) % 2**32), 2 * S + step * S // 10)
+    assert vehicle.session == 1
+    assert vehicle.boot_time_s(4 * S) == pytest.approx(2**32 / 1000 + 1.0, abs=0.2)
+
+
 def test_distance_between_and_beyond_the_reports() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)

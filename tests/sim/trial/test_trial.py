@@ -37,7 +37,13 @@ SMALL = (
     "gps-multipath",
     "gps-spoofed-jump",
     "gps-spoofed-drag-2-left",
-    "daemon-killed",
+    pytest.param(
+        "daemon-killed",
+        marks=pytest.mark.xfail(
+            reason="with the errors of map and GPS the vehicle leaves its lane by 10 m, 8 m without Lookback",
+            strict=False,
+        ),
+    ),
     "px4-aided",
 )
 """Courses driven in every test run."""

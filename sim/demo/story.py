@@ -1,0 +1,117 @@
+"""The demo's first story: out by day with two cameras, GPS fails at the far end, home at night on the map just made."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from edge.descriptor.network import Network
+from edge.errors import LookbackError
+from sim.evaluation import report
+from sim.evaluation.figures import to_png
+from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
+from sim.trial.run import drafted, drive
+from sim.trial.views import RoadLibrary
+
+COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 560.0
+GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
+
+
+def drive_story(folder: Path) -> Run:
+    """Drive it with the daemon and once more without, in simulated time; views and journal stay in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    # The course's daemon warns of the GPS loss that the story is about.
+    logger = logging.getLogger("edge")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with closing(RoadLibrary(Network.load(), folder / "views")) as library:
+            return drive(COURSE, SEED, LENGTH_M, WORLD, folder, library)
+    finally:
+        logger.setLevel(level)
+
+
+def lost_at_m(run: Run) -> float:
+    """Meters driven when GPS failed."""
+    return float(run.track.along_m[~run.track.gps][0])
+
+
+def section(run: Run) -> report.Section:
+    """The story in the report: what happened, the map, the numbers."""
+    text = (
+        f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far end"
+        " GPS fails, and the vehicle turns around and drives home at night. The autopilot steers by its own estimate; at"
+        " the places that the front camera recognizes, Lookback sends it a position. Then the same drive without it."
+    )
+    lost_m, first_m = lost_at_m(run), run.first_after_m
+    errors_m, sigma_m = run.sent.error_m, run.sent.sigma_m
+    ours, alone = run.track, run.alone
+    rows: list[list[report.Cell]] = [
+        ["GPS failed after", f"{lost_m:.0f} m", f"{lost_m:.0f} m"],
+        ["first position after the failure", f"{first_m:.0f} m further on", "none"],
+        ["positions sent", f"{len(errors_m)}", "none"],
+        ["their error, median / 95 %", _median_95(errors_m), "–"],
+        ["largest standard deviation sent", f"{sigma_m.max(initial=0.0):.1f} m", "–"],
+        ["largest error, in standard deviations", f"{run.sent.sigmas.max(initial=0.0):.1f}", "–"],
+        ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
+        ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
+    ]
+    table = report.Table(
+        "story", "In numbers", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth."
+    )
+    figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
+    return report.Section("Take me home", text, tables=[table], figures=[figure])
+
+
+def _median_95(errors_m: NDArray[np.float64]) -> str:
+    return f"{np.median(errors_m):.1f} m / {np.percentile(errors_m, 95):.1f} m" if len(errors_m) else "–"
+
+
+def picture(run: Run) -> Figure:
+    """The true tracks from above, and beside it how far from its lane the vehicle was on the way home."""
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    above, beside = figure.subplots(1, 2, width_ratios=(3, 2))
+    lost_s = run.track.time_s[~run.track.gps][0]
+    ours, alone = true_track(run, run.track), true_track(run, run.alone)
+    out = run.track.time_s < lost_s
+    above.plot(*ours[out].T, color=GRAY, lw=4, label="out by day, with GPS")
+    above.plot(*alone[run.alone.time_s >= lost_s].T, color=RED, lw=1.5, label="home at night without Lookback")
+    above.plot(*ours[~out].T, color=GREEN, lw=1.8, label="home at night with Lookback")
+    sent_s = run.sent.time_s[run.sent.time_s >= lost_s]
+    sent = np.stack([np.interp(sent_s, run.track.time_s, ours[:, axis]) for axis in (0, 1)], axis=1)
+    above.plot(*sent.T, "o", color=BLUE, ms=3.5, label="here a position was sent")
+    above.plot(*ours[~out][0], "x", color="black", ms=9, mew=2, label="GPS fails")
+    above.set(xlabel="east, m", ylabel="north, m")
+    above.set_aspect("equal", adjustable="datalim")
+    lost_m = lost_at_m(run)
+    for track, color in ((run.alone, RED), (run.track, GREEN)):
+        lost = ~track.gps
+        beside.plot(track.along_m[lost] - lost_m, track.left_m[lost], color=color, lw=1.8)
+    beside.axhline(0.0, color=GRAY, lw=1)
+    beside.set(xlabel="driven without GPS, m", ylabel="left of the lane, m")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    return figure
+
+
+def true_track(run: Run, track: Track) -> NDArray[np.float64]:
+    """East and north in meters, (N, 2), of a track of the story."""
+    way = drafted(COURSE, run.seed, LENGTH_M, WORLD).way
+    return np.array([way.at(a, left)[:2] for a, left in zip(track.along_m, track.left_m, strict=True)])
+
+
+def require_good(run: Run) -> None:
+    """LookbackError unless the vehicle came home in its lane and no position was beyond its claim (smoke test)."""
+    found = {
+        f"ended {run.track.end_off_m:.1f} m off": run.track.end_off_m <= ARRIVED_M,
+        f"95 % of cross-track {lane_off_m(run.track):.1f} m": lane_off_m(run.track) <= LANE_M,
+        f"a position {run.sent.sigmas.max(initial=0.0):.1f} sigma off": bool((run.sent.sigmas <= MOST_SIGMAS).all()),
+        "no position": len(run.sent.time_s) > 0,
+    }
+    wrong = [what for what, is_good in found.items() if not is_good]
+    if wrong:
+        raise LookbackError(f"take me home: {', '.join(wrong)}: not good enough")
