@@ -59,7 +59,7 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     mean_rgb: tuple[float, float, float]
     std_rgb: tuple[float, float, float]
     labels: tuple[str, ...]
-    licence: str
+    license: str = msgspec.field(name="licence")  # as the files that were made so far have it
     source: str
     weights_sha256: str
     calibration: str

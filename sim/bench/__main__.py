@@ -20,7 +20,7 @@ from sim.bench.rows import Section, page
 
 FULL = (1_000, 10_000, 100_000)
 QUICK = (1_000, 10_000)
-QUICK_PARTS = ("network", "matching", "search", "frames", "mapping", "maps", "memory")
+QUICK_PARTS = ("network", "matching", "dimensions", "search", "frames", "mapping", "maps", "memory")
 FULL_MAPS = (1_000, 10_000, 100_000, 1_000_000)
 
 
@@ -36,7 +36,10 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
     parser.add_argument(
-        "--only", nargs="+", metavar="PART", help="network, matching, search, frames, mapping, maps, page, memory"
+        "--only",
+        nargs="+",
+        metavar="PART",
+        help="network, matching, dimensions, search, frames, mapping, maps, page, memory",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
@@ -65,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: int) -> Iterator[Section]:
-    from sim.bench import matching_rows
+    from sim.bench import dimension_rows, matching_rows
 
     places = args.places or list(QUICK if args.quick else FULL)
     maps = args.places or list(QUICK if args.quick else FULL_MAPS)
@@ -74,6 +77,7 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
     sections: dict[str, Callable[[], Section]] = {
         "network": lambda: network_rows.measure(rounds),
         "matching": lambda: matching_rows.measure(machine, places, rounds),
+        "dimensions": lambda: dimension_rows.measure(usual, rounds),
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(machine, folder, usual, args.frames or (60 if args.quick else 300)),
         "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),

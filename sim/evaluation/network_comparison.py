@@ -137,7 +137,7 @@ def compare(pairs: Sequence[Pair], compared: Sequence[Compared]) -> Section:
             f"{one.file_mb:.1f}",
             one.info.dimensions,
             map_bytes(one.info),
-            one.info.licence.partition(",")[0],
+            one.info.license.partition(",")[0],
         ]
         for one in compared
     ]
@@ -151,7 +151,7 @@ def compare(pairs: Sequence[Pair], compared: Sequence[Compared]) -> Section:
         "file, MB",
         "dimensions",
         "map, bytes a place",
-        "licence",
+        "license",
     )
     note = (
         f"Means over {len(pairs)} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"

@@ -91,7 +91,7 @@ def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> Mod
     info = onnx_graph.alexnet_info(
         Path(plan.weights).name.partition(".")[0],
         tap,
-        licence="as that of the weights",
+        license="as that of the weights",
         source=plan.weights,
         weights_sha256=sha256,
         calibration=plan.ranges,

@@ -1,4 +1,4 @@
-"""`lookback model import | info | verify`: from published weights to the int8 network of a vehicle, at a desk."""
+"""`lookback model import | info | verify | providers`: from published weights to a vehicle's int8 network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.descriptor.regions import REGION_COUNT
 from edge.errors import FeedError, ModelError
 from edge.feed import Feed, read_feed
 from edge.geodesy import east_north
-from sim.model_tools import onnx_graph
+from sim.model_tools import onnx_graph, providers
 from sim.model_tools.fidelity import matching_accuracy
 from sim.model_tools.frames import describe_feed
 from sim.model_tools.import_command import add_import
@@ -47,6 +47,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     verify.add_argument("--tolerance-frames", type=int, default=3, help="a match within this many rows is right")
     verify.add_argument("--tolerance-m", type=float, default=10.0, help="or within this distance, with positions")
     verify.set_defaults(run=_verify)
+
+    help_text = "compare the installed providers of ONNX Runtime with the CPU: agreement and time, as a table"
+    providers.add_arguments(actions.add_parser("providers", help=help_text))
 
 
 def _info(args: argparse.Namespace) -> int:

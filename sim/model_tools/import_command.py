@@ -55,7 +55,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
     parser.add_argument("--name", help="name of the network (default: that of the file)")
-    parser.add_argument("--licence", help="terms of the weights, kept in the file")
+    parser.add_argument("--license", help="terms of the weights, kept in the file")
     parser.add_argument("--source", help="origin of the weights, kept in the file")
     parser.add_argument("--tap", help="the tensor to use (default: the network's output; AlexNet: fc6, or conv3)")
     parser.add_argument("--float", action="store_true", help="write the float network beside it, for `model verify`")
@@ -98,7 +98,7 @@ def _import_alexnet(args: argparse.Namespace) -> int:
         args.name or args.weights.name.partition(".")[0],
         tap,
         labels=read_labels(args.labels, weights),
-        licence=args.licence or "not stated",
+        license=args.license or "not stated",
         source=args.source or "not stated",
         weights_sha256=sha256,
         calibration=_spell_calibration(args, quantize.RANGE_SHARE),
@@ -132,7 +132,7 @@ class _Source:
     data: bytes
     sha256: str
     name: str
-    licence: str
+    license: str
     source: str
     wanted: onnx_import.ImageInput
     tap: str
@@ -180,7 +180,7 @@ def _file(args: argparse.Namespace) -> _Source:
     if args.weights.suffix != ".onnx":
         data = export_onnx(args.weights, size or (onnx_import.DEFAULT_SIZE,) * 2)
     name = args.name or args.weights.name.partition(".")[0]
-    terms = args.licence or "not stated", args.source or args.weights.name
+    terms = args.license or "not stated", args.source or args.weights.name
     return _Source(data, sha256, name, *terms, wanted, args.tap or "", _pair("--pool", args.pool))
 
 
@@ -192,7 +192,7 @@ def _recipe(args: argparse.Namespace) -> _Source:
     pool = _pair("--pool", args.pool or ("" if args.tap else efficientnet.POOL))
     data = efficientnet.build(weights).SerializeToString(deterministic=True)
     name = args.name or efficientnet.NAME
-    return _Source(data, sha256, name, efficientnet.LICENCE, efficientnet.SOURCE, wanted, tap, pool)
+    return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool)
 
 
 def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported, labels: tuple[str, ...]) -> ModelInfo:
@@ -207,7 +207,7 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         mean_rgb=source.wanted.mean_rgb,
         std_rgb=source.wanted.std_rgb,
         labels=labels,
-        licence=source.licence,
+        license=source.license,
         source=source.source,
         weights_sha256=source.sha256,
         calibration="" if args.float_only else _spell_calibration(args, 1.0),

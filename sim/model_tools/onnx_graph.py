@@ -39,7 +39,7 @@ def alexnet_info(
     tap: str = "fc6",
     *,
     labels: tuple[str, ...] = (),
-    licence: str = "not stated",
+    license: str = "not stated",
     source: str = "not stated",
     weights_sha256: str = "",
     calibration: str = "",
@@ -55,7 +55,7 @@ def alexnet_info(
         mean_rgb=MEAN_RGB,
         std_rgb=STD_RGB,
         labels=labels,
-        licence=licence,
+        license=license,
         source=source,
         weights_sha256=weights_sha256,
         calibration=calibration,
@@ -175,7 +175,7 @@ def set_info(model: onnx.ModelProto, info: ModelInfo) -> None:
     """Write what the file says of itself into its metadata."""
     import onnx
 
-    fields = msgspec.structs.asdict(info)
+    fields = msgspec.to_builtins(info)
     if not info.pool:
         del fields["pool"]  # networks that were made before there was a pool keep their bytes
     onnx.helper.set_model_props(model, {METADATA_KEY: msgspec.json.encode(fields).decode()})

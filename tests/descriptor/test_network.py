@@ -51,7 +51,7 @@ def test_shipped_network_says_what_it_is(network: Network) -> None:
     info = network.info
     assert (info.name, info.tap, info.dimensions, info.precision) == ("alexnet_places100", "fc6", 4096, "int8")
     assert (info.input_size, info.channel_order, len(info.labels)) == (224, "BGR", 100)
-    assert "non-commercial" in info.licence
+    assert "non-commercial" in info.license
     card = (SHIPPED_MODEL / "README.md").read_text(encoding="utf-8")
     for name in (FC6_FILE, HEAD_FILE):
         assert read_model_file(SHIPPED_MODEL / name).info.sha256[:16] in card

@@ -15,7 +15,7 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError
 from edge.reference_map.map_set import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, open_map
-from sim.bench import frame_rows, map_rows, mapping_rows, memory_rows, page_rows, search_rows
+from sim.bench import dimension_rows, frame_rows, map_rows, mapping_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
 from sim.bench.rows import Row, Section, Target, page
 from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
@@ -98,6 +98,15 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
     for what in ("L = 80", "whole frame", "300 places: opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
+
+
+def test_every_dimension_is_matched_and_normalized() -> None:
+    section = dimension_rows.measure(50, 2)
+    assert [row.what for row in section.rows if row.what.startswith("matching")] == [
+        f"matching 50 places x {values:d}" for values in (128, 1024, 8192, 65_536)
+    ]
+    assert len(section.rows) == 8
+    assert len(section.targets) == 2
 
 
 def test_matching_against_rivals() -> None:

@@ -50,7 +50,7 @@ def small(tmp_path: Path) -> Path:
     graph.add("Flatten", [graph.last], output="out", axis=1)
     given, made = tmp_path / "given.onnx", tmp_path / "small.onnx"
     given.write_bytes(graph.model("small", [("x", np.float32, [3, 16, 16])], 64).SerializeToString())
-    options = ["--float-only", "--licence", "CC0, as a test"]
+    options = ["--float-only", "--license", "CC0, as a test"]
     assert main(["model", "import", str(given), "-o", str(made), *options]) == 0
     return made
 
@@ -63,7 +63,7 @@ def test_networks_side_by_side(
     with (out / "networks.csv").open(encoding="utf-8") as stream:
         rows = {row["network"]: row for row in csv.DictReader(stream)}
     assert list(rows) == ["shipped", "small"]
-    assert (rows["small"]["dimensions"], rows["small"]["licence"]) == ("64", "CC0")
+    assert (rows["small"]["dimensions"], rows["small"]["license"]) == ("64", "CC0")
     assert int(rows["shipped"]["map, bytes a place"]) - int(rows["small"]["map, bytes a place"]) == 2 * (4096 - 64)
     for row in rows.values():
         assert 0.0 <= float(row["accuracy"]) <= 1.0

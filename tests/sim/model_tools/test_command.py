@@ -46,7 +46,7 @@ def test_import_calibrated_on_a_feed_then_info_and_verify(
     weights: Path, feed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "model"
-    assert lookback_model("import", weights, "-o", folder, "--calibrate", feed, "--licence", "CC0", "--float") == 0
+    assert lookback_model("import", weights, "-o", folder, "--calibrate", feed, "--license", "CC0", "--float") == 0
     assert sorted(file.name for file in folder.iterdir()) == ["fc6_float32.onnx", "fc6_int8.onnx", "head_int8.onnx"]
     network = Network.load(folder)
     assert network.info.calibration == "0.8 of the greatest values in feeds feed"
@@ -57,7 +57,7 @@ def test_import_calibrated_on_a_feed_then_info_and_verify(
     assert lookback_model("info", folder) == 0
     said = capsys.readouterr().out.splitlines()
     assert f"sha256          {network.info.sha256}" in said
-    assert "licence         CC0" in said
+    assert "license         CC0" in said
 
     assert lookback_model("verify", folder, feed, "--weights", weights, "--reference", feed) == 0
     said = capsys.readouterr().out.splitlines()

@@ -31,14 +31,14 @@ def test_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     pytest.importorskip(efficientnet.PACKAGE, reason="needs the extra `efficientnet`")
     assert main(["model", "import", "efficientnet-lite0", "-o", str(tmp_path / "lite0"), "--float"]) == 0
     network = Network.load(tmp_path / "lite0")
-    assert (network.info.precision, network.info.licence, network.info.labels) == ("int8", "Apache-2.0", ())
+    assert (network.info.precision, network.info.license, network.info.labels) == ("int8", "Apache-2.0", ())
     exact = Network.load(tmp_path / "lite0" / "network_float32.onnx")
     coarse = np.random.default_rng(1).integers(0, 256, (2, 14, 14, 3), dtype=np.uint8)
     images = coarse.repeat(16, axis=1).repeat(16, axis=2)
     one, other = network.describe(images), exact.describe(images)
     assert (one * other).sum() / np.linalg.norm(one) / np.linalg.norm(other) > 0.98
     assert main(["model", "info", str(tmp_path / "lite0")]) == 0
-    assert "licence         Apache-2.0" in capsys.readouterr().out
+    assert "license         Apache-2.0" in capsys.readouterr().out
 
 
 def test_without_the_package(

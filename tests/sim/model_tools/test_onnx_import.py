@@ -251,7 +251,7 @@ def test_from_the_file_to_recognized_places(
     feed, again = write_traverse(tmp_path / "feed"), write_traverse(tmp_path / "again", noise=4.0)
     labels, model = tmp_path / "labels.txt", tmp_path / "model"
     labels.write_text("\n".join(f"kind {number}" for number in range(CLASSES)))
-    options = ["--tap", "flat72", "--labels", str(labels), "--calibrate", str(feed), "--licence", "CC0", "--float"]
+    options = ["--tap", "flat72", "--labels", str(labels), "--calibrate", str(feed), "--license", "CC0", "--float"]
     assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
     names = ["head_int8.onnx", "network_float32.onnx", "network_int8.onnx"]
     assert sorted(one.name for one in model.iterdir()) == names
