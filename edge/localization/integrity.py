@@ -49,6 +49,7 @@ BOUND_WRONG, ONE_MORE = 0.1, 20.0
 """Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
+SHIFT_SIGMAS = 3.0
 BELIEVED, WRONG_AT_LEAST, WRONG_AT_ONE = 0.6, 0.02, 0.002
 """Probability that one observation is of another place, at a confidence of BELIEVED and below, and of 1."""
 SAME_DRIVE = 5.0
@@ -90,7 +91,7 @@ class Observation:
     """A fix that counts as evidence of its own, with the displacement of its moment.
 
     wrong: probability that it is of another place. likelihood: the least that the autopilot's position gave to the
-    fixes of this observation, 1 / m.
+    fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the autopilot where the fix contradicted it.
     """
 
     segment: int
@@ -99,6 +100,7 @@ class Observation:
     displacement: Displacement
     wrong: float
     likelihood: float = field(default=math.inf)
+    may_be_shifted: bool = False
 
 
 class Integrity:
@@ -117,7 +119,7 @@ class Integrity:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
         self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
         for observation in chain.from_iterable(self._claims):
-            observation.likelihood = math.inf
+            observation.likelihood, observation.may_be_shifted = math.inf, False
 
     def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
         """Why the fix may not be published; None if it may."""
@@ -147,18 +149,22 @@ class Integrity:
         if distance_m is not None and situation.uncertainty_m is not None:
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
             likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
-        claim = self._observe(fix, situation.displacement, likelihood)
+        is_shift = situation.bound_by_gps and distance_m is not None and distance_m > SHIFT_SIGMAS * fix.sigma_m
+        claim = self._observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
         if distance_m is not None and distance_m > self._gates.max_move_m:
             return Refusal("impossibly far", distance_m)
-        is_shift = situation.bound_by_gps and distance_m is not None and distance_m > 3 * fix.sigma_m
         likelihood = min(likelihood, *(observation.likelihood for observation in claim))
+        # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
+        is_shift = any(observation.may_be_shifted for observation in claim)
         place_wrong = self._place_wrong(claim)
         if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > self._gates.risk:
             return Refusal("not confirmed by another place yet", distance_m)
         self._published_wrong = place_wrong
         return None
 
-    def _observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float) -> list[Observation]:
+    def _observe(
+        self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool
+    ) -> list[Observation]:
         """Keep the fix where it is an observation of its own; the claim that it belongs to, oldest first."""
         claim = next((one for one in reversed(self._claims) if _moved_alike(one[-1], fix, displacement)), None)
         if claim is None:
@@ -169,9 +175,11 @@ class Integrity:
         if near:
             near[-1].likelihood = min(near[-1].likelihood, likelihood)
             near[-1].wrong = min(near[-1].wrong, wrong)
+            near[-1].may_be_shifted |= may_be_shifted
         else:
             assert fix.lat_deg is not None and fix.lon_deg is not None
-            claim.append(Observation(fix.segment, fix.lat_deg, fix.lon_deg, displacement, wrong, likelihood))
+            here = fix.segment, fix.lat_deg, fix.lon_deg, displacement
+            claim.append(Observation(*here, wrong, likelihood, may_be_shifted))
             del claim[:-KEPT]
         return claim
 

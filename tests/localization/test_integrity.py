@@ -87,6 +87,16 @@ def test_where_nothing_is_known_of_the_autopilot_one_stretch_is_never_enough(unk
     assert drive(one, range(600, 620), segment=1, **unknown)[-1] is None, "another one confirms it"
 
 
+def test_an_autopilot_that_drifts_onto_a_shifted_map_does_not_confirm_it() -> None:
+    """All of the map is 40 m off; by its own drift, the autopilot is there after 1.2 km."""
+    one = Integrity(GatesConfig())
+    for driven_m in range(0, 1200, 10):
+        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + 40.0) * METRE_DEG)
+        position = replace(OWN, lat_deg=(driven_m + 40.0 * driven_m / 1200) * METRE_DEG)
+        moved, uncertainty_m = Displacement(1, 0.0, float(driven_m)), 4.0 + 0.03 * driven_m
+        assert reason(fix, one, position=position, displacement=moved, uncertainty_m=uncertainty_m) is not None
+
+
 def test_a_long_drive_confirms_itself_after_500_meters() -> None:
     decisions = drive(Integrity(GatesConfig()), range(0, 600), uncertainty_m=None)
     assert decisions.index(None) == 54, "the observations are 60 m apart"
