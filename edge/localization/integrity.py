@@ -91,7 +91,7 @@ class Observation:
     """A fix that counts as evidence of its own, with the displacement of its moment.
 
     wrong: probability that it is of another place. likelihood: the least that the autopilot's position gave to the
-    fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the autopilot where the fix contradicted it.
+    fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the autopilot where a fix contradicted it.
     """
 
     segment: int

@@ -63,7 +63,7 @@ def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
 def slow_renewed_rings(method: Method, raw: Array, past: Array) -> list[list[Array]]:
     """Rows whose statistics have grown by more than 5 % are normalized again, the oldest statistics first.
 
-    That happens with every fourth frame at most, and to eight rows at most: more than the ring has here. The earlier
+    That happens with every third frame at most, and to five rows at most: more than the ring has here. The earlier
     drive was driven in the same way, and its frames are not in the ring.
     """
     drive = np.concatenate([past, raw])
@@ -76,7 +76,7 @@ def slow_renewed_rings(method: Method, raw: Array, past: Array) -> list[list[Arr
         ring = [*before, normalized(one, known, method.deviation)][-LENGTH:]
         counts = [*counts[len(counts) - len(before) :], len(known)][-LENGTH:]
         stale = [row for row, count in enumerate(counts) if count * 1.05 < len(known)]
-        if since >= 4 and stale:
+        if since >= 3 and stale:
             since = 0
             for row in stale:
                 ring[row] = normalized(drive[frame + 1 - len(ring) + row], known, method.deviation)
