@@ -30,12 +30,17 @@ a column of 100,000 numbers each has 40 GB. A descriptor of two regions needs fa
 _SUFFIX = "ExecutionProvider"
 
 
+def installed_providers() -> list[str]:
+    """ONNX Runtime's names of the providers of this build, the preferred ones first."""
+    return list(onnxruntime.get_available_providers())
+
+
 def provider_name(given: str) -> str:
     """ONNX Runtime's name of a provider that is installed, such as OpenVINOExecutionProvider for "openvino".
 
     ConfigError lists those that are.
     """
-    available = onnxruntime.get_available_providers()
+    available = installed_providers()
     for name in available:
         if given.lower() in (name.lower(), name.removesuffix(_SUFFIX).lower()):
             return str(name)

@@ -7,11 +7,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 
 from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import read_model_file, resolve_model
-from edge.descriptor.network import CPU, Network, provider_name
+from edge.descriptor.network import CPU, Network, installed_providers, provider_name
 from edge.descriptor.open_network import check_pictures
 from edge.errors import ModelError
 from sim.bench.timing import race
@@ -31,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     print("| " + " | ".join(COLUMNS) + " |")
     print("|" + "---|" * len(COLUMNS))
-    names = [name for name in onnxruntime.get_available_providers() if name != REMOTE]
+    names = [name for name in installed_providers() if name != REMOTE]
     for model in args.models or [None]:
         for name in names:
             if name != provider_name(CPU) or len(names) == 1:
