@@ -191,6 +191,10 @@ class FixSent(_Tagged, frozen=True, tag="fix_sent"):
     distance_m: Distance
     again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
     map: MapName = UNSET
+    level_along_m: Annotated[
+        float | None, unit("m", "protection level along the route, null where nothing bounds the position")
+    ] = None
+    level_across_m: Annotated[float | None, unit("m", "protection level across the route")] = None
 
 
 class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):

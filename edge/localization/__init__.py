@@ -3,7 +3,7 @@
 `consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
 matches; `route_filter` follows the vehicle over the ground, with `route_estimate` as its Kalman filter; `gps_referee`
 judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what
-may be published.
+may be published, and `protection_level` says how far off that may be.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from edge.localization.integrity import (
     distance_from,
     offset_m,
 )
+from edge.localization.protection_level import ProtectionLevel, Reckoning
 from edge.localization.route_estimate import CORRELATION_M
 
 __all__ = [
@@ -33,6 +34,8 @@ __all__ = [
     "GpsVerdict",
     "Integrity",
     "PlaceFix",
+    "ProtectionLevel",
+    "Reckoning",
     "Refusal",
     "Situation",
     "Uncertainty",

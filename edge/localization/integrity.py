@@ -25,6 +25,7 @@ from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.protection_level import ProtectionLevel, Reckoned, Wrong, protection_level
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
@@ -41,6 +42,7 @@ Reason: TypeAlias = Literal[
     "impossibly far",
     "less accurate than the autopilot",
     "not confirmed by another place yet",
+    "its protection level is above the alert limit",
 ]
 GPS_SIGMA_M = 3.0
 SPREAD_M = 1000.0
@@ -56,6 +58,8 @@ SAME_DRIVE = 5.0
 """Two stretches of one drive are independent beyond so many times `confirm_m`."""
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
+ALIKE_AT_M = ALIKE_M + ALIKE_SHARE * CORRELATION_M
+"""What that is from one observation to the next."""
 CLAIMS, KEPT = 8, 64
 
 
@@ -65,7 +69,8 @@ class Situation:
 
     position: the autopilot's own, None if it has none. uncertainty_m: its standard deviation, None if unbounded.
     bound_by_gps: whether GPS bounded it last. speed_mps: None if unknown. last_sent_ns: of the last fix, None if there
-    was none. displacement: by the autopilot's velocity at the fix's moment, None if unknown.
+    was none. displacement: by the autopilot's velocity at the fix's moment, None if unknown. reckoned: where the
+    vehicle is at that moment without any place, None if unknown.
     """
 
     now_ns: int
@@ -76,6 +81,7 @@ class Situation:
     bound_by_gps: bool
     last_sent_ns: int | None
     displacement: Displacement | None
+    reckoned: Reckoned | None = None
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,8 @@ class Integrity:
         self._gates = gates
         self._claims: deque[list[Observation]] = deque(maxlen=CLAIMS)
         self._bound_wrong, self._published_wrong = BOUND_WRONG, 1.0
+        self.protection_level: ProtectionLevel | None = None
+        """Of the newest fix; None where its place is not certain enough to be published."""
 
     def reset(self) -> None:
         """The autopilot has rebooted: its dead reckoning starts again."""
@@ -123,6 +131,7 @@ class Integrity:
 
     def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
         """Why the fix may not be published; None if it may."""
+        self.protection_level = None
         gates, age_s = self._gates, (situation.now_ns - fix.stamp_ns) / 1e9
         since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
         speed_mps = situation.speed_mps
@@ -144,6 +153,7 @@ class Integrity:
 
     def _too_uncertain(self, fix: PlaceFix, situation: Situation) -> Refusal | None:
         assert situation.displacement is not None
+        gates = self._gates
         distance_m = distance_from(situation.position, fix) if situation.position is not None else None
         likelihood = 1 / SPREAD_M
         if distance_m is not None and situation.uncertainty_m is not None:
@@ -151,16 +161,36 @@ class Integrity:
             likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
         is_shift = situation.bound_by_gps and distance_m is not None and distance_m > SHIFT_SIGMAS * fix.sigma_m
         claim = self._observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
-        if distance_m is not None and distance_m > self._gates.max_move_m:
+        if distance_m is not None and distance_m > gates.max_move_m:
             return Refusal("impossibly far", distance_m)
         likelihood = min(likelihood, *(observation.likelihood for observation in claim))
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
         is_shift = any(observation.may_be_shifted for observation in claim)
-        place_wrong = self._place_wrong(claim)
-        if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > self._gates.risk:
+        stretches = self._stretches_wrong(claim)
+        place_wrong = math.prod(stretches)
+        if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > gates.risk:
             return Refusal("not confirmed by another place yet", distance_m)
+        self.protection_level = self._protection_level(fix, stretches, situation)
+        if gates.alert_limit_m and not self.protection_level.is_within(gates.alert_limit_m):
+            return Refusal("its protection level is above the alert limit", distance_m)
         self._published_wrong = place_wrong
         return None
+
+    def _protection_level(self, fix: PlaceFix, stretches: list[float], situation: Situation) -> ProtectionLevel:
+        """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
+
+        stretches: probability that each is wrong. Those that are wrong by different amounts would not be one claim.
+        """
+        place_wrong = math.prod(stretches) * (2 * ALIKE_AT_M / SPREAD_M) ** (len(stretches) - 1)
+        reckoned, likelihood, shifted = situation.reckoned, 1 / SPREAD_M, MAP_SHIFTED
+        if reckoned is not None:
+            sigma_m = math.hypot(reckoned.sigma_m, fix.sigma_m)
+            likelihood = likelihood_of(reckoned.distance_m, sigma_m, BOUND_WRONG)
+            if_shifted = likelihood_of(reckoned.distance_m, math.hypot(sigma_m, SHIFT_M), BOUND_WRONG)
+            shifted = MAP_SHIFTED * if_shifted / (MAP_SHIFTED * if_shifted + likelihood)
+        wrong = Wrong(wrong_probability(place_wrong, likelihood), shifted, BOUND_WRONG)
+        gates, speed_mps = self._gates, situation.speed_mps or 0.0
+        return protection_level(fix, wrong, reckoned, speed_mps, gates.risk_per_hour, SAME_DRIVE * gates.confirm_m)
 
     def _observe(
         self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool
@@ -183,8 +213,8 @@ class Integrity:
             del claim[:-KEPT]
         return claim
 
-    def _place_wrong(self, claim: list[Observation]) -> float:
-        """Probability that all these observations are of other places: a product over independent stretches."""
+    def _stretches_wrong(self, claim: list[Observation]) -> list[float]:
+        """Of each independent stretch of a claim, the probability that its observations are of other places."""
         stretches: list[list[Observation]] = []
         for one in claim:
             same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
@@ -192,7 +222,7 @@ class Integrity:
                 stretches.append([one])
             else:
                 same.append(one)
-        return math.prod(max(STRETCH_WRONG, math.prod(one.wrong for one in stretch)) for stretch in stretches)
+        return [max(STRETCH_WRONG, math.prod(one.wrong for one in stretch)) for stretch in stretches]
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -46,9 +47,26 @@ class _OneStatus(Collector):
             yield _gauge("gps_doubt", "Evidence that GPS is wrong, from 0; called at 1", {}, status.link.gps_doubt)
         if status.link.gps_off_m is not None:
             yield _gauge("gps_off_meters", "How far GPS is from the places", {}, status.link.gps_off_m)
+        yield from self._protection(status)
         yield _gauge(
             "journal_lines_lost", "Lines that could not be written since the last one that was", {}, status.journal_lost
         )
+
+    @staticmethod
+    def _protection(status: Status) -> Iterable[Metric]:
+        link = status.link
+        if link.sent_ns is None:
+            return
+        age_s = (status.stamp_ns - link.sent_ns) / 1e9
+        yield _gauge("position_age_seconds", "Time since the newest position was sent", {}, age_s)
+        levels = GaugeMetricFamily(
+            "lookback_protection_level_meters",
+            "Of the newest position that was sent; +Inf where nothing bounds it",
+            labels=["direction"],
+        )
+        for direction, level_m in (("along", link.level_along_m), ("across", link.level_across_m)):
+            levels.add_metric([direction], math.inf if level_m is None else level_m)
+        yield levels
 
     @staticmethod
     def _recognizer(status: Status) -> Iterable[Metric]:

@@ -25,6 +25,8 @@ class LinkStatus:
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
     velocity_aid: what measures velocity without GPS, "none" where nothing does. gps_verdict, gps_off_m, gps_off,
     gps_doubt: what the places say of GPS, see GpsVerdict; gps_off in words.
+    sent_ns: CLOCK_MONOTONIC of the newest position that was sent; sent_sigma_m: its standard deviation; level_along_m,
+    level_across_m: its protection level, None where nothing bounds it.
     """
 
     state: str
@@ -41,6 +43,10 @@ class LinkStatus:
     gps_off_m: float | None = None
     gps_off: str = ""
     gps_doubt: float | None = None
+    sent_ns: int | None = None
+    sent_sigma_m: float | None = None
+    level_along_m: float | None = None
+    level_across_m: float | None = None
 
 
 def open_link(connection: str) -> Link:

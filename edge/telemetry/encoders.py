@@ -9,7 +9,7 @@ from msgspec import UNSET
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import east_north_of
-from edge.localization import PlaceFix
+from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Origin
 
@@ -17,6 +17,7 @@ EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
 SET_EKF_SOURCE_SET = 42007  # MAV_CMD_SET_EKF_SOURCE_SET, of ArduPilot's dialect
 TEXT_BYTES = 50
 UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
+LEVEL_NAMES, UNBOUNDED_M = (b"pl_along", b"pl_across"), 1e6
 GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
 
 
@@ -154,6 +155,15 @@ def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
         mavlink.MAVLink_named_value_float_message(stamp_ms, UNIQUENESS_NAME, fix.uniqueness),
         mavlink.MAVLink_named_value_float_message(stamp_ms, SIGMA_NAME, fix.sigma_m),
         mavlink.MAVLink_named_value_int_message(stamp_ms, PLACE_NAME, fix.place),
+    ]
+
+
+def protection_values(level: ProtectionLevel | None, boot_ms: int) -> list[Message]:
+    """NAMED_VALUE_FLOAT of the protection level of a position, in meters; UNBOUNDED_M where it has none."""
+    levels_m = (math.inf, math.inf) if level is None else (level.along_m, level.across_m)
+    return [
+        mavlink.MAVLink_named_value_float_message(boot_ms % 2**32, name, min(level_m, UNBOUNDED_M))
+        for name, level_m in zip(LEVEL_NAMES, levels_m, strict=True)
     ]
 
 

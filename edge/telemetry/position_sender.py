@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
@@ -20,11 +22,9 @@ from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, 
 from edge.localization import (
     CORRELATION_M,
     GpsVerdict,
-    Integrity,
     PlaceFix,
+    ProtectionLevel,
     Refusal,
-    Situation,
-    Uncertainty,
     distance_from,
     offset_m,
 )
@@ -44,21 +44,25 @@ from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
 from edge.telemetry.gps import UNSTEADY
+from edge.telemetry.position_checks import PositionChecks
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
-from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
-REMEMBER_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
-LESS_ACCURATE = 2.0
-"""An autopilot that is so many times as certain as a position would lose by a reset to it; others are weighed."""
-CALLED_SIGMA_M = 10.0
-"""Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 NEAR_SIGMAS = 3.0
 """An autopilot that is as near as this to a position of a stream follows it."""
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SentPosition:
+    """A position that went to the autopilot: when, one standard deviation, and how far off it may be at most."""
+
+    sent_ns: int
+    sigma_m: float
+    level: ProtectionLevel | None
 
 
 class PositionSender:
@@ -79,17 +83,12 @@ class PositionSender:
         self._send_text = send_text
         self.message: PositionMessage | None = None
         self.why = ""
-        self._uncertainty = Uncertainty(gates.drift_percent)
-        self._remembered = RememberedBound(
-            Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None, gates.drift_percent
-        )
-        self._integrity = Integrity(gates)
-        self._velocity_error = 0.0  # of the autopilot, by the newest fix
         self._disabled = False
         self._reset_counter = 0
         self.sources = SourceSelection(vehicle, record, send_text)
         self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
-        self._remember_due_ns = 0
+        remembered = Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None
+        self._checks = PositionChecks(gates, vehicle, self.doubted_gps, remembered)
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -98,6 +97,8 @@ class PositionSender:
         self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
         self._last_sent_ns: int | None = None
         self._sent_stamp_ns: int | None = None
+        self.sent: SentPosition | None = None
+        """The newest one, of a steady stream about one per second."""
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._jump: tuple[PlaceFix, Jump, int] | None = None
         self._stream = StreamCheck()
@@ -107,8 +108,7 @@ class PositionSender:
         self._start_over()
         self._disabled = False
         self.sources.new_session()
-        self._uncertainty.reset()
-        self._integrity.reset()
+        self._checks.reset()
         self._choose()
 
     def _choose(self) -> None:
@@ -129,6 +129,14 @@ class PositionSender:
         """Which of ArduPilot's sets of sources is used without GPS."""
         return VISION_SET if self.message is not None and self.message.name == "vision_position" else GPS_SET
 
+    def sent_status(self) -> dict[str, Any]:
+        """The fields of `LinkStatus` on the newest position that was sent."""
+        if self.sent is None:
+            return {}
+        along_m, across_m = _level_m(self.sent.level)
+        sent_ns, sigma_m = self.sent.sent_ns, round(self.sent.sigma_m, 2)
+        return {"sent_ns": sent_ns, "sent_sigma_m": sigma_m, "level_along_m": along_m, "level_across_m": across_m}
+
     @property
     def enabled(self) -> bool:
         """Whether positions are sent at all, when the gates allow."""
@@ -136,16 +144,13 @@ class PositionSender:
 
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        vehicle = self._vehicle
-        return self._uncertainty.at(vehicle.driven_m(now_ns), vehicle.accuracy_m(now_ns), self._velocity_error)
+        return self._checks.uncertainty_m(now_ns)
 
     def judge_gps(self, verdict: GpsVerdict, now_ns: int) -> None:
         """What the places say of GPS now."""
         was_called = self.doubted_gps.judge(verdict, now_ns)
         if was_called and self.doubted_gps.is_ignored:
-            # What GPS has contradicted so far is not contradicted any more.
-            self._uncertainty.bind(CALLED_SIGMA_M, self._vehicle.driven_m(now_ns))
-            self._integrity.bound(by_gps=False)
+            self._checks.leave_gps(now_ns)
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -183,23 +188,8 @@ class PositionSender:
     def _refusal(
         self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
     ) -> Refusal | None:
-        vehicle, self._velocity_error = self._vehicle, fix.velocity_error
-        situation = Situation(
-            now_ns,
-            "not healthy" if self.doubted_gps.is_ignored else vehicle.gps.state(now_ns),
-            vehicle.speed_mps(now_ns),
-            self.doubted_gps.corrected(vehicle.position(now_ns)),
-            self.uncertainty_m(now_ns),
-            self._uncertainty.by_gps,
-            self._last_sent_ns,
-            vehicle.displacement(fix.stamp_ns),
-        )
         period_s = self._period_s(message) if period_s is None else period_s
-        refused = self._integrity.refusal(fix, situation, period_s, message.max_age_s)
-        known_m = situation.uncertainty_m
-        if refused is None and message.acknowledged and known_m is not None and fix.sigma_m > LESS_ACCURATE * known_m:
-            return Refusal("less accurate than the autopilot")
-        return refused
+        return self._checks.refusal(fix, message, self._last_sent_ns, period_s, now_ns)
 
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
@@ -233,6 +223,7 @@ class PositionSender:
             down_m,
             self._reset_counter,
         )
+        values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
             self._record(
@@ -247,12 +238,15 @@ class PositionSender:
                     distance_m,
                     again,
                     fix.map,
+                    *_level_m(self._checks.protection_level),
                 )
             )
+            self.sent = SentPosition(now_ns, fix.sigma_m, self._checks.protection_level)
+            values = encoders.protection_values(self._checks.protection_level, round(1000 * boot_s))
         self._last_sent_ns, self._vehicle.has_our_position = now_ns, True
         if not message.acknowledged:
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
-        return [message.encode(fix, sending)]
+        return [message.encode(fix, sending), *values]
 
     def _one_of_many(self, fix: PlaceFix, now_ns: int, period_s: float) -> PlaceFix:
         """The fix with a sigma that suits a filter to which each position of a stream is a measurement of its own.
@@ -277,16 +271,9 @@ class PositionSender:
         if moved is not None:
             self._publish_check(fix, distance_m, moved=moved)
         if distance_m <= NEAR_SIGMAS * fix.sigma_m:
-            self._bind(max(fix.sigma_m, distance_m), now_ns)
+            self._checks.bind(max(fix.sigma_m, distance_m), now_ns)
         elif self._is_new_stream(now_ns):
             self._reset_counter = (self._reset_counter + 1) % 256
-
-    def _bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:
-        """The autopilot's position is as good as that now."""
-        self._uncertainty.bind(sigma_m, self._vehicle.driven_m(now_ns), by_gps=by_gps)
-        self._integrity.bound(by_gps=by_gps)
-        if not by_gps:
-            self.doubted_gps.bound()
 
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
@@ -330,7 +317,7 @@ class PositionSender:
         vehicle = self._vehicle
         bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
         if bound_m is not None and not self.doubted_gps.is_ignored:
-            self._bind(bound_m, now_ns, by_gps=True)
+            self._checks.bind(bound_m, now_ns, by_gps=True)
             if self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS:
                 vehicle.has_our_position = False
         if self.doubted_gps.is_ignored:
@@ -340,7 +327,7 @@ class PositionSender:
             messages += self._select_sources(GPS_SET, now_ns) or self._return_to_gps(now_ns)
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
-        self._remember_bound(now_ns)
+        self._checks.remember(now_ns)
         self._check_jump(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
@@ -358,20 +345,6 @@ class PositionSender:
         if self.sources.wanted == VISION_SET:
             self.sources.wanted = GPS_SET
         return self.sources.due(now_ns)
-
-    def _remember_bound(self, now_ns: int) -> None:
-        """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
-        if now_ns < self._remember_due_ns:
-            return
-        self._remember_due_ns = now_ns + REMEMBER_NS
-        driven_m = self._vehicle.driven_m(now_ns)
-        ours_m = self._uncertainty.at(driven_m, None)
-        if ours_m is not None:
-            self._remembered.keep(ours_m, self._vehicle, now_ns, by_fixes=self._vehicle.has_our_position)
-        elif (remembered := self._remembered.recall(self._vehicle, now_ns)) is not None:
-            remembered_m, by_fixes = remembered
-            self._bind(remembered_m, now_ns)
-            self._vehicle.has_our_position |= by_fixes
 
     def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
         self._unanswered = None
@@ -401,7 +374,7 @@ class PositionSender:
         remaining_m = jump.remaining_m(own)
         self._publish_check(fix, remaining_m, moved=moved)
         if moved:
-            self._bind(max(fix.sigma_m, remaining_m), now_ns)
+            self._checks.bind(max(fix.sigma_m, remaining_m), now_ns)
         else:
             self._back_off.failed(now_ns)
 
@@ -410,3 +383,10 @@ class PositionSender:
         if not moved:
             sent = "fix accepted" if self.message is not None and self.message.acknowledged else "fixes sent"
             self._send_text(f"Lookback: {sent}, position {remaining_m:.0f} m off")
+
+
+def _level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:
+    """Meters along and across for the journal, None where nothing bounds them."""
+    if level is None or not math.isfinite(level.along_m + level.across_m):
+        return None, None
+    return round(level.along_m, 2), round(level.across_m, 2)

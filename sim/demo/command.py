@@ -25,6 +25,7 @@ from sim.calibration.offset import measure_parallax, rig_config
 from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
 from sim.trial.table import line
 from sim.vehicle.daemon_drive import DaemonDrive, ReceivedFix, start_daemon_drive
+from sim.vehicle.protection import LIMIT_M
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
@@ -190,6 +191,7 @@ def _print_table(live: DaemonDrive, review: Review) -> None:
     print(f"   fixes                {len(errors_m)}")
     if errors_m.size:
         print(f"   error of the fixes   median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m")
+    print(f"   protection level     below {LIMIT_M:.0f} m in {live.available:.0%} of the drive without GPS")
     print(f"   precision            {review.precision:.3f} of the accepted frames are within {TOLERANCE_M:.0f} m")
     print(f"   recall               {review.recall:.3f} of all frames, those of the warm-up included")
     print(f"   time per frame, ms   {stages}")

@@ -23,6 +23,7 @@ from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import precision_recall
 from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
+from sim.vehicle.protection import LIMIT_M
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it logs its font cache
 BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
@@ -87,6 +88,7 @@ def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
         "fixes that reached the autopilot": len(live.fixes),
         "error of the fixes, median, m": float(np.median(errors_m)),
         "error of the fixes, 95 %, m": float(np.percentile(errors_m, 95)),
+        f"availability: protection level below {LIMIT_M:.0f} m, of the time without GPS": live.available,
         f"precision: accepted frames within {TOLERANCE_M:.0f} m": review.precision,
         "recall: accepted and right, of all frames": review.recall,
         **{f"time per frame, ms: {stage}": ms for stage, ms in stages_ms(live).items()},

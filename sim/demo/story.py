@@ -17,6 +17,7 @@ from sim.evaluation.figures import to_png
 from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
 from sim.trial.run import drafted, drive
 from sim.trial.views import RoadLibrary
+from sim.vehicle.protection import LIMIT_M
 
 COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 560.0
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
@@ -58,6 +59,7 @@ def section(run: Run) -> report.Section:
         ["their error, median / 95 %", _median_95(errors_m), "–"],
         ["largest standard deviation sent", f"{sigma_m.max(initial=0.0):.1f} m", "–"],
         ["largest error, in standard deviations", f"{run.sent.sigmas.max(initial=0.0):.1f}", "–"],
+        [f"protection level below {LIMIT_M:.0f} m", f"{run.available:.0%} of the way home", "never"],
         ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
         ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
     ]

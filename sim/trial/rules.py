@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.vehicle.protection import availability
+
 Array = NDArray[np.float64]
 MOST_SIGMAS, FALSE_M = 4.0, 40.0
 FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S, SENT_SHARE = 3.0, 0.4
+LEVEL_FOLLOWS_S = 0.15
 FAILSAFE_S = 6.0
 WARNING, WARNED_S = 4, 30.0
 CALLED_M, USUAL_M = 50.0, 10.0
@@ -64,7 +67,7 @@ class Run:
     """One drive, and what it would have been without Lookback.
 
     after_m: the autopilot's error after each position that moved it. texts: STATUSTEXT, with its time and severity.
-    source_set: of ArduPilot's filter, at the end.
+    source_set: of ArduPilot's filter, at the end. levels: protection levels (n, 3), see `protection_levels`.
     """
 
     seed: int
@@ -74,7 +77,13 @@ class Run:
     after_m: Array
     texts: tuple[tuple[float, int, str], ...] = ()
     source_set: int = 1
+    levels: Array = field(default_factory=lambda: np.zeros((0, 3)))
     failures: tuple[Failure, ...] = ()
+
+    @property
+    def available(self) -> float:
+        """Share of the time without GPS in which a position had protection levels below 15 m."""
+        return availability(self.levels, self.track.time_s[~self.track.gps])
 
     @property
     def share_sent(self) -> float:
@@ -108,6 +117,16 @@ def within_sigmas(run: Run) -> str:
     """No position is beyond 4 of its sigmas."""
     worst = run.sent.sigmas.max(initial=0.0)
     return f"{worst:.1f} sigma" if not worst <= MOST_SIGMAS else ""
+
+
+def within_protection_level(run: Run) -> str:
+    """No position is further off than its protection levels."""
+    row = np.searchsorted(run.levels[:, 0], run.sent.time_s)  # they follow the position
+    has_one = row < len(run.levels)
+    at_s, along_m, across_m = run.levels[row[has_one]].T
+    is_its_own = at_s - run.sent.time_s[has_one] < LEVEL_FOLLOWS_S
+    beyond = (run.sent.error_m[has_one] > np.hypot(along_m, across_m)) & is_its_own
+    return f"{beyond.sum()} positions" if beyond.any() else ""
 
 
 def no_false_place(run: Run) -> str:

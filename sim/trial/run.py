@@ -43,11 +43,12 @@ from sim.trial.cameras import PlacedNetwork
 from sim.trial.courses import COURSES
 from sim.trial.draft import Draft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
-from sim.trial.rules import Array, Run, Sent, Track, failures
+from sim.trial.rules import Array, Run, Sent, Track, failures, within_protection_level
 from sim.trial.simulation import Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
+from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.route import Route
 from sim.world.scenario import Scenario
@@ -213,8 +214,15 @@ def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) 
         np.array([item.error_after_m for item in (*inputs.resets, *inputs.fused)]),
         texts,
         inputs.source_set,
+        _levels(simulation),
     )
-    return replace(run, failures=failures(run, draft.rules))
+    return replace(run, failures=failures(run, (*draft.rules, within_protection_level)))
+
+
+def _levels(simulation: Simulation) -> Array:
+    levels = protection_levels(simulation.autopilot.received)
+    levels[:, 0] = [simulation.time_s(at_s) for at_s in levels[:, 0]]
+    return levels
 
 
 def _track(draft: Draft, simulation: Simulation) -> Track:

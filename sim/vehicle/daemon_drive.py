@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.estimator import AS_FLOWN
+from sim.vehicle.protection import availability, protection_levels
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
@@ -82,6 +84,13 @@ class DaemonDrive:
                 new.append(self._judge(item.time_s - age_s, command.x / 1e7, command.y / 1e7, age_s))
         self.fixes += new
         return new
+
+    @property
+    def available(self) -> float:
+        """Share of the drive without GPS in which a position had protection levels below 15 m."""
+        levels = protection_levels(self.autopilot.received)
+        levels[:, 0] -= self.epoch_s
+        return availability(levels, np.arange(GPS_S, self.drive.duration_s, 0.1))
 
     def _judge(self, exposure_s: float, lat_deg: float, lon_deg: float, age_s: float) -> ReceivedFix:
         time_s = exposure_s - self.epoch_s

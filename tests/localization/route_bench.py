@@ -12,6 +12,7 @@ import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +21,21 @@ from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, Sequence
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, Integrity, PlaceFix, Situation, Uncertainty
+from edge.localization.protection_level import Reckoning
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from edge.sequence import PlaceMatch
+from edge.sequence import Parallax, PlaceMatch
 
 HOME = (-27.0, 153.0)
 STEP_S, SPACING_M, LENGTH = 0.1, 2.0, 40
 CORRELATED_M, GPS_M = 60.0, 72.0
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 TURN_RADIUS_M = 8.0
+PLACES_APART, PARALLAX_M = 2.5, 1.0  # meters between the regions' lines for each meter aside, and its error
+WRONG_PAIRS, WRONG_FRAMES = 1 / 15, 8  # share of parallaxes that are of a wrong pair of lines, and how many in a row
 Points = NDArray[np.float64]
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
@@ -39,13 +43,17 @@ Move = tuple[float, Points | None, float]
 
 @dataclass(frozen=True)
 class Stretch:
-    """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states."""
+    """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states.
+
+    continues: it is no segment of its own, but of one with the stretch before, which ends where it begins.
+    """
 
     begins_m: float
     ends_m: float
     east_m: float = 0.0
     north_m: float = 0.0
     sigma_m: float = math.sqrt(2)
+    continues: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,19 @@ class Course:
     bias_m: float = 1.5
     match_sigma_m: float = 2.5
     laps: int = 1
+    parallax: bool = False
+
+
+class Bounded(NamedTuple):
+    """A position whose place is certain enough: errors along and across, its deviations, and its protection level."""
+
+    at_m: float
+    along_m: float
+    across_m: float
+    along_sigma_m: float
+    across_sigma_m: float
+    level_along_m: float
+    level_across_m: float
 
 
 @dataclass
@@ -84,6 +105,7 @@ class Result:
     across_m: list[float] = field(default_factory=list)
     predicted_sigmas: list[float] = field(default_factory=list)
     withheld: dict[str, int] = field(default_factory=dict)
+    bounded: list[Bounded] = field(default_factory=list)
 
 
 def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:
@@ -112,14 +134,17 @@ def build_route(
     key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set")
     with MapBuilder(path, *key, SamplingConfig(), replace=True) as builder:
         for number, stretch in enumerate(stretches):
-            builder.begin_segment(f"stretch {number}", "rear")
+            before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
+            if not stretch.continues:
+                builder.begin_segment(f"stretch {number}", "rear")
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
             for row, s in enumerate(at_m):
                 east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
-                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, row * SPACING_M
+                route_m = (before[3] + row) * SPACING_M
+                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, route_m
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
-            found.append((index, stretch.begins_m, float(at_m[-1]), len(at_m)))
+            found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
             index += len(at_m)
         builder.finish(normalize, "test")
     return Route(MapSet.of(open_map(path))), found
@@ -140,17 +165,21 @@ class Bench:
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
         self.route, self.segments = build_route(folder / f"map{seed}", self.line, self.heading, stretches)
-        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5)
+        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
         config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH))
         self.filter = RouteFilter(self.route, config)
         self.integrity, self.gates = Integrity(GatesConfig()), GatesConfig()
         self.uncertainty = Uncertainty(self.gates.drift_percent)
+        self.reckoning = Reckoning(self.gates.drift_percent)
         self.motion = DeadReckoning()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
         self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
         self.wander_m = rng.normal(0.0, course.match_sigma_m)
         self.lane_m = rng.normal(0.0, 0.7)
+        self.parallax_m = np.zeros(2)  # errors along and across
+        self.wrong_pair_m, self.wrong_pair_frames = 0.0, 0
+        self.frames = 0
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
         self.seconds = self.lane = self.sampled_m = self.driven_m = self.steered_m = 0.0
@@ -257,6 +286,11 @@ class Bench:
         self.motion.add_velocity(now_ns, float(velocity[0]), float(velocity[1]))
         self.motion.add_speed(now_ns, math.copysign(float(np.hypot(*velocity)), speed_mps), 0)
         if gps:
+            lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
+            own = VehiclePosition(
+                now_ns, lat_deg, lon_deg, 0.0, 0.0, *(float(value) for value in (0.0, *velocity[::-1]))
+            )
+            self.reckoning.bind(own, self.motion.displacement(now_ns), self.motion.total_m or 0.0, GPS_SIGMA_M)
             self.uncertainty.bind(GPS_SIGMA_M, self.motion.total_m, by_gps=True)
             self.integrity.bound(by_gps=True)
         distance_m = self.motion.distance_m(now_ns) or 0.0
@@ -301,9 +335,30 @@ class Bench:
         alias = self.alias_now
         confidence = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
-            first + row, first + row, "forward", "swapped", round(slope / SPACING_M * 50) / 50, 0.5, 1.2,
-            accepted=confidence >= 0.6, confidence=confidence,
+            first + row, first + row, "forward", "same" if self.course.parallax else "swapped",
+            round(slope / SPACING_M * 50) / 50, 0.5, 1.2,
+            accepted=confidence >= 0.6, confidence=confidence, parallax=self._parallax(),
         )  # fmt: skip
+
+    def _parallax(self) -> Parallax | None:
+        """Of each second frame, as wrong as on drives with pictures."""
+        if not self.course.parallax:
+            return None
+        rng, kept = self.rng, math.exp(-SPACING_M / CORRELATED_M)
+        self.parallax_m = kept * self.parallax_m + math.sqrt(1 - kept**2) * rng.normal(0.0, PARALLAX_M, 2)
+        self.frames += 1
+        if self.frames % 2:
+            return None
+        if self.wrong_pair_frames > 0:
+            self.wrong_pair_frames -= 1
+        elif rng.random() < WRONG_PAIRS / WRONG_FRAMES:
+            self.wrong_pair_frames = WRONG_FRAMES
+            self.wrong_pair_m = float(rng.choice([-1.0, 1.0]) * rng.uniform(4.0, 10.0))
+        wrong_m = self.wrong_pair_m if self.wrong_pair_frames > 0 else 0.0
+        along_m, left_m = self.parallax_m + rng.normal(0.0, 0.5, 2)
+        error_m = self.bias_m + self.wander_m
+        left_m += wrong_m - self.right_m
+        return Parallax(left_m * PLACES_APART / SPACING_M, (along_m - error_m) / SPACING_M)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""
@@ -332,12 +387,25 @@ class Bench:
         situation = Situation(
             now_ns, gps, self.motion.speed_mps(now_ns), own, sigma_m, self.uncertainty.by_gps, None,
             self.motion.displacement(now_ns),
+            self.reckoning.at(fix, self.motion.displacement(now_ns), self.motion.total_m),
         )  # fmt: skip
         refused = self.integrity.refusal(fix, situation, 1.0, 5.0)
+        self._bounded(fix, truth)
         if refused is not None:
             self.result.withheld[refused.reason] = self.result.withheld.get(refused.reason, 0) + 1
             return
         self._reset(fix, truth)
+
+    def _bounded(self, fix: PlaceFix, truth: Points) -> None:
+        level = self.integrity.protection_level
+        if level is None:
+            return
+        east_m, north_m = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME)) - truth
+        sin, cos = math.sin(math.radians(fix.heading_deg or 0.0)), math.cos(math.radians(fix.heading_deg or 0.0))
+        errors = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
+        self.result.bounded.append(
+            Bounded(self.driven_m, *errors, fix.sigma_along_m, fix.sigma_across_m, level.along_m, level.across_m)
+        )
 
     def _reset(self, fix: PlaceFix, truth: Points) -> None:
         place = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME))

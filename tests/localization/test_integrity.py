@@ -13,6 +13,7 @@ from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, Integrity, PlaceFix, Situation, Uncertainty
 from edge.localization.integrity import distance_from, wrong_by_confidence, wrong_probability
+from edge.localization.protection_level import Reckoned
 
 S = 1_000_000_000
 NOW_NS = 100 * S
@@ -177,3 +178,33 @@ def test_uncertainty_grows_with_the_distance_since_it_was_bound() -> None:
     assert uncertainty.at(180.0, None) == pytest.approx(5.0), "nothing is bound without an odometer"
     uncertainty.reset()
     assert uncertainty.at(180.0, None) is None
+
+
+def test_a_position_above_the_alert_limit_is_not_published() -> None:
+    """One observation, and nothing but places bounds the position; a limit of 0 is none."""
+    why = "its protection level is above the alert limit"
+    assert reason(gates=GatesConfig(alert_limit_m=40.0)) == why
+    assert reason() is None
+
+
+def test_the_alert_limit_lets_pass_what_reckoning_bounds_below_it() -> None:
+    reckoned = Reckoned(2.0, 3.0, 3.0)
+    assert reason(gates=GatesConfig(alert_limit_m=40.0), reckoned=reckoned, speed_mps=5.0) is None
+    assert reason(gates=GatesConfig(alert_limit_m=15.0), reckoned=reckoned, speed_mps=5.0) is not None
+
+
+def test_stretches_that_agree_make_a_level_of_the_errors_alone() -> None:
+    one = Integrity(GatesConfig(alert_limit_m=40.0))
+    assert set(drive(one, range(0, 500))) == {"its protection level is above the alert limit"}
+    assert drive(one, range(500, 1200))[-1] is None
+    level = one.protection_level
+    assert level is not None
+    assert level.along_m == pytest.approx(1.5 * level.across_m)
+
+
+def test_what_is_not_published_has_no_protection_level() -> None:
+    one = Integrity(GatesConfig())
+    assert reason(one=one) is None
+    assert one.protection_level is not None
+    assert reason(one=one, gps="healthy") == "GPS is healthy"
+    assert one.protection_level is None

@@ -32,6 +32,7 @@ from edge.mission import MissionItem
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.encoders import UNBOUNDED_M
 from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.mission_transfer import MissionTransfer
@@ -187,7 +188,8 @@ def test_every_message_of_ours_is_decoded_with_the_right_fields(setting: Setting
     assert command["param2"] == pytest.approx(0.3, abs=0.1)
 
     values = foreigner.read("NAMED_VALUE_FLOAT") + foreigner.read("NAMED_VALUE_INT")
-    assert {value["name"]: value["value"] for value in values} == {"uniqueness": 1.25, "fix_sigma": 6.5, "place": 812}
+    expected = {"uniqueness": 1.25, "fix_sigma": 6.5, "place": 812, "pl_along": UNBOUNDED_M, "pl_across": UNBOUNDED_M}
+    assert {value["name"]: value["value"] for value in values} == expected
     wanted = {(511, stream) for stream in STREAMS_HZ} | {(512, 148), (512, 49)}
 
     def asked() -> set[tuple[int, float]]:

@@ -1,0 +1,132 @@
+"""How far a position may be from the truth at a stated risk, along the road and across it. Pure.
+
+A protection level is exceeded with at most the stated probability in an hour of driving. Two hypotheses share it:
+
+    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving, and larger than
+            stated by at most MODEL_ERROR
+    wrong   all stretches of the map that speak for the place are wrong. Then only what no place had a part in bounds
+            the position: where GPS had it last, and how the vehicle has moved since by its own velocity. As in RAIM by
+            solution separation, the level is the distance from there, and what that position may be wrong by.
+
+Where neither bounds the position at that risk, it has no protection level (infinite). docs/integrity.md has the
+argument, and what was counted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+from edge.geodesy import VehiclePosition, east_north_of
+from edge.journal.records import PlaceFix
+from edge.localization.dead_reckoning import Displacement
+from edge.localization.route_estimate import CORRELATION_M
+
+MODEL_ERROR = 1.3
+"""Times by which errors may be larger than the filter states: the root mean square on drives with pictures."""
+OF_PLACE, OF_MAP, OF_ERRORS = 0.5, 0.25, 0.125
+"""Shares of the risk: of wrong places, of a shifted map, and of errors in each of the two directions."""
+LEAST_MPS = 1.0
+"""A slower vehicle counts as driving at this speed."""
+NEVER = 1e-300
+"""A probability that rounding cannot make 0."""
+
+
+@dataclass(frozen=True)
+class ProtectionLevel:
+    """Meters along the road and across it, infinite where nothing bounds the position."""
+
+    along_m: float
+    across_m: float
+
+    def is_within(self, limit_m: float) -> bool:
+        """Whether neither is above a limit."""
+        return max(self.along_m, self.across_m) <= limit_m
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """Where the vehicle is without any place: meters east and north of a fix, and one standard deviation."""
+
+    east_m: float
+    north_m: float
+    sigma_m: float
+
+    @property
+    def distance_m(self) -> float:
+        """From the fix."""
+        return math.hypot(self.east_m, self.north_m)
+
+
+class Reckoning:
+    """The last position that GPS bounded, moved on by the autopilot's velocity."""
+
+    def __init__(self, drift_percent: float) -> None:
+        self._drift = drift_percent / 100
+        self._bound: tuple[VehiclePosition, Displacement, float, float] | None = None
+
+    def bind(
+        self, position: VehiclePosition, displacement: Displacement | None, driven_m: float, sigma_m: float
+    ) -> None:
+        """GPS bounds the position, to one standard deviation, after that displacement and distance driven."""
+        self._bound = None if displacement is None else (position, displacement, driven_m, sigma_m)
+
+    def reset(self) -> None:
+        """Nothing bounds the position any more."""
+        self._bound = None
+
+    def at(self, fix: PlaceFix, displacement: Displacement | None, driven_m: float | None) -> Reckoned | None:
+        """Relative to a fix, at that displacement and distance driven; None where it is not known."""
+        if self._bound is None or displacement is None or driven_m is None:
+            return None
+        position, then, then_driven_m, sigma_m = self._bound
+        if displacement.leg != then.leg or fix.lat_deg is None or fix.lon_deg is None:
+            return None
+        east_m, north_m = east_north_of(position.lat_deg, position.lon_deg, (fix.lat_deg, fix.lon_deg))
+        east_m += displacement.east_m - then.east_m
+        north_m += displacement.north_m - then.north_m
+        drift = max(self._drift, fix.velocity_error)
+        sigma_m = math.hypot(sigma_m, drift * max(0.0, driven_m - then_driven_m))
+        return Reckoned(east_m, north_m, sigma_m)
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """Probabilities: that all places of a fix are other ones, that its map is shifted as a whole, and that what bounded
+    the position last without places was wrong.
+    """
+
+    place: float
+    map: float
+    bound: float
+
+
+def protection_level(
+    fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, speed_mps: float, risk_per_hour: float, stretch_m: float
+) -> ProtectionLevel:
+    """Of a fix.
+
+    reckoned: None where nothing but places bounds the position. stretch_m: meters of driving within which places are
+    wrong together; a map that is shifted is so for the whole drive.
+    """
+    driven_m = 3600 * max(speed_mps, LEAST_MPS)
+    by_errors = MODEL_ERROR * _sigmas(OF_ERRORS * risk_per_hour * CORRELATION_M / driven_m)
+    along_m, across_m = by_errors * fix.sigma_along_m, by_errors * fix.sigma_across_m
+    # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
+    by_place = OF_PLACE * risk_per_hour * stretch_m / driven_m / max(wrong.place, NEVER)
+    allowed = min(by_place, OF_MAP * risk_per_hour / max(wrong.map, NEVER))
+    if allowed >= 1:
+        return ProtectionLevel(along_m, across_m)
+    if reckoned is None or allowed <= wrong.bound or fix.heading_deg is None:
+        return ProtectionLevel(math.inf, math.inf)
+    by_reckoning_m = _sigmas((allowed - wrong.bound) / (1 - wrong.bound) / 2) * reckoned.sigma_m
+    sin, cos = math.sin(math.radians(fix.heading_deg)), math.cos(math.radians(fix.heading_deg))
+    off_along_m = abs(reckoned.east_m * sin + reckoned.north_m * cos)
+    off_across_m = abs(reckoned.north_m * sin - reckoned.east_m * cos)
+    return ProtectionLevel(max(along_m, off_along_m + by_reckoning_m), max(across_m, off_across_m + by_reckoning_m))
+
+
+def _sigmas(probability: float) -> float:
+    """Standard deviations that a normal error exceeds in either direction with that probability."""
+    return -NormalDist().inv_cdf(min(probability, 1.0) / 2)
