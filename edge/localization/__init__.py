@@ -3,7 +3,7 @@
 `consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
 matches; `route_filter` follows the vehicle over the ground, with `route_estimate` as its Kalman filter; `gps_referee`
 judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what
-may be published, and `protection_level` says how far off that may be.
+may be published, by what was observed (`claims`), and `protection_level` says how far off that may be.
 """
 
 from __future__ import annotations

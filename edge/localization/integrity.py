@@ -16,14 +16,13 @@ wrongly, or resemble another. docs/integrity.md is the whole argument, with the 
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, field
-from itertools import chain
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
+from edge.localization.claims import ALIKE_M, ALIKE_SHARE, SAME_DRIVE, Claim, Claims, stretch_wrong
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Reckoned, Wrong, protection_level
 from edge.localization.route_estimate import CORRELATION_M
@@ -46,21 +45,11 @@ Reason: TypeAlias = Literal[
 ]
 GPS_SIGMA_M = 3.0
 SPREAD_M = 1000.0
-STRETCH_WRONG = 5e-3
 BOUND_WRONG, ONE_MORE = 0.1, 20.0
 """Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 SHIFT_SIGMAS = 3.0
-BELIEVED, WRONG_AT_LEAST, WRONG_AT_ONE = 0.6, 0.02, 0.002
-"""Probability that one observation is of another place, at a confidence of BELIEVED and below, and of 1."""
-SAME_DRIVE = 5.0
-"""Two stretches of one drive are independent beyond so many times `confirm_m`."""
-ALIKE_M, ALIKE_SHARE = 3.0, 0.1
-"""Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
-ALIKE_AT_M = ALIKE_M + ALIKE_SHARE * CORRELATION_M
-"""What that is from one observation to the next."""
-CLAIMS, KEPT = 8, 64
 
 
 @dataclass(frozen=True)
@@ -92,29 +81,12 @@ class Refusal:
     distance_m: float | None = None
 
 
-@dataclass
-class Observation:
-    """A fix that counts as evidence of its own, with the displacement of its moment.
-
-    wrong: probability that it is of another place. likelihood: the least that the autopilot's position gave to the
-    fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the autopilot where a fix contradicted it.
-    """
-
-    segment: int
-    lat_deg: float
-    lon_deg: float
-    displacement: Displacement
-    wrong: float
-    likelihood: float = field(default=math.inf)
-    may_be_shifted: bool = False
-
-
 class Integrity:
     """The observations so far, and the decision on each fix."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
-        self._claims: deque[list[Observation]] = deque(maxlen=CLAIMS)
+        self._claims = Claims(gates)
         self._bound_wrong, self._published_wrong = BOUND_WRONG, 1.0
         self.protection_level: ProtectionLevel | None = None
         """Of the newest fix; None where its place is not certain enough to be published."""
@@ -126,8 +98,7 @@ class Integrity:
     def bound(self, *, by_gps: bool) -> None:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
         self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
-        for observation in chain.from_iterable(self._claims):
-            observation.likelihood, observation.may_be_shifted = math.inf, False
+        self._claims.contradict_nothing()
 
     def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
         """Why the fix may not be published; None if it may."""
@@ -160,14 +131,14 @@ class Integrity:
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
             likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
         is_shift = situation.bound_by_gps and distance_m is not None and distance_m > SHIFT_SIGMAS * fix.sigma_m
-        claim = self._observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
+        claim = self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
         if distance_m is not None and distance_m > gates.max_move_m:
             return Refusal("impossibly far", distance_m)
         likelihood = min(likelihood, *(observation.likelihood for observation in claim))
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
         is_shift = any(observation.may_be_shifted for observation in claim)
-        stretches = self._stretches_wrong(claim)
-        place_wrong = math.prod(stretches)
+        stretches = self._claims.stretches(claim)
+        place_wrong = math.prod(stretch_wrong(stretch) for stretch in stretches)
         if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > gates.risk:
             return Refusal("not confirmed by another place yet", distance_m)
         self.protection_level = self._protection_level(fix, stretches, situation)
@@ -176,64 +147,28 @@ class Integrity:
         self._published_wrong = place_wrong
         return None
 
-    def _protection_level(self, fix: PlaceFix, stretches: list[float], situation: Situation) -> ProtectionLevel:
+    def _protection_level(self, fix: PlaceFix, stretches: list[Claim], situation: Situation) -> ProtectionLevel:
         """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
 
-        stretches: probability that each is wrong. Those that are wrong by different amounts would not be one claim.
+        All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
+        one of its observations on: then that before it bounds the position.
         """
-        place_wrong = math.prod(stretches) * (2 * ALIKE_AT_M / SPREAD_M) ** (len(stretches) - 1)
-        reckoned, likelihood, shifted = situation.reckoned, 1 / SPREAD_M, MAP_SHIFTED
+        reckoned, newest = situation.reckoned, stretches[-1]
+        wrong = [stretch_wrong(stretch) for stretch in stretches]
+        alike = 2 * (ALIKE_M + ALIKE_SHARE * CORRELATION_M) / SPREAD_M
+        shifted = MAP_SHIFTED
         if reckoned is not None:
-            sigma_m = math.hypot(reckoned.sigma_m, fix.sigma_m)
-            likelihood = likelihood_of(reckoned.distance_m, sigma_m, BOUND_WRONG)
-            if_shifted = likelihood_of(reckoned.distance_m, math.hypot(sigma_m, SHIFT_M), BOUND_WRONG)
-            shifted = MAP_SHIFTED * if_shifted / (MAP_SHIFTED * if_shifted + likelihood)
-        wrong = Wrong(wrong_probability(place_wrong, likelihood), shifted, BOUND_WRONG)
+            shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
+        all_wrong = Wrong(_wrong(math.prod(wrong) * alike ** (len(wrong) - 1), reckoned, fix), shifted, BOUND_WRONG)
+        level = self._level(fix, all_wrong, reckoned, situation)
+        before = max((one.before for one in newest if one.before is not None), key=_sigma_m, default=None)
+        if before is not None:
+            level = level.or_more(self._level(fix, Wrong(_wrong(wrong[-1], before, fix), 0.0, 0.0), before, situation))
+        return level
+
+    def _level(self, fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, situation: Situation) -> ProtectionLevel:
         gates, speed_mps = self._gates, situation.speed_mps or 0.0
         return protection_level(fix, wrong, reckoned, speed_mps, gates.risk_per_hour, SAME_DRIVE * gates.confirm_m)
-
-    def _observe(
-        self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool
-    ) -> list[Observation]:
-        """Keep the fix where it is an observation of its own; the claim that it belongs to, oldest first."""
-        claim = next((one for one in reversed(self._claims) if _moved_alike(one[-1], fix, displacement)), None)
-        if claim is None:
-            claim = []
-            self._claims.append(claim)
-        wrong = wrong_by_confidence(fix.confidence)
-        near = [one for one in claim if one.segment == fix.segment and _apart_m(one, displacement) < CORRELATION_M]
-        if near:
-            near[-1].likelihood = min(near[-1].likelihood, likelihood)
-            near[-1].wrong = min(near[-1].wrong, wrong)
-            near[-1].may_be_shifted |= may_be_shifted
-        else:
-            assert fix.lat_deg is not None and fix.lon_deg is not None
-            here = fix.segment, fix.lat_deg, fix.lon_deg, displacement
-            claim.append(Observation(*here, wrong, likelihood, may_be_shifted))
-            del claim[:-KEPT]
-        return claim
-
-    def _stretches_wrong(self, claim: list[Observation]) -> list[float]:
-        """Of each independent stretch of a claim, the probability that its observations are of other places."""
-        stretches: list[list[Observation]] = []
-        for one in claim:
-            same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
-            if same is None:
-                stretches.append([one])
-            else:
-                same.append(one)
-        return [max(STRETCH_WRONG, math.prod(one.wrong for one in stretch)) for stretch in stretches]
-
-    def _independent(self, one: Observation, other: Observation) -> bool:
-        """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
-        times = SAME_DRIVE if one.segment == other.segment else 1.0
-        return _apart_m(one, other.displacement) >= times * self._gates.confirm_m
-
-
-def wrong_by_confidence(confidence: float) -> float:
-    """Probability that a belief of that confidence is of another place, by one observation alone."""
-    share = min(max((confidence - BELIEVED) / (1 - BELIEVED), 0.0), 1.0)
-    return float(WRONG_AT_LEAST ** (1 - share) * WRONG_AT_ONE**share)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
@@ -248,22 +183,18 @@ def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: 
     return wrong / (wrong + (1 - place_wrong) * likelihood)
 
 
-def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
-    """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
-    if before.displacement.leg != displacement.leg:
-        return False
-    assert fix.lat_deg is not None and fix.lon_deg is not None
-    east_m, north_m = east_north_of(fix.lat_deg, fix.lon_deg, (before.lat_deg, before.lon_deg))
-    moved_east_m = displacement.east_m - before.displacement.east_m
-    moved_north_m = displacement.north_m - before.displacement.north_m
-    share = ALIKE_SHARE + fix.velocity_error
-    allowed_m = ALIKE_M + share * math.hypot(moved_east_m, moved_north_m)
-    return math.hypot(east_m - moved_east_m, north_m - moved_north_m) <= allowed_m
+def _likelihood(reckoned: Reckoned, fix: PlaceFix, further_m: float = 0.0) -> float:
+    """Of a fix, by what no place had a part in; further_m: standard deviation of another error of the map."""
+    sigma_m = math.hypot(reckoned.sigma_m, fix.sigma_m, further_m)
+    return likelihood_of(reckoned.distance_m, sigma_m, BOUND_WRONG)
 
 
-def _apart_m(observation: Observation, displacement: Displacement) -> float:
-    then = observation.displacement
-    return math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
+def _wrong(place_wrong: float, reckoned: Reckoned | None, fix: PlaceFix) -> float:
+    return place_wrong if reckoned is None else wrong_probability(place_wrong, _likelihood(reckoned, fix))
+
+
+def _sigma_m(reckoned: Reckoned) -> float:
+    return reckoned.sigma_m
 
 
 def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:

@@ -2,8 +2,8 @@
 
 A protection level is exceeded with at most the stated probability in an hour of driving. Two hypotheses share it:
 
-    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving, and larger than
-            stated by at most MODEL_ERROR
+    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving, and what it
+            does not know of
     wrong   all stretches of the map that speak for the place are wrong. Then only what no place had a part in bounds
             the position: where GPS had it last, and how the vehicle has moved since by its own velocity. As in RAIM by
             solution separation, the level is the distance from there, and what that position may be wrong by.
@@ -23,8 +23,9 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 
-MODEL_ERROR = 1.3
-"""Times by which errors may be larger than the filter states: the root mean square on drives with pictures."""
+MODEL_ERROR, UNNOTICED_M = 1.2, 2.5
+"""Times by which errors may be larger than the filter states, and by which a stretch of the map may be shifted besides
+without a disagreement: counted on simulated drives."""
 OF_PLACE, OF_MAP, OF_ERRORS = 0.5, 0.25, 0.125
 """Shares of the risk: of wrong places, of a shifted map, and of errors in each of the two directions."""
 LEAST_MPS = 1.0
@@ -43,6 +44,10 @@ class ProtectionLevel:
     def is_within(self, limit_m: float) -> bool:
         """Whether neither is above a limit."""
         return max(self.along_m, self.across_m) <= limit_m
+
+    def or_more(self, other: ProtectionLevel) -> ProtectionLevel:
+        """The larger one of both in each direction."""
+        return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,7 @@ def protection_level(
     """
     driven_m = 3600 * max(speed_mps, LEAST_MPS)
     by_errors = MODEL_ERROR * _sigmas(OF_ERRORS * risk_per_hour * CORRELATION_M / driven_m)
-    along_m, across_m = by_errors * fix.sigma_along_m, by_errors * fix.sigma_across_m
+    along_m, across_m = (UNNOTICED_M + by_errors * sigma_m for sigma_m in (fix.sigma_along_m, fix.sigma_across_m))
     # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
     by_place = OF_PLACE * risk_per_hour * stretch_m / driven_m / max(wrong.place, NEVER)
     allowed = min(by_place, OF_MAP * risk_per_hour / max(wrong.map, NEVER))

@@ -15,7 +15,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
-from edge.localization.integrity import SAME_DRIVE
+from edge.localization.claims import SAME_DRIVE
 from edge.telemetry.codec import Message
 from sim.trial import gps_histories
 from sim.trial.draft import GPS_S, Draft, Stretch

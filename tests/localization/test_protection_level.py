@@ -21,8 +21,8 @@ import pytest
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, PlaceFix
-from edge.localization.integrity import STRETCH_WRONG
-from edge.localization.protection_level import MODEL_ERROR, Reckoned, Reckoning, Wrong, protection_level
+from edge.localization.claims import STRETCH_WRONG
+from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, Reckoned, Reckoning, Wrong, protection_level
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course, Stretch
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
@@ -119,8 +119,8 @@ def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tup
 
 def test_a_place_that_is_certain_is_bounded_by_its_errors_alone() -> None:
     along_m, across_m = level_of(1e-9, None)
-    assert along_m == pytest.approx(2 * across_m)
-    assert 5 * MODEL_ERROR < across_m < 5.3 * MODEL_ERROR  # one error in 60 m, 480 in an hour, at 0.000125
+    assert along_m - UNNOTICED_M == pytest.approx(2 * (across_m - UNNOTICED_M))
+    assert 5 * MODEL_ERROR < across_m - UNNOTICED_M < 5.3 * MODEL_ERROR  # 480 errors in an hour
 
 
 def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -> None:
