@@ -11,13 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.geodesy import east_north
-from edge.reference_map import MapSoFar
-
-NEIGHBOR_PLACES = 4
-"""A place elsewhere is mistaken for a place if it is more similar to it than the places so many before and after."""
-ELSEWHERE_M = 80.0
-"""From this distance on, over the ground and along the drive, another place is elsewhere."""
+from edge.reference_map import NEIGHBOR_PLACES, MapSoFar, rival
 
 
 @dataclass(frozen=True)
@@ -45,15 +39,9 @@ class SelfComparison:
         row = max(self._next, so_far.header.places - NEIGHBOR_PLACES - 1)
         if row + NEIGHBOR_PLACES >= so_far.header.places:
             return
-        places = so_far.places
-        costs = so_far.matcher.costs_of_encoded(so_far.descriptors[:, row : row + 1])[0, 0]
-        origin = float(places["lat_deg"][row]), float(places["lon_deg"][row])
-        away_m = np.hypot(*east_north(places["lat_deg"], places["lon_deg"], origin).T)
-        along_m = np.abs(places["route_m"] - places["route_m"][row])
-        elsewhere = costs[np.fmin(away_m, along_m) > ELSEWHERE_M]
-        beside = max(int(costs[row - NEIGHBOR_PLACES]), int(costs[row + NEIGHBOR_PLACES]))
-        is_unique = not elsewhere.size or int(elsewhere.min()) > beside
-        self._sampled.append((float(places["route_m"][row]), is_unique))
+        found = rival(so_far.matcher, so_far.descriptors, so_far.places, row)
+        is_unique = found is None or not found.is_mistaken
+        self._sampled.append((float(so_far.places["route_m"][row]), is_unique))
         self._next = row + 1
 
     def way_home(self, driven_m: float, behind_m: float, line_m: float, drift: float) -> WayHome | None:

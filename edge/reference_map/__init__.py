@@ -5,6 +5,7 @@
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
 `closure`  which drives are closed laps; `spatial_index` which places a known position allows; `route` positions along
            the drives
+`self_similarity`  which places of a map resemble each other
 `checksums`  a piece at a time, between frames; `signature` who made a map
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically (`atomic_folder`)
@@ -18,12 +19,14 @@ from edge.reference_map.map_set import ExcludedMap, MapSet, open_map_set
 from edge.reference_map.place_picture import thumbnail
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
+from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.signature import is_signed
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
 
 __all__ = [
     "COST_ONE",
+    "NEIGHBOR_PLACES",
     "NO_LAP_M",
     "Bounds",
     "Drive",
@@ -41,11 +44,13 @@ __all__ = [
     "Ranges",
     "ReferenceMap",
     "RegionsKey",
+    "Rival",
     "Route",
     "is_signed",
     "open_map",
     "open_map_set",
     "read_header",
+    "rival",
     "sigmas_m",
     "thumbnail",
 ]

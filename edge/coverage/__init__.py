@@ -1,0 +1,14 @@
+"""What to expect of a route before departure: where a map will be recognized, and where it will not.
+
+`passes`     drives over a map, frame by frame: believed or not; of earlier drives from their journals
+`rehearsal`  drives that were never made: the map's own descriptors, changed as another light and view change them
+`aliases`    stretches of a map that resemble another stretch
+`sheet`      what follows for each stretch, and for the whole route
+"""
+
+from edge.coverage.aliases import Alias, aliases
+from edge.coverage.passes import Pass, passes
+from edge.coverage.rehearsal import Conditions, Rehearsal
+from edge.coverage.sheet import Sheet, Stretch
+
+__all__ = ["Alias", "Conditions", "Pass", "Rehearsal", "Sheet", "Stretch", "aliases", "passes"]

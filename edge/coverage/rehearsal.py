@@ -1,0 +1,223 @@
+"""Drives that were never made, over a map: its own descriptors, changed as another light and another view change them.
+
+After normalization, a place as the next drive will see it is alike to the same place of the map, to those around it,
+and to nothing in particular (measured on simulated worlds, see `sim.evaluation.coverage`):
+
+    query(i) = gain(i) * mean of map(i + k) over a few k  +  sqrt(1 - gain(i)^2) * noise(i)
+
+The mean over neighbors is smaller where they differ: a place that changes within meters is found less often from
+another lane. `gain` is that of the light, and wanders. `noise` is a random mixture of the map's own descriptors, which
+wanders as slowly as they do, so that it resembles other places as much as strangers do, and no place in particular.
+All is shifted by a constant, as another light and camera shift the mean, until the online normalization has removed it.
+
+What cannot be known from the map is what will stand there instead: snow, a market, a parked truck.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.coverage.passes import Pass, road_between_m
+from edge.descriptor.normalize import normalize
+from edge.feed import View
+from edge.recognizer import SequenceMatcher
+from edge.reference_map import Drives, MapSet
+from edge.sequence import PlaceMatch
+
+Floats: TypeAlias = NDArray[np.float32]
+Way: TypeAlias = Literal["home", "again"]
+Light: TypeAlias = Literal["day", "dusk", "night", "rain", "snow"]
+WAYS: tuple[Way, ...] = ("home", "again")
+LIGHTS: tuple[Light, ...] = ("day", "dusk", "night", "rain", "snow")
+
+GAINS: dict[bool, dict[Light, float]] = {
+    True: {"day": 0.44, "dusk": 0.34, "night": 0.31, "rain": 0.35, "snow": 0.28},
+    False: {"day": 0.69, "dusk": 0.52, "night": 0.52, "rain": 0.50, "snow": 0.27},
+}
+"""By whether the cameras look the same way, and the light: with a map by day, as alike as simulated drives are."""
+NEIGHBORS_M = {True: (4.0, 6.0), False: (4.0, 8.0, 12.0, 16.0, 20.0)}
+"""How far away the places lie whose mean a place looks like: opposed views of a road share what is far ahead."""
+WANDERS, WANDERS_M = 0.1, (8.0, 50.0)
+"""Standard deviation of the gain, and correlation lengths of its two halves."""
+NOISE_ROWS, NOISE_M = 200, (4.0, 30.0)
+"""Descriptors that the noise is mixed of, and correlation lengths of the weights of its two halves."""
+FIRST_HALF = 0.64
+"""Share of the variance of the faster half."""
+SHIFT = 0.45
+"""Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
+RIGHT_M = 40.0
+CHUNK = 512
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """A drive: over the map in its own direction again or back home, in which light, by a camera that looks where."""
+
+    way: Way
+    light: Light
+    view: View = "front"
+
+
+class Rehearsal:
+    """Drives over all segments of some maps, under some conditions."""
+
+    def __init__(self, maps: MapSet, config: Config, conditions: Conditions) -> None:
+        """config: with the maps' regions and spacing."""
+        self._maps, self._conditions = maps, conditions
+        self._config = msgspec.structs.replace(
+            config, camera=msgspec.structs.replace(config.camera, view=conditions.view)
+        )
+        self._drives = Drives(maps, config.sampling.spacing_m)
+        self._mean, self._deviation = maps.statistics()
+
+    def drive(self, seed: int) -> list[Pass]:
+        """One drive: its pass over each segment, in the order of driving."""
+        rng = np.random.default_rng(seed)
+        segments = range(len(self._maps.index.segments))
+        order = segments if self._conditions.way == "again" else reversed(segments)
+        matcher = SequenceMatcher(self._maps, self._config)
+        noise = _Noise(self, rng)
+        found, driven_m, before = [], 0.0, -1
+        for segment in order:
+            gap_m = road_between_m(self._maps, before, segment) if before >= 0 else 0.0
+            if math.isinf(gap_m):
+                matcher = SequenceMatcher(self._maps, self._config)
+            elif before >= 0:
+                for raw in self._unmapped(round(gap_m / self.spacing_m), noise):
+                    driven_m += self.spacing_m
+                    matcher.push(raw, distance_m=driven_m)
+            found.append(self._pass(segment, matcher, noise, rng, driven_m))
+            driven_m, before = driven_m + float(np.ptp(found[-1].along_m)), segment
+        return found
+
+    @property
+    def spacing_m(self) -> float:
+        """Mean distance between places."""
+        return self._drives.spacing_m
+
+    def look_alike(self, segment: int) -> bool:
+        """Whether the camera looks the way that the map's did."""
+        own, row = self._maps.index, self._maps.index.segment(segment)[0]
+        number = own.map_of(row)
+        header = self._maps.headers[number]
+        mapped = next(one.view for one in header.segments if row - own.starts[number] < one.end)
+        return (mapped != self._conditions.view) == (self._conditions.way == "home")
+
+    def normalized(self, rows: NDArray[np.intp]) -> Floats:
+        """Of some places of one map (n, R, D), each of length 1."""
+        number = self._maps.index.map_of(int(rows[0]))
+        raw = self._maps.maps[number].raw()[rows - self._maps.index.starts[number]].astype(np.float32)
+        found = normalize(raw, self._mean, self._deviation)
+        lengths = np.sqrt(np.einsum("nrd,nrd->n", found, found))
+        unit: Floats = found / np.maximum(lengths, 1e-12)[:, np.newaxis, np.newaxis]
+        return unit
+
+    def raw(self, unit: Floats, shift: Floats) -> Floats:
+        """Raw descriptors (n, R, D) of normalized ones of length 1; shift (D,) in deviations."""
+        values = unit * math.sqrt(unit[0].size) + shift
+        found: Floats = (values * self._deviation + self._mean).astype(np.float32)
+        return found
+
+    def places(self, rng: np.random.Generator, count: int) -> Floats:
+        """So many places at random."""
+        starts = self._maps.index.starts
+        number = int(rng.integers(len(self._maps.maps)))
+        first, end = starts[number], starts[number] + self._maps.headers[number].places
+        return self.normalized(np.sort(rng.integers(first, end, count)))
+
+    def _unmapped(self, count: int, noise: _Noise) -> Iterator[Floats]:
+        if count:
+            yield from self.raw(noise.next(count), noise.shift)
+
+    def frames(self, segment: int, seed: int) -> Iterator[Floats]:
+        """Raw descriptors (n, R, D) of a drive over one segment alone, in pieces."""
+        rng = np.random.default_rng(seed)
+        yield from self._frames(segment, _Noise(self, rng), rng)
+
+    def _frames(self, segment: int, noise: _Noise, rng: np.random.Generator) -> Iterator[Floats]:
+        start, end = self._maps.index.segment(segment)
+        rows, alike = self._rows(segment), self.look_alike(segment)
+        gains = GAINS[alike][self._conditions.light] + WANDERS * _wandering(len(rows), WANDERS_M, self.spacing_m, rng)
+        steps = [round(sign * far_m / self.spacing_m) for far_m in NEIGHBORS_M[alike] for sign in (-1, 1)]
+        for first in range(0, len(rows), CHUNK):
+            here = slice(first, first + CHUNK)
+            places = np.mean([self.normalized(np.clip(rows[here] + step, start, end - 1)) for step in steps], axis=0)
+            gain = np.clip(gains[here], 0.0, 1.0)[:, np.newaxis, np.newaxis].astype(np.float32)
+            unit = gain * places + np.sqrt(1 - gain**2) * noise.next(len(places))
+            # Where the cameras look in opposed directions, what was left is right.
+            yield self.raw(unit if alike else unit[:, ::-1], noise.shift)
+
+    def _rows(self, segment: int) -> NDArray[np.intp]:
+        """Its places in the order of driving."""
+        rows = np.arange(*self._maps.index.segment(segment))
+        return rows[::-1] if self._conditions.way == "home" else rows
+
+    def _pass(
+        self, segment: int, matcher: SequenceMatcher, noise: _Noise, rng: np.random.Generator, driven_m: float
+    ) -> Pass:
+        along_m = np.array([self._drives.along_m(int(row)) for row in self._rows(segment)])
+        believed = np.zeros(len(along_m), dtype=bool)
+        for at, raw in enumerate(chain.from_iterable(self._frames(segment, noise, rng))):
+            match = matcher.push(raw, distance_m=driven_m + abs(float(along_m[at] - along_m[0])))
+            believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
+        return Pass(segment, along_m, believed)
+
+    def _is_right(self, match: PlaceMatch, segment: int, along_m: float) -> bool:
+        is_here = self._drives.drive_of(match.place_index) == segment
+        return is_here and abs(self._drives.along_m(match.place_index) - along_m) <= RIGHT_M
+
+
+class _Noise:
+    """What a drive shows that the map does not."""
+
+    def __init__(self, rehearsal: Rehearsal, rng: np.random.Generator) -> None:
+        self._rng, self._spacing_m = rng, rehearsal.spacing_m
+        self._sources = _flipped(rehearsal.places(rng, NOISE_ROWS), rng)
+        self._weights = rng.normal(size=len(self._sources))
+        strangers = rehearsal.places(rng, NOISE_ROWS)
+        shift = np.tensordot(rng.normal(size=len(strangers)), strangers, axes=1).mean(axis=0)
+        self.shift: Floats = (SHIFT * shift / max(float(np.sqrt(np.mean(shift**2))), 1e-12)).astype(np.float32)
+
+    def next(self, count: int) -> Floats:
+        """Of the next frames (count, R, D), each of length 1."""
+        half = len(self._weights) // 2
+        kept = np.exp(-self._spacing_m / np.repeat(NOISE_M, [half, len(self._weights) - half]))
+        share = np.repeat([FIRST_HALF, 1 - FIRST_HALF], [half, len(self._weights) - half])
+        weights = np.empty((count, len(self._weights)))
+        for row in range(count):
+            new = self._rng.normal(size=len(kept))
+            self._weights = weights[row] = kept * self._weights + np.sqrt(1 - kept**2) * new
+        mixed = np.tensordot((weights * np.sqrt(share)).astype(np.float32), self._sources, axes=1)
+        lengths = np.sqrt(np.einsum("nrd,nrd->n", mixed, mixed))
+        unit: Floats = mixed / np.maximum(lengths, 1e-12)[:, np.newaxis, np.newaxis]
+        return unit
+
+
+def _flipped(places: Floats, rng: np.random.Generator) -> Floats:
+    """Half of them with left and right exchanged."""
+    flip = rng.random(len(places)) < 0.5
+    found: Floats = np.where(flip[:, np.newaxis, np.newaxis], places[:, ::-1], places)
+    return found
+
+
+def _wandering(
+    count: int, lengths_m: tuple[float, float], spacing_m: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """A random process (count,) of variance 1 with two correlation lengths."""
+    kept = np.exp(-spacing_m / np.array(lengths_m))
+    values = np.empty((count, 2))
+    value = rng.normal(size=2)
+    for row in range(count):
+        values[row] = value
+        value = kept * value + np.sqrt(1 - kept**2) * rng.normal(size=2)
+    wandering: NDArray[np.float64] = values @ np.sqrt([FIRST_HALF, 1 - FIRST_HALF])
+    return wandering

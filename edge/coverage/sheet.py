@@ -1,0 +1,137 @@
+"""What to expect of a route: for each stretch, and the longest gap of a whole drive.
+
+Rehearsed drives count as few, so that a handful of real ones outweighs them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.coverage.aliases import Span
+from edge.coverage.passes import SPARE_M, Pass, road_between_m
+from edge.reference_map import Drives, MapSet
+
+SOON_M = 100.0
+REHEARSED_COUNT_AS = 2.0
+"""Real drives that all rehearsed ones count as."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """share: of its frames that will be believed. soon: probability of a believed frame within SOON_M of entering it.
+
+    Both None where nothing is known. drives, believed_in: real drives that passed, and had a believed frame there.
+    """
+
+    span: Span
+    share: float | None
+    soon: float | None
+    drives: int
+    believed_in: int
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Meters of driving without a believed frame, and where on the map they end: meters [from_m, to_m] of a segment."""
+
+    length_m: float
+    segment: int
+    from_m: float
+    to_m: float
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """stretches: of all segments. gap: the longest one of a typical drive, None where no drive passed the map.
+
+    completed: share of the drives on which the drift stays within a limit everywhere.
+    """
+
+    stretches: tuple[Stretch, ...]
+    gap: Gap | None
+    completed: float
+
+    @classmethod
+    def of(
+        cls,
+        maps: MapSet,
+        drives: Drives,
+        spans: Sequence[Span],
+        rehearsed: Sequence[Sequence[Pass]],
+        driven: Sequence[Sequence[Pass]],
+        longest_m: float,
+    ) -> Sheet:
+        """Of rehearsed drives and real ones. longest_m: gap in which the drift reaches its limit."""
+        weights = [REHEARSED_COUNT_AS / max(len(rehearsed), 1)] * len(rehearsed) + [1.0] * len(driven)
+        both = [*rehearsed, *driven]
+        gaps = [longest_gap(one, maps) for one in both]
+        known = [(gap, weight) for gap, weight in zip(gaps, weights, strict=True) if gap is not None]
+        short = sum(weight for gap, weight in known if gap.length_m <= longest_m)
+        return cls(
+            tuple(_stretch(span, both, weights, len(rehearsed)) for span in spans),
+            _typical(known),
+            short / max(sum(weight for _, weight in known), SPARE_M),
+        )
+
+
+def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[Span]:
+    """The stretches of all segments, of one length but for the last of each."""
+    found = []
+    for segment in range(len(maps.index.segments)):
+        low_m, high_m = drives.extent_m(segment)
+        for from_m in np.arange(low_m, max(high_m, low_m + SPARE_M), length_m):
+            found.append(Span(segment, float(from_m), float(min(from_m + length_m, high_m + SPARE_M))))
+    return found
+
+
+def longest_gap(one_drive: Sequence[Pass], maps: MapSet) -> Gap | None:
+    """Of one drive, over the unmapped roads between its segments as well, where their length is known."""
+    longest: Gap | None = None
+    since_m, before = 0.0, -1
+    for one in one_drive:
+        if not one.along_m.size:
+            continue
+        road_m = road_between_m(maps, before, one.segment) if before >= 0 else 0.0
+        since_m, before = since_m + road_m if math.isfinite(road_m) else 0.0, one.segment
+        from_m = float(one.along_m[0])
+        ends_m = float(one.along_m[-1])
+        for to_m in [*one.along_m[one.believed].tolist(), ends_m]:
+            length_m = since_m + abs(to_m - from_m)
+            if longest is None or length_m > longest.length_m:
+                longest = Gap(length_m, one.segment, min(from_m, to_m), max(from_m, to_m))
+            if to_m != ends_m or one.believed[-1]:
+                since_m, from_m = 0.0, to_m
+        since_m += abs(ends_m - from_m)
+    return longest
+
+
+def _typical(gaps: Sequence[tuple[Gap, float]]) -> Gap | None:
+    """The weighted median by length."""
+    if not gaps:
+        return None
+    ordered = sorted(gaps, key=lambda item: item[0].length_m)
+    at = np.searchsorted(np.cumsum([weight for _, weight in ordered]), sum(weight for _, weight in ordered) / 2)
+    return ordered[min(int(at), len(ordered) - 1)][0]
+
+
+def _stretch(span: Span, both: Sequence[Sequence[Pass]], weights: Sequence[float], rehearsed: int) -> Stretch:
+    frames = believed = passed = soon = 0.0
+    real, believed_in = 0, 0
+    for number, (one_drive, weight) in enumerate(zip(both, weights, strict=True)):
+        there = [one for one in one_drive if one.segment == span.segment]
+        inside = [one.believed[(one.along_m >= span.from_m) & (one.along_m < span.to_m)] for one in there]
+        of_drive = np.concatenate(inside) if inside else np.zeros(0, dtype=bool)
+        if not of_drive.size:
+            continue
+        frames, believed = frames + weight, believed + weight * float(of_drive.mean())
+        until_m = [one.until_believed_m(span.from_m, span.to_m) for one in there]
+        passed, soon = passed + weight, soon + weight * (np.nanmin(until_m) <= SOON_M)
+        if number >= rehearsed:
+            real, believed_in = real + 1, believed_in + bool(of_drive.any())
+    return Stretch(
+        span, believed / frames if frames else None, float(soon / passed) if passed else None, real, believed_in
+    )
