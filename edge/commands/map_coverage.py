@@ -1,124 +1,55 @@
-"""`lookback map coverage`: where a map has been recognized on earlier drives, and where it has not.
-
-A drive is a journal with `journal_frames`, or the output of `replay --all`. The frames that were believed say where the
-vehicle was; those between them lie between them, and those before the first and after the last as far away as the
-frames are apart.
-"""
+"""`lookback map coverage`: where a map will be recognized on the next drive, and where it will not."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from tqdm import tqdm
 
-from edge.config import GatesConfig
-from edge.errors import ConfigError, FeedError, MapError
+from edge.config import Config, DescriptorConfig, GatesConfig
+from edge.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
+from edge.coverage.aliases import Span
+from edge.coverage.rehearsal import LIGHTS, WAYS
+from edge.coverage.sheet import SOON_M, Stretch, spans_of
+from edge.errors import ConfigError, FeedError, MapError, SetupError
+from edge.extras import install_command
 from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 
-SPARE_M = 1e-6
-
-
-@dataclass(frozen=True)
-class Pass:
-    """The frames of one drive over one segment of the map, in order: meters along it, and which are believed."""
-
-    segment: int
-    along_m: NDArray[np.float64]
-    believed: NDArray[np.bool_]
-
-    def longest_gap(self) -> tuple[float, float]:
-        """Where the longest stretch without a believed frame begins and ends along the segment."""
-        at = np.concatenate([[0], np.flatnonzero(self.believed), [len(self.along_m) - 1]])
-        ends = self.along_m[at]
-        longest = int(np.abs(np.diff(ends)).argmax())
-        return float(min(ends[longest : longest + 2])), float(max(ends[longest : longest + 2]))
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Meters [from_m, to_m) of a segment. share: of the frames there that are believed, None where none passed.
-
-    drives, believed_in: how many passed, and how many of these had a believed frame there.
-    """
-
-    segment: int
-    from_m: float
-    to_m: float
-    share: float | None
-    drives: int
-    believed_in: int
-
-
-def passes(frames: Sequence[FrameUsed], maps: MapSet, drives: Drives) -> Iterator[Pass]:
-    """The passes of one drive, in order."""
-    at = np.cumsum([1 + (frame.missed or 0) for frame in frames])
-    known = [index for index, frame in enumerate(frames) if frame.accepted and frame.place is not None]
-    places = [_place_index(frames[index], maps) for index in known]
-    segments = [drives.drive_of(place) for place in places]
-    begin = 0
-    for end in range(1, len(known) + 1):
-        if end < len(known) and segments[end] == segments[begin]:
-            continue
-        # Between two segments, half of the frames belong to each.
-        first = 0 if begin == 0 else (known[begin - 1] + known[begin] + 1) // 2
-        last = len(frames) if end == len(known) else (known[end - 1] + known[end] + 1) // 2
-        anchors = np.array(known[begin:end])
-        along_m = np.array([drives.along_m(place) for place in places[begin:end]])
-        signs = [1.0 if frames[index].direction == "forward" else -1.0 for index in (known[begin], known[end - 1])]
-        rows = np.arange(first, last)
-        found_m = np.interp(at[rows], at[anchors], along_m)
-        found_m -= signs[0] * drives.spacing_m * np.maximum(0, at[anchors[0]] - at[rows])
-        found_m += signs[1] * drives.spacing_m * np.maximum(0, at[rows] - at[anchors[-1]])
-        low_m, high_m = drives.extent_m(segments[begin])
-        inside = (found_m >= low_m - SPARE_M) & (found_m <= high_m + SPARE_M)
-        yield Pass(segments[begin], found_m[inside], np.isin(rows, anchors)[inside])
-        begin = end
-
-
-def stretches(drives: Drives, passed: Sequence[Sequence[Pass]], maps: MapSet, length_m: float) -> Iterator[Stretch]:
-    """All stretches of all segments; passed: the passes of each drive."""
-    for segment in range(len(maps.index.segments)):
-        low_m, high_m = drives.extent_m(segment)
-        for from_m in np.arange(low_m, max(high_m, low_m + SPARE_M), length_m):
-            to_m = min(from_m + length_m, high_m + SPARE_M)
-            found = [_believed(one, segment, from_m, to_m) for one in passed]
-            found = [believed for believed in found if believed.size]
-            share = float(np.concatenate(found).mean()) if found else None
-            believed_in = sum(bool(believed.any()) for believed in found)
-            yield Stretch(segment, float(from_m), float(to_m), share, len(found), believed_in)
-
-
-def _believed(one_drive: Sequence[Pass], segment: int, from_m: float, to_m: float) -> NDArray[np.bool_]:
-    """Of each frame of a drive in a stretch, whether it is believed."""
-    parts = [one for one in one_drive if one.segment == segment]
-    inside = [one.believed[(one.along_m >= from_m) & (one.along_m < to_m)] for one in parts]
-    return np.concatenate(inside) if inside else np.zeros(0, dtype=bool)
-
-
-def _place_index(frame: FrameUsed, maps: MapSet) -> int:
-    """The number of a frame's place through all maps. MapError where the maps do not have it."""
-    name = None if frame.map is msgspec.UNSET else frame.map
-    number = maps.names.index(str(name)) if name in maps.names else 0 if name is None and not maps.is_folder else None
-    if number is None or frame.place is None or frame.place >= maps.headers[number].places:
-        raise MapError(
-            f"{maps.path}: it has no place {frame.place} of {name or 'a single map'}; name the map driven on"
-        )
-    return maps.index.starts[number] + frame.place
+MOST_PLACES = 50_000
+"""A larger map would take hours, and more memory than this computer may have."""
 
 
 def add_action(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add it to `lookback map`."""
-    coverage = actions.add_parser("coverage", help="print where earlier drives recognized the map, and their gaps")
+    coverage = actions.add_parser(
+        "coverage",
+        help="predict where a map will be recognized, and the longest gap",
+        description="Predict where a map will be recognized on the next drive: from the map alone, by drives that are"
+        " rehearsed over its own descriptors; with journals of earlier drives, by these as well.",
+    )
     coverage.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
     coverage.add_argument(
-        "journals", nargs="+", type=Path, metavar="JOURNAL", help="journals with journal_frames, or of `replay --all`"
+        "journals", nargs="*", type=Path, metavar="JOURNAL",
+        help="of earlier drives: journals with journal_frames, or the output of `replay --all`",
+    )  # fmt: skip
+    coverage.add_argument(
+        "--for", dest="way", choices=WAYS, default="home",
+        help="the next drive: home, against the map's direction (default), or the same way again",
+    )  # fmt: skip
+    coverage.add_argument("--light", choices=LIGHTS, default="night", help="of the next drive (default %(default)s)")
+    coverage.add_argument(
+        "--view", choices=("front", "rear"), default="front", help="where its camera looks (default %(default)s)"
+    )
+    coverage.add_argument(
+        "--rehearsals", type=int, default=8, metavar="N", help="rehearsed drives; 0: journals alone (default 8)"
     )
     coverage.add_argument(
         "--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default %(default)g)"
@@ -126,26 +57,59 @@ def add_action(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     coverage.add_argument(
         "--within-m", type=float, default=20.0, metavar="M", help="drift that is still good enough (default 20)"
     )
+    coverage.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     coverage.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
+    coverage.add_argument("--picture", type=Path, metavar="FILE", help="write a picture of the route (PNG, SVG, PDF)")
     coverage.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    if not args.stretch_m >= 1:
-        raise ConfigError(f"--stretch-m: {args.stretch_m:g} is not at least 1")
+    _check(args)
     maps = open_map_set(args.map)
     drives = Drives(maps, maps.headers[0].sampling.spacing_m)
     if not drives.is_metric:
         raise MapError(f"{args.map}: without meters along its drives there are no stretches")
-    passed = [list(passes(_frames(path), maps, drives)) for path in args.journals]
-    found = list(stretches(drives, passed, maps, args.stretch_m))
-    for one in found:
-        share = "not driven" if one.share is None else f"{one.share:4.0%} of frames, {one.believed_in} of {one.drives}"
-        print(f"drive {one.segment}, {one.from_m:5.0f} to {one.to_m:5.0f} m: {share}")
-    _print_gaps(args.journals, passed, args.within_m)
+    if args.rehearsals and maps.index.places > MOST_PLACES:
+        raise MapError(
+            f"{args.map}: {maps.index.places} places are too many to rehearse, at most {MOST_PLACES};"
+            " name one of its tiles, see `lookback map split`"
+        )
+    driven = [list(passes(_frames(path), maps, drives)) for path in args.journals]
+    percent = GatesConfig().drift_percent
+    spans = spans_of(maps, drives, args.stretch_m)
+    sheet = Sheet.of(maps, drives, spans, list(_rehearsed(args, maps)), driven, 100 / percent * args.within_m)
+    found = aliases(maps, drives, spans)
+    if args.json:
+        print(msgspec.json.encode(_as_json(sheet, found, percent)).decode())
+    else:
+        _print(args, sheet, found, percent)
     if args.geojson:
-        args.geojson.write_bytes(msgspec.json.encode(_geojson(maps, found)))
+        args.geojson.write_bytes(msgspec.json.encode(_geojson(maps, sheet.stretches, found)))
+    if args.picture:
+        _save_picture(args.picture, maps, sheet)
     return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if not args.stretch_m >= 1:
+        raise ConfigError(f"--stretch-m: {args.stretch_m:g} is not at least 1")
+    if not args.within_m > 0:
+        raise ConfigError(f"--within-m: {args.within_m:g} is not above 0")
+    if not 0 <= args.rehearsals <= 1000:
+        raise ConfigError(f"--rehearsals: {args.rehearsals} is not 0 to 1000")
+    if not args.rehearsals and not args.journals:
+        raise ConfigError("--rehearsals 0 leaves nothing to predict from: name journals of earlier drives")
+
+
+def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
+    header = maps.headers[0]
+    regions = header.regions
+    normalization: Literal["online", "none"] = "online" if regions.normalization == "set" else "none"
+    descriptor = DescriptorConfig(regions=regions.kind, region_width=regions.width, normalization=normalization)
+    config = Config(descriptor=descriptor, sampling=header.sampling)
+    rehearsal = Rehearsal(maps, config, Conditions(args.way, args.light, args.view))
+    for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=args.json or None):
+        yield rehearsal.drive(seed)
 
 
 def _frames(path: Path) -> list[FrameUsed]:
@@ -158,31 +122,100 @@ def _frames(path: Path) -> list[FrameUsed]:
     return frames
 
 
-def _print_gaps(journals: Sequence[Path], passed: Sequence[Sequence[Pass]], within_m: float) -> None:
-    percent, completed = GatesConfig().drift_percent, 0
-    for path, one_drive in zip(journals, passed, strict=True):
-        gaps = [(one.segment, *one.longest_gap()) for one in one_drive if one.along_m.size]
-        if not gaps:
-            print(f"{path}: nothing is believed on this map")
-            continue
-        segment, from_m, to_m = max(gaps, key=lambda gap: gap[2] - gap[1])
-        drift_m = percent / 100 * (to_m - from_m)
-        completed += drift_m <= within_m
+def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], percent: float) -> None:
+    basis = [f"{args.rehearsals} rehearsed drives {args.way} by {args.light}"] if args.rehearsals else []
+    basis += [f"{len(args.journals)} earlier ones"] if args.journals else []
+    print(f"{args.map}: {' and '.join(basis)}")
+    resembles = {one.stretch: one.other for one in found}
+    for one in sheet.stretches:
+        print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{_alias(resembles.get(one.span))}")
+    gap = sheet.gap
+    if gap is None:
+        print("longest gap: the whole route")
+    else:
         print(
-            f"{path}: longest gap {to_m - from_m:.0f} m, drive {segment} from {from_m:.0f} to {to_m:.0f} m;"
-            f" {drift_m:.0f} m of drift at {percent:g} %"
+            f"longest gap: {gap.length_m:.0f} m, up to {gap.to_m:.0f} m of drive {gap.segment};"
+            f" {percent / 100 * gap.length_m:.0f} m of drift at {percent:g} %"
         )
-    print(f"drift always within {within_m:g} m: {completed} of {len(journals)} drives")
+    print(f"drift always within {args.within_m:g} m: {sheet.completed:.0%} of the drives")
 
 
-def _geojson(maps: MapSet, found: Sequence[Stretch]) -> dict[str, object]:
-    features = []
-    for one in found:
-        places = maps.places[slice(*maps.index.segment(one.segment))]
-        here = (places["route_m"] >= one.from_m) & (places["route_m"] <= one.to_m) & ~np.isnan(places["lat_deg"])
-        line = np.column_stack([places["lon_deg"][here], places["lat_deg"][here]]).tolist()
+def _name(span: Span) -> str:
+    return f"drive {span.segment}, {span.from_m:5.0f} to {span.to_m:5.0f} m"
+
+
+def _expected(one: Stretch) -> str:
+    if one.share is None or one.soon is None:
+        return "not driven"
+    return f"{one.share:4.0%} of the frames; within {SOON_M:.0f} m {one.soon:4.0%}"
+
+
+def _drives(one: Stretch) -> str:
+    return f"; believed on {one.believed_in} of {one.drives} earlier drives" if one.drives else ""
+
+
+def _alias(other: Span | None) -> str:
+    return f"; resembles {_name(other)}" if other else ""
+
+
+def _as_json(sheet: Sheet, found: Sequence[Alias], percent: float) -> dict[str, Any]:
+    resembles = {one.stretch: one.other for one in found}
+    return {
+        "stretches": [_properties(one, resembles.get(one.span)) for one in sheet.stretches],
+        "longest_gap": sheet.gap,
+        "drift_m": None if sheet.gap is None else round(percent / 100 * sheet.gap.length_m, 1),
+        "completed": round(sheet.completed, 3),
+    }
+
+
+def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
+    share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
+    span = {field: getattr(one.span, field) for field in Span.__dataclass_fields__}
+    return {**span, "share": share, "soon": soon, "drives": one.drives, "believed_in": one.believed_in, "alias": other}
+
+
+def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias]) -> dict[str, object]:
+    resembles, features = {one.stretch: one.other for one in found}, []
+    for one in stretches:
+        line = _line(maps, one.span)
         if len(line) > 1:
             geometry = {"type": "LineString", "coordinates": line}
-            properties = {field: getattr(one, field) for field in Stretch.__dataclass_fields__}
+            properties = _properties(one, resembles.get(one.span))
             features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     return {"type": "FeatureCollection", "features": features}
+
+
+def _line(maps: MapSet, span: Span) -> list[list[float]]:
+    """Longitude and latitude of its places."""
+    places = maps.places[slice(*maps.index.segment(span.segment))]
+    here = (places["route_m"] >= span.from_m) & (places["route_m"] <= span.to_m) & ~np.isnan(places["lat_deg"])
+    line: list[list[float]] = np.column_stack([places["lon_deg"][here], places["lat_deg"][here]]).tolist()
+    return line
+
+
+def _save_picture(path: Path, maps: MapSet, sheet: Sheet) -> None:
+    """The route from above, each stretch by its share of believed frames. SetupError without matplotlib."""
+    try:
+        from matplotlib import colormaps
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SetupError(f"--picture needs matplotlib: {install_command('sim')}") from None
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes = figure.subplots()
+    colors = colormaps["RdYlGn"]
+    middle_deg = 0.0
+    for one in sheet.stretches:
+        line = np.array(_line(maps, one.span)).reshape(-1, 2)
+        if len(line):
+            middle_deg = float(line[0, 1])
+            axes.plot(*line.T, lw=5, color="lightgray" if one.share is None else colors(one.share))
+    axes.set(xlabel="longitude, degrees", ylabel="latitude, degrees", title="Expected share of believed frames")
+    axes.set_aspect(1 / max(math.cos(math.radians(middle_deg)), 0.01))
+    axes.ticklabel_format(useOffset=False)
+    axes.tick_params(axis="x", rotation=30)
+    figure.colorbar(ScalarMappable(cmap=colors), ax=axes)
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--picture {path}: cannot write it: {error}") from None

@@ -46,7 +46,8 @@ class Gap:
 
 @dataclass(frozen=True)
 class Sheet:
-    """stretches: of all segments. gap: the longest one of a typical drive, None where no drive passed the map.
+    """stretches: of all segments. gap: the longest one of a typical drive, None where most drives
+    passed the map without a believed frame.
 
     completed: share of the drives on which the drift stays within a limit everywhere.
     """
@@ -69,13 +70,10 @@ class Sheet:
         weights = [REHEARSED_COUNT_AS / max(len(rehearsed), 1)] * len(rehearsed) + [1.0] * len(driven)
         both = [*rehearsed, *driven]
         gaps = [longest_gap(one, maps) for one in both]
-        known = [(gap, weight) for gap, weight in zip(gaps, weights, strict=True) if gap is not None]
-        short = sum(weight for gap, weight in known if gap.length_m <= longest_m)
-        return cls(
-            tuple(_stretch(span, both, weights, len(rehearsed)) for span in spans),
-            _typical(known),
-            short / max(sum(weight for _, weight in known), SPARE_M),
-        )
+        weighted = list(zip(gaps, weights, strict=True))
+        short = sum(weight for gap, weight in weighted if gap is not None and gap.length_m <= longest_m)
+        stretches = tuple(_stretch(span, both, weights, len(rehearsed)) for span in spans)
+        return cls(stretches, _typical(weighted), short / max(sum(weights), SPARE_M))
 
 
 def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[Span]:
@@ -109,11 +107,11 @@ def longest_gap(one_drive: Sequence[Pass], maps: MapSet) -> Gap | None:
     return longest
 
 
-def _typical(gaps: Sequence[tuple[Gap, float]]) -> Gap | None:
-    """The weighted median by length."""
-    if not gaps:
+def _typical(gaps: Sequence[tuple[Gap | None, float]]) -> Gap | None:
+    """The weighted median by length; None where most drives have no believed frame."""
+    ordered = sorted(gaps, key=lambda item: math.inf if item[0] is None else item[0].length_m)
+    if not ordered:
         return None
-    ordered = sorted(gaps, key=lambda item: item[0].length_m)
     at = np.searchsorted(np.cumsum([weight for _, weight in ordered]), sum(weight for _, weight in ordered) / 2)
     return ordered[min(int(at), len(ordered) - 1)][0]
 

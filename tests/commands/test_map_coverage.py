@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.commands.map_coverage import passes, stretches
 from edge.commands.replay import as_line
-from edge.config import SamplingConfig
+from edge.config import Config, SamplingConfig
+from edge.coverage import Conditions, Rehearsal, Sheet, aliases, passes
+from edge.coverage.rehearsal import Light, Way
+from edge.coverage.sheet import longest_gap, spans_of
 from edge.descriptor.normalize import normalize
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
@@ -57,7 +59,7 @@ def test_frames_that_are_not_believed_count_where_they_were(
     drives = Drives(maps, 2.0)
     first = list(passes(drive([range(50, 100), range(150, 175)], direction=direction), maps, drives))
     second = list(passes(drive([range(0, 200)], direction=direction), maps, drives))
-    found = list(stretches(drives, [first, second], maps, 100.0))
+    found = Sheet.of(maps, drives, spans_of(maps, drives, 100.0), [], [first, second], 500.0).stretches
     assert [one.share for one in found] == [0.5, 1.0, 0.5, pytest.approx(0.75, abs=0.01), None, None, None, None]
     assert [(one.drives, one.believed_in) for one in found[:4]] == [(2, 1), (2, 2), (2, 1), (2, 2)]
     assert first[0].longest_gap() == pytest.approx((198.0, 300.0))
@@ -89,13 +91,17 @@ def test_the_command(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture
         write(tmp_path / "b.jsonl", drive([range(0, 20), range(180, 200)])),
     ]
     output = tmp_path / "sheet.geojson"
-    options = ["--stretch-m", "200", "--within-m", "10", "--geojson", str(output)]
+    options = ["--rehearsals", "0", "--stretch-m", "200", "--within-m", "10", "--geojson", str(output)]
     assert main(["map", "coverage", str(maps.path), *journals, *options]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "drive 0,     0 to   200 m:  60% of frames, 2 of 2"
-    assert lines[2] == "drive 1,     0 to   200 m: not driven"
-    assert lines[5].endswith("b.jsonl: longest gap 322 m, drive 0 from 38 to 360 m; 16 m of drift at 5 %")
-    assert lines[6] == "drift always within 10 m: 1 of 2 drives"
+    assert lines[0] == f"{maps.path}: 2 earlier ones"
+    assert (
+        lines[1]
+        == "drive 0,     0 to   200 m:  60% of the frames; within 100 m 100%; believed on 2 of 2 earlier drives"
+    )
+    assert lines[3].startswith("drive 1,     0 to   200 m: not driven")
+    assert lines[5] == "longest gap: 2 m, up to 2 m of drive 0; 0 m of drift at 5 %"
+    assert lines[6] == "drift always within 10 m: 50% of the drives"
     features = json.loads(output.read_text())["features"]
     assert [one["properties"]["share"] for one in features] == [0.6, pytest.approx(0.6, abs=0.01), None, None]
     assert features[0]["geometry"]["coordinates"][0] == [153.0, -27.0]
@@ -114,5 +120,97 @@ def test_what_cannot_be_used_is_one_line(maps: MapSet, tmp_path: Path, capsys: p
     fails(other, "it has no place 900 of a single map; name the map driven on")
     fails(other, "--stretch-m: 0 is not at least 1", "--stretch-m", "0")
     nowhere = write(tmp_path / "nowhere.jsonl", drive([]))
-    assert main(["map", "coverage", str(maps.path), nowhere]) == 0
-    assert "nothing is believed on this map" in capsys.readouterr().out
+    assert main(["map", "coverage", str(maps.path), nowhere, "--rehearsals", "0"]) == 0
+    assert "longest gap: the whole route" in capsys.readouterr().out
+    fails(nowhere, "--rehearsals: -1 is not 0 to 1000", "--rehearsals", "-1")
+    fails(nowhere, "--within-m: 0 is not above 0", "--within-m", "0")
+    fails(nowhere, "/none/route.png: cannot write it", "--rehearsals", "0", "--picture", "/none/route.png")
+    assert main(["map", "coverage", str(maps.path), "--rehearsals", "0"]) != 0
+    assert "name journals of earlier drives" in capsys.readouterr().err
+
+
+def walk(places: int, rng: np.random.Generator, dimensions: int = 256) -> np.ndarray:
+    """Descriptors of a road: neighbors are alike, and places far apart are not."""
+    raw = rng.normal(size=(places, 2, dimensions))
+    for row in range(1, places):
+        raw[row] = 0.75 * raw[row - 1] + np.sqrt(1 - 0.75**2) * raw[row]
+    return raw.astype(np.float32)
+
+
+def road(path: Path, parts: list[tuple[float, np.ndarray]]) -> MapSet:
+    """A map with a segment for each part, which begins so many meters further north."""
+    key = ModelKey("test", "0" * 64, "fc6", parts[0][1].shape[2])
+    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+        index = 0
+        for north_m, raw in parts:
+            builder.begin_segment("drive", "rear")
+            for row, one in enumerate(raw):
+                builder.add(one, Place(index, (north_m + 2 * row) / 110_574, 0.0, route_m=2.0 * row))
+                index += 1
+        builder.finish(normalize, "test")
+    return open_map_set(path)
+
+
+def sheet_of(maps: MapSet, way: Way, light: Light, rehearsals: int = 3) -> Sheet:
+    drives = Drives(maps, 2.0)
+    rehearsal = Rehearsal(maps, Config(), Conditions(way, light))
+    passed = [rehearsal.drive(seed) for seed in range(rehearsals)]
+    return Sheet.of(maps, drives, spans_of(maps, drives, 100.0), passed, [], 400.0)
+
+
+@pytest.mark.parametrize(("way", "first"), [("home", -1), ("again", 0)])
+def test_a_rehearsed_drive_is_recognized_after_its_first_stretch(tmp_path: Path, way: Way, first: int) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(250, np.random.default_rng(2)))])
+    sheet = sheet_of(maps, way, "day")
+    shares = [one.share for one in sheet.stretches]
+    others = shares[:-1] if first else shares[1:]
+    assert shares[first] is not None and shares[first] < 0.7
+    assert min(share for share in others if share is not None) > 0.8
+    assert sheet.gap is not None and 30 < sheet.gap.length_m < 200
+    assert sheet.completed == 1.0
+
+
+def test_less_light_is_less_coverage(tmp_path: Path) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(200, np.random.default_rng(3)))])
+    day, snow = (sheet_of(maps, "again", light) for light in ("day", "snow"))
+    assert np.mean([one.share for one in day.stretches]) > np.mean([one.share for one in snow.stretches]) + 0.2
+
+
+def test_an_unmapped_road_between_two_segments_is_part_of_the_gap(tmp_path: Path) -> None:
+    raw = walk(300, np.random.default_rng(4))
+    near = road(tmp_path / "near", [(0.0, raw[:100]), (498.0, raw[200:])])
+    apart = road(tmp_path / "apart", [(0.0, raw[:100]), (5000.0, raw[200:])])
+    for maps, least_m, most_m in ((near, 330.0, 600.0), (apart, 30.0, 250.0)):
+        gap = sheet_of(maps, "again", "day").gap
+        assert gap is not None and least_m < gap.length_m < most_m
+
+
+def test_a_drive_that_ends_unrecognized_has_its_gap_there(maps: MapSet) -> None:
+    drives = Drives(maps, 2.0)
+    (one,) = passes(drive([range(0, 50)]), maps, drives)
+    gap = longest_gap([one], maps)
+    assert gap is not None and (gap.length_m, gap.from_m, gap.to_m) == pytest.approx((300.0, 98.0, 398.0))
+
+
+def test_stretches_that_resemble_each_other_are_named(tmp_path: Path) -> None:
+    raw = walk(300, np.random.default_rng(5))
+    raw[200:250] = raw[50:100] + 0.1 * walk(50, np.random.default_rng(6))
+    maps = road(tmp_path / "map", [(0.0, raw)])
+    drives = Drives(maps, 2.0)
+    found = aliases(maps, drives, spans_of(maps, drives, 100.0))
+    assert [(one.stretch.from_m, one.other.from_m) for one in found] == [(100.0, 400.0), (400.0, 100.0)]
+
+
+def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    options = ["--for", "again", "--light", "day", "--rehearsals", "2"]
+    picture = tmp_path / "route.png"
+    assert main(["map", "coverage", str(maps.path), *options, "--picture", str(picture)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"{maps.path}: 2 rehearsed drives again by day"
+    assert len(lines) == 1 + 3 + 2
+    assert picture.stat().st_size > 1000
+    assert main(["map", "coverage", str(maps.path), *options, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["stretches"]) == 3
+    assert found["stretches"][1]["share"] > 0.5
