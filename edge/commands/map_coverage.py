@@ -23,6 +23,8 @@ from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 
+POINTS = 12
+"""Of a stretch on the page."""
 MOST_PLACES = 50_000
 """A larger map would take hours, and more memory than this computer may have."""
 
@@ -80,7 +82,7 @@ def _run(args: argparse.Namespace) -> int:
     sheet = Sheet.of(maps, drives, spans, list(_rehearsed(args, maps)), driven, 100 / percent * args.within_m)
     found = aliases(maps, drives, spans)
     if args.json:
-        print(msgspec.json.encode(_as_json(sheet, found, percent)).decode())
+        print(msgspec.json.encode(_as_json(maps, sheet, found, percent)).decode())
     else:
         _print(args, sheet, found, percent)
     if args.geojson:
@@ -158,10 +160,13 @@ def _alias(other: Span | None) -> str:
     return f"; resembles {_name(other)}" if other else ""
 
 
-def _as_json(sheet: Sheet, found: Sequence[Alias], percent: float) -> dict[str, Any]:
+def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float) -> dict[str, Any]:
     resembles = {one.stretch: one.other for one in found}
     return {
-        "stretches": [_properties(one, resembles.get(one.span)) for one in sheet.stretches],
+        "stretches": [
+            {**_properties(one, resembles.get(one.span)), "line": _thinned(_line(maps, one.span))}
+            for one in sheet.stretches
+        ],
         "longest_gap": sheet.gap,
         "drift_m": None if sheet.gap is None else round(percent / 100 * sheet.gap.length_m, 1),
         "completed": round(sheet.completed, 3),
@@ -191,6 +196,11 @@ def _line(maps: MapSet, span: Span) -> list[list[float]]:
     here = (places["route_m"] >= span.from_m) & (places["route_m"] <= span.to_m) & ~np.isnan(places["lat_deg"])
     line: list[list[float]] = np.column_stack([places["lon_deg"][here], places["lat_deg"][here]]).tolist()
     return line
+
+
+def _thinned(line: list[list[float]]) -> list[list[float]]:
+    """About POINTS of its points, the first and the last among them."""
+    return [line[at] for at in sorted({round(at) for at in np.linspace(0, len(line) - 1, POINTS)})] if line else []
 
 
 def _save_picture(path: Path, maps: MapSet, sheet: Sheet) -> None:

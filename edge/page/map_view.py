@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -22,13 +23,14 @@ class MapView:
 
     places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
     drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none.
+    all maps (any thread may ask); b"" where there is none. path: of the map, or of the folder.
     """
 
     places: int
     starts: dict[str, int]
     drives: tuple[Line, ...]
     thumbnail: Callable[[int], bytes]
+    path: Path
 
     def as_json(self) -> bytes:
         """All but the thumbnails."""
@@ -38,7 +40,7 @@ class MapView:
 def map_view(maps: MapSet) -> MapView:
     """What is shown of these maps."""
     starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
-    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, maps.path)
 
 
 def _outline(maps: MapSet) -> tuple[Line, ...]:

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -39,6 +40,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import edge
 from edge.config import PageConfig
+from edge.page.coverage_job import CoverageJob
 from edge.page.map_view import MapView
 from edge.page.metrics import as_metrics
 from edge.page.snapshot import Snapshot
@@ -61,6 +63,8 @@ SERVICE = {
     "avoid_iframes": True,  # no other site may show this page in a frame
 }
 """What BlueOS, a companion computer's system, asks of an extension's web server at /register_service."""
+WAYS, LIGHTS, VIEWS = ("home", "again"), ("day", "dusk", "night", "rain", "snow"), ("front", "rear")
+"""Of `lookback map coverage`, whose modules a vehicle need not load."""
 log = logging.getLogger(__name__)
 
 
@@ -74,6 +78,7 @@ class StatusPage:
         self.wanted = False
         """Whether somebody waits for a snapshot."""
         self._map = map_view
+        self._coverage = CoverageJob()
         self._answer_s = answer_s
         self._snapshot: Snapshot | None = None
         self._shown_s = 0.0
@@ -113,6 +118,7 @@ class StatusPage:
         except Exception:
             log.exception("the live page has stopped")  # and nothing else has
         finally:
+            self._loop.run_until_complete(self._coverage.close())
             self._loop.close()
 
     def _receive(self, snapshot: Snapshot) -> None:
@@ -163,6 +169,14 @@ class StatusPage:
         async def route(request: Request) -> Response:
             return Response(self._map.as_json(), media_type="application/json")
 
+        async def coverage(request: Request) -> Response:
+            asked = {name: request.query_params.get(name, "") for name in ("for", "light", "view")}
+            for name, allowed in (("for", WAYS), ("light", LIGHTS), ("view", VIEWS)):
+                if asked[name] not in allowed:
+                    return PlainTextResponse(f"{name}: not one of {', '.join(allowed)}\n", 400)
+            found = self._coverage.answer(self._map.path, asked["for"], asked["light"], asked["view"])
+            return Response(msgspec.json.encode(found), media_type="application/json")
+
         async def service(request: Request) -> Response:
             return JSONResponse(SERVICE)
 
@@ -174,6 +188,7 @@ class StatusPage:
                 Route("/frame.jpg", self._with_snapshot(frame)),
                 Route("/thumbnail/{place_index:int}.jpg", thumbnail),
                 Route("/route.json", route),
+                Route("/coverage.json", coverage),
                 Route("/register_service", service),
             ]
         )

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -34,7 +35,11 @@ CUT_OFF_S = 20.0
 """After this long the other side has not ended the connection; a busy machine takes its time."""
 THUMBNAIL = cv2.imencode(".jpg", np.full((9, 12, 3), 90, np.uint8))[1].tobytes()
 MAP = MapView(
-    500, {"north": 0, "south": 300}, (((1.0, 2.0), (1.001, 2.0)), ()), lambda place: THUMBNAIL if place < 400 else b""
+    500,
+    {"north": 0, "south": 300},
+    (((1.0, 2.0), (1.001, 2.0)), ()),
+    lambda place: THUMBNAIL if place < 400 else b"",
+    Path("/none.map"),
 )
 
 
