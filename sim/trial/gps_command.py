@@ -90,6 +90,10 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--honest-km", type=float, default=200.0, metavar="KM", help="of honest GPS (default 200)")
     parser.add_argument("--drives", type=int, default=20, metavar="N", help="different drives (default 20)")
     parser.add_argument(
+        "--worlds", type=int, nargs="+", default=WORLDS, metavar="SEED",
+        help=f"roads (default {' '.join(map(str, WORLDS))})",
+    )  # fmt: skip
+    parser.add_argument(
         "--gps-velocity", action="store_true", help="the odometer is the velocity of GPS, not of wheels (slow)"
     )
     parser.add_argument(
@@ -100,7 +104,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 def _run(args: argparse.Namespace) -> int:
     args.output.mkdir(parents=True, exist_ok=True)
-    trial = GpsTrial(args.output, WORLDS)
+    trial = GpsTrial(args.output, args.worlds)
     try:
         honest = list(trial.honest(args.honest_km, args.drives))
         trial.library.save()
