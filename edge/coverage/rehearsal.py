@@ -52,7 +52,7 @@ NOISE_ROWS, NOISE_M = 200, (4.0, 30.0)
 """Descriptors that the noise is mixed of, and correlation lengths of the weights of its two halves."""
 FIRST_HALF = 0.64
 """Share of the variance of the faster half."""
-SHIFT = 0.45
+SHIFTS: dict[Light, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rain": 0.49, "snow": 1.05}
 """Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
 RIGHT_M = 40.0
 CHUNK = 512
@@ -98,6 +98,11 @@ class Rehearsal:
             found.append(self._pass(segment, matcher, noise, rng, driven_m))
             driven_m, before = driven_m + float(np.ptp(found[-1].along_m)), segment
         return found
+
+    @property
+    def light(self) -> Light:
+        """Of the drives."""
+        return self._conditions.light
 
     @property
     def spacing_m(self) -> float:
@@ -185,7 +190,8 @@ class _Noise:
         self._weights = rng.normal(size=len(self._sources))
         strangers = rehearsal.places(rng, NOISE_ROWS)
         shift = np.tensordot(rng.normal(size=len(strangers)), strangers, axes=1).mean(axis=0)
-        self.shift: Floats = (SHIFT * shift / max(float(np.sqrt(np.mean(shift**2))), 1e-12)).astype(np.float32)
+        shift_by = SHIFTS[rehearsal.light]
+        self.shift: Floats = (shift_by * shift / max(float(np.sqrt(np.mean(shift**2))), 1e-12)).astype(np.float32)
 
     def next(self, count: int) -> Floats:
         """Of the next frames (count, R, D), each of length 1."""

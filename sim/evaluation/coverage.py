@@ -39,6 +39,8 @@ STRETCH_M, REHEARSALS, FACTOR = 100.0, 8, 1.5
 DRIVEN: tuple[tuple[Conditions, int], ...] = ((Conditions("home", "night"), 2), (Conditions("again", "dusk"), 3))
 """Conditions, and the seed of the drive."""
 M_PER_DEG = 110_574.0
+DEAD = 0.1
+"""Share of the mean deviation below which a dimension says nothing of a shift."""
 Floats = NDArray[np.float64]
 
 
@@ -130,14 +132,15 @@ def _scene(seed: int, length_m: float, conditions: Conditions, drive_seed: int) 
 def print_similarity(seeds: list[int], length_m: float, cache: Path) -> None:
     """A table: cosine of a place with its place of the map, mean and standard deviation, found and rehearsed."""
     network = Network.load()
-    print("| way | light | found: mean / deviation | rehearsed |\n|---|---|---|---|")
+    print("| way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|")
     for way in WAYS:
         for light in LIGHTS:
-            found, rehearsed = [], []
+            found, rehearsed, shifts = [], [], []
             for seed in seeds:
                 road = described(Scenario(seed=seed, length_m=length_m, view="rear", drive_seed=1), network, cache)
                 conditions = Conditions(way, light)
                 query = described(_scene(seed, length_m, conditions, 5), network, cache)
+                shifts.append(_shift(road, query))
                 with mapped(road, whole=True) as maps:
                     rehearsal = Rehearsal(maps, Config(), conditions)
                     found.append(_similarity(road, query, swapped=way == "again"))
@@ -148,7 +151,7 @@ def print_similarity(seeds: list[int], length_m: float, cache: Path) -> None:
             cells = (
                 f"{np.mean(values):.2f} / {np.std(values):.2f}" for values in map(np.concatenate, (found, rehearsed))
             )
-            print(f"| {way} | {light} | {' | '.join(cells)} |", flush=True)
+            print(f"| {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |", flush=True)
 
 
 def _driven(road: Described, way: str) -> Floats:
@@ -166,6 +169,14 @@ def _similarity(road: Described, query: Described, *, swapped: bool) -> Floats:
         values = np.einsum("nrd,nrd->n", frames, places[rows])
         best = values if values.mean() > best.mean() else best
     return best
+
+
+def _shift(road: Described, query: Described) -> float:
+    """Root mean square by which the mean of a drive differs from the road's, in the road's standard deviations."""
+    mean, deviation = road.raw.astype(np.float64).mean((0, 1)), road.raw.astype(np.float64).std(0).mean(0)
+    sound = deviation > DEAD * deviation.mean()
+    off = (query.raw.astype(np.float64).mean((0, 1)) - mean)[sound] / deviation[sound]
+    return float(np.sqrt(np.mean(off**2)))
 
 
 def _unit(raw: NDArray[np.float32]) -> NDArray[np.float32]:

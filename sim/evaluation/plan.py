@@ -90,7 +90,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     of the rig, as `lookback calibrate` prints it. calibration: a traverse on which each method measures it instead.
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
-    anchors then count on from lap to lap.
+    anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
     warm_start: an earlier traverse of this vehicle, for the statistics of methods that start warm.
     figure: of the paper. published: method -> max-F1 in the paper, marked as from another data set unless `dataset`
     names the paper's own.
@@ -107,6 +107,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     length_m: Positive | None = None
     anchors: list[tuple[float, float]] = []
     loop: Annotated[int, Meta(ge=0)] = 0
+    loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
     warm_start: str = ""
     figure: str = ""
     dataset: str = ""

@@ -135,6 +135,12 @@ def true_errors(reference: Traverse, query: Traverse, pair: Pair, ahead: float =
     errors = replace(truth, query_at=at).errors()
     if pair.truth == "rows" and len(reference.paths) > 1:
         errors[~np.isnan(errors) & (query.drive_of[:, np.newaxis] != reference.drive_of)] = np.inf
+    for name, rows in pair.loops.items():
+        drives = [number for number, path in enumerate(reference.paths) if path.name == name]
+        if pair.truth != "rows" or not drives:
+            raise ConfigError(f'pair {pair.name!r}: loops.{name}: no feed of {reference.name}, or truth is not "rows"')
+        closed = np.ix_(np.isin(query.drive_of, drives), np.isin(reference.drive_of, drives))
+        errors[closed] = np.minimum(errors[closed], np.abs(rows - errors[closed]))
     return errors
 
 

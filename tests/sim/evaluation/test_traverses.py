@@ -42,6 +42,18 @@ def test_the_truth_is_the_distance_to_every_place(write_feed: Any) -> None:
     np.testing.assert_array_equal(true_errors(there, here, pair("rows")), [[0, 1, 2, 3], [1, 0, 1, 2]])
 
 
+def test_the_end_of_a_closed_feed_is_near_its_beginning(write_feed: Any) -> None:
+    paths = [write_feed(name, [float(at) for at in range(5)]) for name in ("street", "lap")]
+    both = load_traverse("both", TraversePlan(feeds=("street", "lap")), paths, SamplingConfig(by="frames"))
+    errors = true_errors(both, both, pair("rows", loops={"lap": 5}))
+    np.testing.assert_array_equal(errors[0], [0, 1, 2, 3, 4, *[np.inf] * 5])
+    np.testing.assert_array_equal(errors[9], [*[np.inf] * 5, 1, 2, 2, 1, 0])
+    # 2 ahead of the last row is row 1 of the next lap
+    np.testing.assert_array_equal(true_errors(both, both, pair("rows", loops={"lap": 5}), 2.0)[9, 5:], [1, 0, 1, 2, 2])
+    with pytest.raises(ConfigError, match=r"loops\.none: no feed of both"):
+        true_errors(both, both, pair("rows", loops={"none": 5}))
+
+
 def test_the_sampling_and_the_rows_of_the_plan_choose_the_frames(write_feed: Any) -> None:
     path = write_feed("there", [float(at) for at in range(12)])
     two_meters = SamplingConfig(by="distance", spacing_m=2.0)
