@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import PlaceFix
+from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import Sending
@@ -98,6 +98,14 @@ def test_plotted_values() -> None:
     assert {message.time_boot_ms for message in messages} == {5}
     values = {message.name: message.value for message in messages}
     assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": pytest.approx(7.5), "place": 1207}
+
+
+def test_a_protection_level_that_nothing_bounds_is_a_large_number() -> None:
+    for level, expected in ((ProtectionLevel(12.5, math.inf), (12.5, 1e6)), (None, (1e6, 1e6))):
+        messages = [carried(message) for message in encoders.protection_values(level, 2**32 + 5)]
+        assert [one.name for one in messages] == ["pl_along", "pl_across"]
+        assert tuple(one.value for one in messages) == expected
+        assert {one.time_boot_ms for one in messages} == {5}
 
 
 def test_global_position_sensor() -> None:

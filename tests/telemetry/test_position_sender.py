@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
+from edge.telemetry.encoders import UNBOUNDED_M
 from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
@@ -138,6 +139,49 @@ def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig
     rig.autopilot.gps = False
     assert offer_for(rig, 8.0) >= 4
     assert [record.reason for record in rig.journalled(FixWithheld)] == ["GPS is healthy"]
+
+
+def protection_sent(rig: Rig) -> dict[str, float]:
+    """The newest of each direction."""
+    values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}
+    return {name: value for name, value in values.items() if name.startswith("pl_")}
+
+
+def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(open_rig: OpenRig) -> None:
+    """It stays the same stretch of the map: only GPS and the velocity since bound it if that is wrong."""
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=0.01), gps=True)
+    rig.run(9.0)
+    rig.autopilot.gps = False
+    offer_for(rig, 3.0)
+    first = rig.journalled(FixSent)[-1]
+    assert first.level_along_m is not None and first.level_across_m is not None
+    assert first.sigma_m < first.level_along_m < 60.0
+    status = rig.connection.status()
+    assert (status.level_along_m, status.sent_sigma_m) == (first.level_along_m, pytest.approx(first.sigma_m, abs=0.01))
+    assert protection_sent(rig)["pl_along"] == pytest.approx(first.level_along_m, abs=0.01)
+    offer_for(rig, 60.0)
+    last = rig.journalled(FixSent)[-1]
+    assert last.level_along_m is not None and last.level_along_m > first.level_along_m + 10.0
+
+
+def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open_rig: OpenRig) -> None:
+    """One stretch alone, at a thousandth an hour."""
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=1e-3), gps=True)
+    rig.run(9.0)
+    rig.autopilot.gps = False
+    assert offer_for(rig, 3.0)
+    assert rig.journalled(FixSent)[-1].level_along_m is None
+    assert rig.connection.status().level_along_m is None
+    assert protection_sent(rig) == {"pl_along": UNBOUNDED_M, "pl_across": UNBOUNDED_M}
+
+
+def test_above_the_alert_limit_nothing_is_sent(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, alert_limit_m=5.0), gps=True)
+    rig.run(9.0)
+    rig.autopilot.gps = False
+    assert offer_for(rig, 6.0) == 0
+    assert rig.journalled(FixWithheld)[-1].reason == "its protection level is above the alert limit"
+    assert not fixes_received(rig)
 
 
 def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) -> None:
