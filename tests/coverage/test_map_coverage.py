@@ -123,7 +123,6 @@ def test_what_cannot_be_used_is_one_line(maps: MapSet, tmp_path: Path, capsys: p
     assert "longest gap: the whole route" in capsys.readouterr().out
     fails(nowhere, "--rehearsals: -1 is not 0 to 1000", "--rehearsals", "-1")
     fails(nowhere, "--within-m: 0 is not above 0", "--within-m", "0")
-    fails(nowhere, "/none/route.png: cannot write it", "--rehearsals", "0", "--picture", "/none/route.png")
     assert main(["map", "coverage", str(maps.path), "--rehearsals", "0"]) != 0
     assert "name journals of earlier drives" in capsys.readouterr().err
 
@@ -181,13 +180,22 @@ def test_stretches_that_resemble_each_other_are_named(tmp_path: Path) -> None:
 def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     options = ["--for", "again", "--light", "day", "--rehearsals", "2"]
-    picture = tmp_path / "route.png"
-    assert main(["map", "coverage", str(maps.path), *options, "--picture", str(picture)]) == 0
+    assert main(["map", "coverage", str(maps.path), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{maps.path}: 2 rehearsed drives again by day"
     assert len(lines) == 1 + 3 + 2
-    assert picture.stat().st_size > 1000
     assert main(["map", "coverage", str(maps.path), *options, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert len(found["stretches"]) == 3
     assert found["stretches"][1]["share"] > 0.5
+
+
+def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `sim`")
+    command = ["map", "coverage", str(maps.path), write(tmp_path / "nowhere.jsonl", drive([])), "--rehearsals", "0"]
+    picture = tmp_path / "route.png"
+    assert main([*command, "--picture", str(picture)]) == 0
+    assert picture.stat().st_size > 1000
+    capsys.readouterr()
+    assert main([*command, "--picture", "/none/route.png"]) != 0
+    assert "/none/route.png: cannot write it" in capsys.readouterr().err
