@@ -224,7 +224,8 @@ class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[mapping]: the drive becomes a map while it is driven.
 
-    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none. recognize: its frames are
+    matched as well.
     """
 
     folder: str = ""
@@ -234,6 +235,7 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
     quota_mb: Positive = 20_000.0
     min_free_mb: NotNegative = 500.0
+    recognize: bool = False
     camera: CameraConfig | UnsetType = UNSET
 
 
@@ -282,6 +284,10 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError('[mapping] folder: mapping needs [sampling] by = "distance"')
         if self.mapping.camera is not UNSET and not self.mapping.folder:
             raise ValueError("[mapping] folder: is empty; name the folder of maps, or remove [mapping.camera]")
+        if self.mapping.recognize and self.mapping.camera is UNSET:
+            raise ValueError("[mapping] recognize: needs a second camera; add [mapping.camera], or set it to false")
+        if self.mapping.recognize and self.descriptor.regions != "left-right":
+            raise ValueError('[mapping] recognize: needs [descriptor] regions = "left-right"')
 
 
 def load_config(path: Path) -> Config:

@@ -72,11 +72,13 @@ class Daemon:
         self._autopilot.poll()
         if self._home_socket is not None and self._home_socket.requested():
             self._autopilot.request_home(self._home_socket.reply)
+        waits_ns = self._clock_ns()
         frame = self._camera.take(TURN_S)
+        waited_s = (self._clock_ns() - waits_ns) / 1e9
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
             if self._mapper is not None:
-                self._mapper.map_next(self._describe)
+                self._mapper.map_next(waited_s, self._process_second)
             if not (is_usable or self._verification.is_done):
                 self._check_maps(self._recognizer.matcher.search.folders_in_use)
         if self._recording is not None:
@@ -173,10 +175,13 @@ class Daemon:
             self._show_maps()
         self._times.lap("mapping")
 
-    def _describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a frame of the camera that maps, timed as the others are."""
+    def _process_second(self, frame: Frame, distance_m: float, missed: int) -> NDArray[np.float32]:
+        """Describe a frame of the second camera, and let it vote on the place if it may; timed as the others are."""
         self._times.start()
-        return self._recognizer.describe(image)
+        raw = self._recognizer.describe(frame.image)
+        if self._config.mapping.recognize:
+            self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
+        return raw
 
     def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, missed: int) -> None:
         """Judge GPS by the place of a frame, and let GPS bound the position."""

@@ -1,7 +1,8 @@
 """Live mapping for the daemon: which frames of which camera become places of the map of this drive.
 
 With a second camera ([mapping.camera]) its frames are chosen by [sampling] and described by the same network, in turns
-of the daemon in which no frame is recognized. With one camera, the frames that are recognized are mapped as well.
+of the daemon in which no frame of the first one is recognized, and only as often as that one leaves time. With one
+camera, the frames that are recognized are mapped as well.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ from edge.telemetry.autopilot import AutopilotConnection
 
 CLOSE_S = 1.5
 START_S = 120.0  # of the service's unit, which the rest of the start may take
-Describe = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
-"""An image (H, W, 3) uint8 BGR -> its raw descriptor (R, D)."""
+LEAST_SHARE = 1 / 8
+"""Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
 
 
 @dataclass(frozen=True)
-class _Described:
+class DescribedFrame:
     """A frame at a new place, its raw descriptor (R, D), meters driven, and places that were passed before it."""
 
     frame: Frame
@@ -82,7 +83,10 @@ class DriveMapper:
             parts.enter_context(closing(self._frames))
         self._sampler = Sampler(config.sampling)
         self._pictures = PictureCheck(self._device, config.gates.min_speed_mps)
-        self._waiting: deque[_Described] = deque()
+        self._waiting: deque[DescribedFrame] = deque()
+        self._takes_s = 0.0  # what the second camera's last frame took
+        self._spare_s = 0.0  # saved for its next one
+        self._asked_ns = clock_ns()
         self._told: tuple[str, str] = (self.status.state, self.status.why)
 
     @property
@@ -115,18 +119,28 @@ class DriveMapper:
         The map of this drive, if enough further places lie far enough behind the vehicle to be searched.
         """
         if self._frames is None:
-            self._waiting.append(_Described(frame, raw, distance_m, missed))
+            self._waiting.append(DescribedFrame(frame, raw, distance_m, missed))
         self.add_placed()
         return self._live.newly_searchable(self._autopilot.distance_m(self._clock_ns()))
 
-    def map_next(self, describe: Describe) -> None:
-        """Map the newest frame of the camera that only maps, if it shows a new place."""
-        frame = self._frames.take(0.0) if self._frames is not None else None
+    def map_next(self, waited_s: float, process: Callable[[Frame, float, int], NDArray[np.float32]]) -> None:
+        """Map the newest frame of the second camera, if it shows a new place and the first camera left time for it.
+
+        waited_s: for a frame of the first camera, in this turn. process: a frame, meters driven, and places that were
+        passed before it without a frame -> its raw descriptor (R, D).
+        """
+        now_ns = self._clock_ns()
+        busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
+        self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
+        frame = self._frames.take(0.0) if self._frames is not None and self._spare_s >= self._takes_s else None
         if frame is not None and self._pictures.is_usable(frame, self._autopilot.speed_mps()):
             distance_m = self._autopilot.distance_m(frame.stamp_ns)
             if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
-                described = _Described(frame, describe(frame.image), distance_m, self._sampler.missed)
-                self._waiting.append(described)
+                missed = self._sampler.missed
+                raw = process(frame, distance_m, missed)
+                self._waiting.append(DescribedFrame(frame, raw, distance_m, missed))
+                self._asked_ns = self._clock_ns()
+                self._spare_s, self._takes_s = 0.0, (self._asked_ns - now_ns) / 1e9
         self.add_placed()
 
     def add_placed(self, *, all_of_them: bool = False) -> None:

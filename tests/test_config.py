@@ -48,6 +48,14 @@ def test_every_line_of_the_default_is_explained() -> None:
         ),
         ("[mapping.camera]\nview = 'rear'", "[mapping] folder: is empty; name the folder of maps"),
         ("[mapping]\nfolder = 'm'\n[mapping.camera]\nfps = 0", "[mapping] camera.fps: expected `float` > 0"),
+        (
+            "[mapping]\nfolder = 'm'\nrecognize = true",
+            "[mapping] recognize: needs a second camera; add [mapping.camera]",
+        ),
+        (
+            "[descriptor]\nregions = 'whole'\n[mapping]\nfolder = 'm'\nrecognize = true\n[mapping.camera]\nfps = 9",
+            '[mapping] recognize: needs [descriptor] regions = "left-right"',
+        ),
         ("[camera]\nfps = 1\nfps = 2", "not TOML"),
     ],
 )

@@ -258,3 +258,104 @@ def test_the_way_out_alone_recognizes_nothing(placed_network: PlacedNetwork, tmp
         assert len(used) > 100
         assert sum(frame.accepted for frame in used) == 0
         assert logs_in(folder)
+
+
+class SeenFromBoth(Laps):
+    """A loop of which the front camera shows little: what the rear one mapped, from behind and hardly to be seen."""
+
+    def seen(self, *, ahead: bool) -> NDArray[np.float32]:
+        raw = self._views[0, round(self.along_m / SPACING_M)]
+        if not ahead:
+            return np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0).astype(np.float32)
+        hardly = 0.12 * raw[::-1] + np.abs(self._rng.normal(0, 2.0, raw.shape))
+        return np.asarray(hardly, dtype=np.float32)
+
+
+def first_accepted_m(world: World, folder: Path, parts: ExitStack, *, recognize: bool) -> float:
+    """Meters driven on the mapped road, infinite if nothing was accepted."""
+    folder.mkdir()
+    mapping = msgspec.structs.replace(mapping_to(folder / "maps", second_camera=True), recognize=recognize)
+    drive(world, folder, parts, mapping, gps_out_only=False)
+    used = records_of(folder / "events.jsonl", FrameUsed)
+    accepted = [frame for frame in used if frame.accepted]
+    assert all((frame.direction, frame.order) == ("forward", "swapped") for frame in accepted)
+    return min((SPEED_MPS * (frame.stamp_ns - 10**12 - 3e9) / 1e9 - ROAD_M for frame in accepted), default=math.inf)
+
+
+def test_both_cameras_recognize(placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack) -> None:
+    alone_m = first_accepted_m(SeenFromBoth(placed_network), tmp_path / "alone", parts, recognize=False)
+    both_m = first_accepted_m(SeenFromBoth(placed_network), tmp_path / "both", parts, recognize=True)
+    assert 0 < both_m < alone_m - 30
+
+
+class SlowNetwork(PlacedNetwork):
+    """Takes its time, like a small computer's."""
+
+    world: SlowWorld
+    takes_ns = described = 0
+
+    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        self.world.now_ns += self.takes_ns
+        self.described += 1
+        return self.current
+
+
+class SlowWorld(World):
+    """In which time passes only where somebody works or waits."""
+
+    network: SlowNetwork
+
+
+class WaitingCamera(Camera):
+    """Delivers 20 frames a second; the newest one, if somebody was slow."""
+
+    PERIOD_NS = 50_000_000
+
+    def take(self, timeout_s: float) -> Frame | None:
+        world = self._world
+        index = world.now_ns // self.PERIOD_NS
+        if index == self._index and timeout_s:
+            world.now_ns = min((index + 1) * self.PERIOD_NS, world.now_ns + round(timeout_s * 1e9))
+            index = world.now_ns // self.PERIOD_NS
+        if index == self._index:
+            return None
+        self._index = index
+        world.network.current = world.seen(ahead=self._ahead)
+        picture = np.random.default_rng(index).integers(0, 255, (32, 32, 3), np.uint8)
+        return Frame(picture, index * self.PERIOD_NS, index)
+
+
+@pytest.mark.parametrize(
+    ("takes_s", "least_first", "least_second", "most_second"),
+    [(0.02, 0.97, 0.97, 1.0), (0.12, 0.97, 0.2, 0.6), (0.18, 0.97, 0.1, 0.35)],
+)
+def test_a_slow_computer_thins_the_second_camera_first(
+    tmp_path: Path, parts: ExitStack, takes_s: float, least_first: float, least_second: float, most_second: float
+) -> None:
+    """At a place each 0.2 s. Shares of the places that are described of each camera."""
+    network = SlowNetwork.load()
+    assert isinstance(network, SlowNetwork)
+    world = network.world = SlowWorld(network, home=False)
+    network.takes_ns = round(takes_s * 1e9)
+    link = parts.enter_context(closing(open_pty()))
+    folder = tmp_path / "maps"
+    config = Config(
+        camera=CameraConfig(kind="sim", view="front"),
+        descriptor=DescriptorConfig(keep_statistics_min=0.0),
+        map=MapConfig(path=str(folder)),
+        mapping=msgspec.structs.replace(mapping_to(folder, second_camera=True), recognize=True),
+        page=PageConfig(port=0),
+        telemetry=msgspec.structs.replace(
+            TelemetryConfig(), connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")
+        ),
+    )
+    autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns)
+    front, rear = WaitingCamera(world, ahead=True), WaitingCamera(world, ahead=False)
+    daemon = opened(config, parts, world, front, rear)
+    while not world.is_over:
+        autopilot.step()
+        daemon.turn()
+    first = daemon.last_words().frames_used
+    places = ROAD_M / SPACING_M
+    assert first / places >= least_first
+    assert least_second <= (network.described - first) / places <= most_second

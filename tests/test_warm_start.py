@@ -12,9 +12,10 @@ import pytest
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.recognizer import MAP_COUNTS_AS, PlaceRecognizer, open_recognizer
+from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
+from edge.sequence_matcher import MAP_COUNTS_AS
 from edge.warm_start import COUNTS_AS_MOST, WarmStart
 
 

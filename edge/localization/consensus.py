@@ -16,7 +16,10 @@ how far the place lies beyond its drive's end; where the drive is closed, it goe
 of the odometer's motion that the agreeing votes went along with: the variance of driven less that of offset, over the
 variance of driven plus (slack / 4)^2; 0 of a match that stays where it is, and little of a few meters. Support is the
 share of the newest frames (half a sequence) that are like the place of their match, and whose match is where the others
-are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes count.
+are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes count. Of two
+cameras, the frames of the first one count here, by whose lines the vehicle is followed, and its own votes must weigh a
+tenth of the prior: what only the second one recognizes is not believed. The weight of a second camera's vote is
+multiplied by the square of the share of its recent votes that agree with it.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -37,9 +40,14 @@ from edge.reference_map import NO_LAP_M, Drives
 from edge.sequence import Direction, PlaceMatch
 
 CAPACITY = 256
-"""Votes that are kept at most; 320 m at one place each 2 m are 160."""
+"""Votes of one camera that are kept at most; 320 m at one place each 2 m are 160."""
 FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
+LEAST_OWN = 0.1
+"""Evidence of the first camera's own matches, as a share of the prior, below which a belief is less certain: where it
+sees nothing of the road at all, its matches agree with the second camera's by chance with a share of 0.02 at most."""
+FEWEST_OF_CAMERA = 5
+"""Votes that a second camera counts as having had at least, when it is asked how many of them agree."""
 LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
 MOST_UNIQUE = 0.15
@@ -95,7 +103,7 @@ class PlaceVote:
     much of the drive it goes on at its start, NO_LAP_M where it does not. uniqueness: cost of the best line elsewhere
     over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
-    newest frame than the best within an eighth of a window of the place.
+    newest frame than the best within an eighth of a window of the place. camera: number of the one that votes.
     """
 
     drive: int
@@ -107,6 +115,7 @@ class PlaceVote:
     sharpness: float
     row_share: float
     lap_m: float = NO_LAP_M
+    camera: int = 0
 
     @classmethod
     def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
@@ -133,10 +142,13 @@ class PlaceBelief:
 class PlaceConsensus:
     """The votes of the recent matches, and the belief that they add up to."""
 
-    def __init__(self, settings: ConsensusSettings, positions_of: PositionsOf | None = None) -> None:
-        """positions_of: where the drives lie, without which votes in two drives never agree."""
+    def __init__(
+        self, settings: ConsensusSettings, positions_of: PositionsOf | None = None, *, cameras: int = 1
+    ) -> None:
+        """positions_of: where the drives lie, without which votes in two drives never agree. cameras: how many vote."""
         self._settings = settings
         self._positions_of = positions_of
+        self._cameras = cameras
         self.reset()
 
     def reset(self) -> None:
@@ -144,18 +156,22 @@ class PlaceConsensus:
         self._count = 0
         self._driven_m = self._uncertain_m = 0.0
         self._odometer_m: float | None = None
-        self._rows: deque[bool] = deque(maxlen=max(1, self._settings.length // 2))
-        self._agree = np.zeros((CAPACITY, CAPACITY), dtype=np.float32)
-        self._weights = np.zeros(CAPACITY, dtype=np.float32)
-        self._at_m = np.full(CAPACITY, -np.inf)  # driven at the vote; an empty slot is out of reach
-        self._uncertain_at_m = np.zeros(CAPACITY)
-        self._offsets_m = np.zeros(CAPACITY)
-        self._signs = np.zeros(CAPACITY)
-        self._are_like = np.zeros(CAPACITY, dtype=bool)
-        self._drives = np.zeros(CAPACITY, dtype=np.int64)
-        self._bounds_m = np.zeros((2, CAPACITY))
-        self._laps_m = np.full(CAPACITY, NO_LAP_M)
-        self._was_believed = np.zeros(CAPACITY, dtype=bool)
+        self._capacity = capacity = self._cameras * CAPACITY
+        half = max(1, self._settings.length // 2)
+        self._rows = [deque[bool](maxlen=half) for _ in range(self._cameras)]
+        self._newest = [deque[int](maxlen=half) for _ in range(self._cameras)]  # slots of each camera's votes
+        self._agree = np.zeros((capacity, capacity), dtype=np.float32)
+        self._weights = np.zeros(capacity, dtype=np.float32)
+        self._at_m = np.full(capacity, -np.inf)  # driven at the vote; an empty slot is out of reach
+        self._uncertain_at_m = np.zeros(capacity)
+        self._offsets_m = np.zeros(capacity)
+        self._signs = np.zeros(capacity)
+        self._of_camera = np.zeros(capacity, dtype=np.int8)
+        self._are_like = np.zeros(capacity, dtype=bool)
+        self._drives = np.zeros(capacity, dtype=np.int64)
+        self._bounds_m = np.zeros((2, capacity))
+        self._laps_m = np.full(capacity, NO_LAP_M)
+        self._was_believed = np.zeros(capacity, dtype=bool)
 
     def update(self, vote: PlaceVote | None, odometer_m: float | None, missed: int = 0) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
@@ -165,8 +181,16 @@ class PlaceConsensus:
         """
         self._move(odometer_m, missed)
         if vote is not None:
-            self._add(vote)
+            self._add(vote, 0.0)
         return self._believe()
+
+    def add(self, vote: PlaceVote, odometer_m: float) -> None:
+        """A vote of another camera than the one whose frames `update` follows, exposed between two of those frames.
+
+        It counts from the next update on; not at all where the odometer was not known at the last one.
+        """
+        if self._odometer_m is not None and abs(odometer_m - self._odometer_m) <= self._settings.slack_m:
+            self._add(vote, odometer_m - self._odometer_m)
 
     def _move(self, odometer_m: float | None, missed: int) -> None:
         """Distance since the last frame; by the spacing where the odometer is not known, or was counted anew."""
@@ -178,13 +202,17 @@ class PlaceConsensus:
         self._driven_m += step_m
         self._uncertain_m += drift * step_m
 
-    def _add(self, vote: PlaceVote) -> None:
-        slot = self._count % CAPACITY
+    def _add(self, vote: PlaceVote, ahead_m: float) -> None:
+        """ahead_m: driven from the newest update to the vote."""
+        slot = self._count % self._capacity
         self._count += 1
+        self._newest[vote.camera].append(slot)
+        self._of_camera[slot] = vote.camera
+        at_m = self._driven_m + ahead_m
         sign = 1.0 if vote.direction == "forward" else -1.0
         self._weights[slot] = self._weight(vote)
-        self._at_m[slot], self._uncertain_at_m[slot] = self._driven_m, self._uncertain_m
-        self._offsets_m[slot] = vote.along_m - sign * self._driven_m
+        self._at_m[slot], self._uncertain_at_m[slot] = at_m, self._uncertain_m
+        self._offsets_m[slot] = vote.along_m - sign * at_m
         self._signs[slot], self._drives[slot] = sign, vote.drive
         self._bounds_m[:, slot], self._laps_m[slot] = (vote.start_m, vote.end_m), vote.lap_m
         self._are_like[slot] = vote.row_share < STILL_LIKE
@@ -193,10 +221,20 @@ class PlaceConsensus:
         agree = (self._drives == vote.drive) & (self._signs == sign)
         agree &= np.abs(_within_lap(self._offsets_m - self._offsets_m[slot], vote.lap_m)) <= allowed_m
         self._agree[slot] = self._agree[:, slot] = agree | self._on_one_spot(slot, allowed_m)
+        if vote.camera:
+            self._weights[slot] *= self._coherence(slot) ** 2
+
+    def _coherence(self, slot: int) -> float:
+        """Share of the recent votes of one camera that agree with the newest one.
+
+        Where a camera cannot recognize anything, its matches are scattered. The other one's are not to be outvoted.
+        """
+        own = self._is_recent() & (self._of_camera == self._of_camera[slot])
+        return float(self._agree[slot, own].sum()) / max(FEWEST_OF_CAMERA, int(own.sum()))
 
     def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which votes in other drives put the vehicle within `allowed_m` of where the newest one does."""
-        near = np.zeros(CAPACITY, dtype=bool)
+        near = np.zeros(self._capacity, dtype=bool)
         others = (self._drives != self._drives[slot]) & self._in_reach()
         if self._positions_of is not None and others.any():
             now_m = self._now_m()
@@ -218,9 +256,13 @@ class PlaceConsensus:
     def _in_reach(self) -> NDArray[np.bool_]:
         return self._driven_m - self._at_m <= self._settings.reach_lines * self._settings.line_m
 
+    def _is_recent(self) -> NDArray[np.bool_]:
+        return self._driven_m - self._at_m <= self._settings.recent_lines * self._settings.line_m
+
     def _weight(self, vote: PlaceVote) -> float:
-        self._rows.append(vote.row_share < LIKE_NEWEST)
-        support = sum(self._rows) / len(self._rows)
+        rows = self._rows[vote.camera]
+        rows.append(vote.row_share < LIKE_NEWEST)
+        support = sum(rows) / len(rows)
         uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
         return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
 
@@ -228,7 +270,7 @@ class PlaceConsensus:
         settings = self._settings
         in_reach = self._in_reach()
         weights = self._weights * in_reach
-        recent = self._weights * (self._driven_m - self._at_m <= settings.recent_lines * settings.line_m)
+        recent = self._weights * self._is_recent()
         live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
         now_m = self._now_m()
         overrun_m = self._overrun_m(now_m)
@@ -244,6 +286,9 @@ class PlaceConsensus:
         confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
         confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
         confidence *= min(1.0, 2 * self._pace(np.flatnonzero(same), weights))
+        if self._cameras > 1:
+            own = float(weights[group & (self._of_camera == 0)].sum())
+            confidence *= min(1.0, own / (LEAST_OWN * settings.prior * settings.length))
         confidence *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
         is_believed = confidence >= settings.threshold
         if is_believed:
@@ -256,12 +301,12 @@ class PlaceConsensus:
 
     def _support(self, leader: int, along_m: float, now_m: NDArray[np.float64]) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
-        newest = np.arange(self._count - min(self._count, CAPACITY, max(1, self._settings.length // 2)), self._count)
-        slots = newest % CAPACITY
-        there = (self._drives[slots] == self._drives[leader]) & (self._signs[slots] == self._signs[leader])
-        there &= np.abs(_within_lap(now_m[slots] - along_m, self._laps_m[leader])) <= self._settings.slack_m
-        there |= (self._agree[leader, slots] > 0) & (self._drives[slots] != self._drives[leader])
-        return float((there & self._are_like[slots]).mean())
+        there = (self._drives == self._drives[leader]) & (self._signs == self._signs[leader])
+        there &= np.abs(_within_lap(now_m - along_m, self._laps_m[leader])) <= self._settings.slack_m
+        there |= (self._agree[leader] > 0) & (self._drives != self._drives[leader])
+        there &= self._are_like
+        slots = np.array(self._newest[0], dtype=np.intp)
+        return float(there[slots].mean()) if slots.size else 0.0
 
     def _pace(self, slots: NDArray[np.int64], weights: NDArray[np.float32]) -> float:
         """Share of what was driven between some votes of one drive that their places went along with."""

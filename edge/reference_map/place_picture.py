@@ -10,7 +10,9 @@ WIDTH_PX = 120
 
 
 def thumbnail(image: NDArray[np.uint8]) -> bytes:
-    """A small JPEG of a frame (H, W, 3) BGR."""
-    height = max(1, round(image.shape[0] * WIDTH_PX / image.shape[1]))
-    small = cv2.resize(image, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    """A JPEG of a frame (H, W, 3) BGR, WIDTH_PX wide or up to twice that: a whole factor is reduced by far faster."""
+    factor = max(1, image.shape[1] // WIDTH_PX)
+    height, width = (max(1, size // factor) for size in image.shape[:2])
+    whole = image[: height * factor, : width * factor]
+    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()

@@ -12,12 +12,13 @@ The paper matches both regions together. Here the line that it found is matched 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import Parallax
+from edge.reference_map import MapSet
+from edge.sequence import PARALLAX_ROWS, Parallax, PlaceMatch
 
 REACH = 10
 """Places by which the line of one region is moved along the map, in each direction."""
@@ -35,6 +36,22 @@ LEAST_ROWS = 0.6
 _STEPS = np.arange(-REACH, REACH + 1)
 _LEFT, _RIGHT = np.meshgrid(_STEPS, _STEPS, indexing="ij")
 _POSSIBLE = (np.abs(_LEFT + _RIGHT) <= 2 * MIDDLE) & (np.abs(_LEFT - _RIGHT) <= APART)
+
+
+def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet) -> Parallax | None:
+    """Of a match; None where the costs do not say. newest: the newest so many rows of its ring (n, R, D), oldest first.
+
+    Its cameras look the same way, or the two regions do not see the same side of the road.
+    """
+    rows = newest(PARALLAX_ROWS)
+    ages = np.flatnonzero(~np.isnan(rows[::-1, 0, 0]))  # a place without a frame is NaN throughout
+    sign = 1 if match.direction == "forward" else -1
+    places = rows_of_line(match.place_index, match.slope, sign, ages)
+    segment = map_set.index.segment(map_set.index.segment_of(match.place_index))
+    own = map_set.index.rows[map_set.index.map_of(match.place_index)]
+    first = max(segment[0], own[0], int(places.min()) - REACH)
+    end = min(segment[1], own[1], int(places.max()) + REACH + 1)
+    return regions_apart(map_set.region_costs(rows[::-1][ages], first, end), places, first, sign)
 
 
 def rows_of_line(place: int, slope: float, sign: int, rows: Sequence[int] | NDArray[np.intp]) -> NDArray[np.intp]:

@@ -146,8 +146,11 @@ class SequenceSearch:
         if self._margin:
             for k, slope in enumerate(self._slopes):
                 # The sum of as many rows of COST_ONE as reach back no further than to the first place.
-                offsets = [self._offset(slope, age) for age in range(self.length)]
-                self._sums.of(k)[:] = COST_ONE * np.searchsorted(offsets, np.arange(self._places), side="right")
+                offsets = self._offsets(slope)
+                near = np.arange(min(offsets[-1], self._places))
+                sums = self._sums.of(k)
+                sums[:] = COST_ONE * self.length
+                sums[:, : len(near)] = COST_ONE * np.searchsorted(offsets, near, side="right")
 
     def push(self, costs: NDArray[np.int32]) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame."""
@@ -204,6 +207,7 @@ class SequenceSearch:
         other._rows = self._rows
         added, kept = other._places - self._places, self._places - self._margin
         new_at = other._at[len(self._at) :]
+        offsets = [self._offsets(slope) for slope in self._slopes]
         for plane, (direction, order) in enumerate(self.planes):
             is_forward = direction == "forward"
             old, new = (slice(kept), slice(kept)) if is_forward else (slice(self._margin, None), slice(-kept, None))
@@ -219,16 +223,15 @@ class SequenceSearch:
                     other._sums.of(k)[plane, :kept] = self._sums.of(k)[plane, :kept]
                 else:
                     other._sums.of(k)[plane, added + 2 * reach :] = self._sums.of(k)[plane, 2 * reach :]
-                other._sum_again(k, plane, again)
+                other._sum_again(k, plane, again, offsets[k])
         return other
 
-    def _sum_again(self, k: int, plane: int, places: slice) -> None:
-        """Sum up the lines of one slope and plane that end at some (padded) places, row by row."""
+    def _sum_again(self, k: int, plane: int, places: slice, offsets: Sequence[int]) -> None:
+        """Sum up the lines of one slope, with its offsets, and plane that end at some (padded) places, row by row."""
         start, stop, _ = places.indices(self._places)
         total = np.zeros(stop - start, dtype=np.int32)
-        for age in range(self.length):
+        for age, offset in enumerate(offsets):
             row = self._ring[(self._frame - age) % self.length, plane]
-            offset = self._offset(self._slopes[k], age)
             first = max(start, offset)
             if first < stop:
                 total[first - start :] += row[first - offset : stop - offset]
@@ -266,6 +269,10 @@ class SequenceSearch:
     def _offset(self, slope: float, age: int) -> int:
         """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
         return _rounded(slope, self._frame) - _rounded(slope, self._frame - age)
+
+    def _offsets(self, slope: float) -> list[int]:
+        """The same since every row of the ring, the newest first."""
+        return [self._offset(slope, age) for age in range(self.length)]
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""

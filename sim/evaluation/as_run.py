@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig, SequenceConfig
-from edge.recognizer import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import NAN, Place
 from edge.sequence import PlaceMatch
 from edge.sequence.search import NO_LINE
+from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.matching import CANDIDATES, Matches, gathered, lowest
 from sim.evaluation.plan import Pair
 from sim.evaluation.temporary_map import MappedDrive, temporary_map

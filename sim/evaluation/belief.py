@@ -5,6 +5,7 @@
 Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
 and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
 vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day).
+With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, Config
+from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.descriptor.regions import cut_regions
-from edge.recognizer import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
+from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.metrics import Answers, at_threshold, joined, precision_recall, recall_at_precision
 from sim.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.camera import open_renderer
@@ -64,7 +65,7 @@ class Beliefs:
 
 def described(scenario: Scenario, network: Network, cache: Path) -> Described:
     """Render a drive at each SPACING_M and describe it, unless `cache` has it."""
-    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}.npz"
+    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
     if not (cache / name).exists():
         drive = scenario.drive()
         times_s = times_by_distance(drive, SPACING_M)
@@ -89,9 +90,21 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
     }[cut]
 
 
-def believe(road: Described, query: Described, cut: Cut, odometer_scale: float = 1.0) -> Beliefs:
-    """What is believed, frame by frame, on a drive over a road of which a part is mapped."""
-    config, rows = Config(), np.arange(len(road.raw))
+def believe(
+    road: Described,
+    query: Described,
+    cut: Cut,
+    odometer_scale: float = 1.0,
+    *,
+    rear: Described | None = None,
+    rig: RigConfig = RigConfig(),  # noqa: B008  # frozen
+) -> Beliefs:
+    """What is believed, frame by frame, on a drive over a road of which a part is mapped.
+
+    rear: the same drive as a rear camera saw it, which recognizes as well.
+    """
+    mapping = MappingConfig(folder="maps", recognize=rear is not None, camera=CameraConfig(view="rear"))
+    config, rows = Config(rig=rig, mapping=mapping), np.arange(len(road.raw))
     drives = [
         MappedDrive(
             road.raw[start:end].astype(np.float32),
@@ -106,7 +119,10 @@ def believe(road: Described, query: Described, cut: Cut, odometer_scale: float =
     with temporary_map(drives, model, config.descriptor) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
-            match = matcher.push(raw, distance_m=float(driven_m) * odometer_scale)
+            distance_m = float(driven_m) * odometer_scale
+            if rear is not None:
+                matcher.push_second(rear.raw[frame].astype(np.float32), None, 0, distance_m)
+            match = matcher.push(raw, distance_m=distance_m)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if matcher.best is not None and frame >= config.sequence.length - 1:
@@ -151,20 +167,44 @@ def _answers(confidence: Floats, right: NDArray[np.bool_], on_map: NDArray[np.bo
     return Answers(np.where(confidence > 0, confidence, np.nan)[counts], right[counts], on_map[counts])
 
 
-def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, dict[str, Described]]]:
+@dataclass(frozen=True)
+class Driven:
+    """A drive as the front camera saw it and, where both recognize, the rear camera."""
+
+    front: Described
+    rear: Described | None
+
+
+def worlds(
+    seeds: list[int], length_m: float, cache: Path, *, both: bool
+) -> Iterator[tuple[Described, dict[str, Driven]]]:
     """The road of each seed as the rear camera saw it, and the drives on it by "light direction"."""
     network = Network.load()
     for seed in seeds:
         scene = partial(Scenario, seed=seed, length_m=length_m)
         road = described(scene(view="rear", drive_seed=1), network, cache)
-        drives = product(LIGHTS, DIRECTIONS)
-        yield (
-            road,
-            {
-                f"{light} {way}": described(scene(light=light, direction=way, drive_seed=seed_), network, cache)
-                for seed_, (light, way) in enumerate(drives, start=2)
-            },
+        drives = {}
+        for drive_seed, (light, way) in enumerate(product(LIGHTS, DIRECTIONS), start=2):
+            seen = partial(scene, light=light, direction=way, drive_seed=drive_seed)
+            rear = described(seen(view="rear"), network, cache) if both else None
+            drives[f"{light} {way}"] = Driven(described(seen(), network, cache), rear)
+        yield road, drives
+
+
+def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> Iterator[tuple[Cut, Judged]]:
+    """Each drive over the road with each part of it mapped."""
+    alone = {name: believe(road, drive.front, "whole", odometer) for name, drive in drives.items()}
+    for cut, (name, drive) in product(CUTS, drives.items()):
+        light, way = name.split()
+        other = f"{'dusk' if light == 'day' else 'day'} {way}"
+        ahead_m = offset_m(drives[other].front, alone[other])
+        rig = (
+            RigConfig(ahead_forward_swapped_m=ahead_m) if way == "forward" else RigConfig(ahead_reverse_same_m=-ahead_m)
         )
+        is_known = cut == "whole" and drive.rear is None
+        beliefs = alone[name] if is_known else believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
+        mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
+        yield cut, judge(drive.front, mapped_m, beliefs, ahead_m)
 
 
 def _row(cut: Cut, judged: list[Judged]) -> str:
@@ -187,17 +227,13 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
     parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
+    parser.add_argument("--both-cameras", action="store_true", help="a rear camera recognizes as well")
     args = parser.parse_args()
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     args.cache.mkdir(parents=True, exist_ok=True)
-    for road, drives in worlds(args.seeds, args.length, args.cache):
-        whole = {name: believe(road, query, "whole", args.odometer) for name, query in drives.items()}
-        for cut, (name, query) in product(CUTS, drives.items()):
-            light, way = name.split()
-            other = f"{'dusk' if light == 'day' else 'day'} {way}"
-            beliefs = whole[name] if cut == "whole" else believe(road, query, cut, args.odometer)
-            mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
-            judged[cut].append(judge(query, mapped_m, beliefs, offset_m(drives[other], whole[other])))
+    for road, drives in worlds(args.seeds, args.length, args.cache, both=args.both_cameras):
+        for cut, one in judge_world(road, drives, args.odometer):
+            judged[cut].append(one)
     print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief |\n|---|---|---|---|")
     for cut in CUTS:
         print(_row(cut, judged[cut]))

@@ -22,11 +22,12 @@ from edge.feed.sampling import Sampler
 from edge.localization import GPS_SIGMA_M, GpsFix
 from edge.localization.gps_referee import GpsReferee
 from edge.localization.localizer import compare
-from edge.recognizer import SequenceMatcher, model_key
+from edge.recognizer import model_key
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.sequence import PlaceMatch
+from edge.sequence_matcher import SequenceMatcher
 from sim import ORIGIN_ALT_M, geodetic
 from sim.trial.gps_histories import Array, History
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors

@@ -10,10 +10,10 @@ import pytest
 import edge
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics, normalize
-from edge.recognizer import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey, open_map
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
+from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
 
 PLACES, LENGTH = 40, 10

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.recognizer import SequenceMatcher
 from edge.reference_map import COST_ONE, GrowingMap, MapBuilder, MapSet, ModelKey, Place, RegionsKey, Route, open_map
+from edge.sequence_matcher import SequenceMatcher
 
 DIMENSIONS, SPACING_M = 256, 2.0
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
