@@ -168,4 +168,4 @@ def test_a_map_is_built_from_processed_images(feed_path: Path, tmp_path: Path) -
     assert main(["map", "build", str(feed_path), "-o", str(output), "--config", str(tmp_path / HERE)]) == 0
     thumbnail = cv2.imdecode(np.frombuffer(open_map(output).thumbnail(0), np.uint8), cv2.IMREAD_COLOR)
     assert thumbnail is not None
-    assert thumbnail.shape == (45, 120, 3)
+    assert thumbnail.shape == (24, 64, 3)
