@@ -6,8 +6,9 @@ and to nothing in particular (measured on simulated worlds, see `sim.evaluation.
     query(i) = gain(i) * mean of map(i + k) over a few k  +  sqrt(1 - gain(i)^2) * noise(i)
 
 The mean over neighbors is smaller where they differ: a place that changes within meters is found less often from
-another lane. `gain` is that of the light, and wanders. `noise` is a random mixture of the map's own descriptors, which
-wanders as slowly as they do, so that it resembles other places as much as strangers do, and no place in particular.
+another lane. `gain` is that of the light, and wanders. `noise` is in part like nothing in the map, in part a random
+mixture of the map's own descriptors, which wanders as slowly as they do: it resembles other places as much as strangers
+do, and no place in particular.
 All is shifted by a constant, as another light and camera shift the mean, until the online normalization has removed it.
 
 What cannot be known from the map is what will stand there instead: snow, a market, a parked truck.
@@ -39,18 +40,42 @@ Light: TypeAlias = Literal["day", "dusk", "night", "rain", "snow"]
 WAYS: tuple[Way, ...] = ("home", "again")
 LIGHTS: tuple[Light, ...] = ("day", "dusk", "night", "rain", "snow")
 
-GAINS: dict[bool, dict[Light, float]] = {
-    True: {"day": 0.44, "dusk": 0.34, "night": 0.31, "rain": 0.35, "snow": 0.28},
-    False: {"day": 0.69, "dusk": 0.52, "night": 0.52, "rain": 0.50, "snow": 0.27},
+
+@dataclass(frozen=True)
+class Likeness:
+    """What a place seen on another drive has in common with the map.
+
+    gains: by the light, with a map by day. neighbors: how far away, in meters, the places lie whose mean it looks like,
+    and their weights. unlike: share of the noise's variance that is like nothing in the map.
+    """
+
+    gains: dict[Light, float]
+    neighbors: dict[float, float]
+    unlike: float
+
+
+AHEAD = {far_m: 1.0 - far_m / 48.0 for far_m in (4.0, 8.0, 12.0, 16.0, 20.0, 28.0, 36.0)}
+"""Opposed views of a road share what is far ahead, the more the nearer the places are."""
+LIKENESS: dict[tuple[bool, Way], Likeness] = {
+    (True, "home"): Likeness(
+        {"day": 0.53, "dusk": 0.42, "night": 0.40, "rain": 0.41, "snow": 0.34}, {4.0: 1.0, 6.0: 1.0}, unlike=0.61
+    ),
+    (True, "again"): Likeness(
+        {"day": 0.70, "dusk": 0.53, "night": 0.50, "rain": 0.47, "snow": 0.26}, {0.0: 1.0}, unlike=0.45
+    ),
+    (False, "home"): Likeness(
+        {"day": 0.40, "dusk": 0.33, "night": 0.30, "rain": 0.34, "snow": 0.33}, AHEAD, unlike=0.55
+    ),
+    (False, "again"): Likeness(
+        {"day": 0.72, "dusk": 0.61, "night": 0.58, "rain": 0.54, "snow": 0.33}, AHEAD, unlike=0.37
+    ),
 }
-"""By whether the cameras look the same way, and the light: with a map by day, as alike as simulated drives are."""
-NEIGHBORS_M = {True: (4.0, 6.0), False: (4.0, 8.0, 12.0, 16.0, 20.0)}
-"""How far away the places lie whose mean a place looks like: opposed views of a road share what is far ahead."""
-WANDERS, WANDERS_M = 0.1, (8.0, 50.0)
+"""By whether the camera looks as the map's did, and the way, since the way home is another lane."""
+WANDERS, WANDERS_M = 0.12, (8.0, 50.0)
 """Standard deviation of the gain, and correlation lengths of its two halves."""
-NOISE_ROWS, NOISE_M = 200, (4.0, 30.0)
+NOISE_ROWS, NOISE_M = 200, (6.0, 60.0)
 """Descriptors that the noise is mixed of, and correlation lengths of the weights of its two halves."""
-FIRST_HALF = 0.64
+FIRST_HALF = {"gain": 0.64, "noise": 0.5}
 """Share of the variance of the faster half."""
 SHIFTS: dict[Light, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rain": 0.49, "snow": 1.05}
 """Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
@@ -122,9 +147,7 @@ class Rehearsal:
         number = self._maps.index.map_of(int(rows[0]))
         raw = self._maps.maps[number].raw()[rows - self._maps.index.starts[number]].astype(np.float32)
         found = normalize(raw, self._mean, self._deviation)
-        lengths = np.sqrt(np.einsum("nrd,nrd->n", found, found))
-        unit: Floats = found / np.maximum(lengths, 1e-12)[:, np.newaxis, np.newaxis]
-        return unit
+        return _unit(found)
 
     def raw(self, unit: Floats, shift: Floats) -> Floats:
         """Raw descriptors (n, R, D) of normalized ones of length 1; shift (D,) in deviations."""
@@ -141,7 +164,7 @@ class Rehearsal:
 
     def _unmapped(self, count: int, noise: _Noise) -> Iterator[Floats]:
         if count:
-            yield from self.raw(noise.next(count), noise.shift)
+            yield from self.raw(noise.next(count, 0.0), noise.shift)
 
     def frames(self, segment: int, seed: int) -> Iterator[Floats]:
         """Raw descriptors (n, R, D) of a drive over one segment alone, in pieces."""
@@ -151,13 +174,17 @@ class Rehearsal:
     def _frames(self, segment: int, noise: _Noise, rng: np.random.Generator) -> Iterator[Floats]:
         start, end = self._maps.index.segment(segment)
         rows, alike = self._rows(segment), self.look_alike(segment)
-        gains = GAINS[alike][self._conditions.light] + WANDERS * _wandering(len(rows), WANDERS_M, self.spacing_m, rng)
-        steps = [round(sign * far_m / self.spacing_m) for far_m in NEIGHBORS_M[alike] for sign in (-1, 1)]
+        likeness = LIKENESS[alike, self._conditions.way]
+        wandering = WANDERS * _wandering(len(rows), WANDERS_M, self.spacing_m, rng)
+        gains = np.clip(likeness.gains[self._conditions.light] + wandering, 0.0, 1.0).astype(np.float32)
+        steps = [round(sign * far_m / self.spacing_m) for far_m in likeness.neighbors for sign in (-1, 1)]
+        weights = np.repeat(list(likeness.neighbors.values()), 2)
         for first in range(0, len(rows), CHUNK):
             here = slice(first, first + CHUNK)
-            places = np.mean([self.normalized(np.clip(rows[here] + step, start, end - 1)) for step in steps], axis=0)
-            gain = np.clip(gains[here], 0.0, 1.0)[:, np.newaxis, np.newaxis].astype(np.float32)
-            unit = gain * places + np.sqrt(1 - gain**2) * noise.next(len(places))
+            around = [self.normalized(np.clip(rows[here] + step, start, end - 1)) for step in steps]
+            places = np.average(around, axis=0, weights=weights)
+            gain = gains[here, np.newaxis, np.newaxis]
+            unit = (gain * places + np.sqrt(1 - gain**2) * noise.next(len(places), likeness.unlike)).astype(np.float32)
             # Where the cameras look in opposed directions, what was left is right.
             yield self.raw(unit if alike else unit[:, ::-1], noise.shift)
 
@@ -193,19 +220,27 @@ class _Noise:
         shift_by = SHIFTS[rehearsal.light]
         self.shift: Floats = (shift_by * shift / max(float(np.sqrt(np.mean(shift**2))), 1e-12)).astype(np.float32)
 
-    def next(self, count: int) -> Floats:
-        """Of the next frames (count, R, D), each of length 1."""
+    def next(self, count: int, unlike: float) -> Floats:
+        """Of the next frames (count, R, D), each of length 1; unlike: share that is like nothing in the map."""
         half = len(self._weights) // 2
         kept = np.exp(-self._spacing_m / np.repeat(NOISE_M, [half, len(self._weights) - half]))
-        share = np.repeat([FIRST_HALF, 1 - FIRST_HALF], [half, len(self._weights) - half])
+        faster = FIRST_HALF["noise"]
+        share = np.repeat([faster, 1 - faster], [half, len(self._weights) - half])
         weights = np.empty((count, len(self._weights)))
         for row in range(count):
             new = self._rng.normal(size=len(kept))
             self._weights = weights[row] = kept * self._weights + np.sqrt(1 - kept**2) * new
         mixed = np.tensordot((weights * np.sqrt(share)).astype(np.float32), self._sources, axes=1)
-        lengths = np.sqrt(np.einsum("nrd,nrd->n", mixed, mixed))
-        unit: Floats = mixed / np.maximum(lengths, 1e-12)[:, np.newaxis, np.newaxis]
-        return unit
+        strange: Floats = np.asarray(self._rng.normal(size=mixed.shape), dtype=np.float32)
+        found: Floats = (math.sqrt(1 - unlike) * _unit(mixed) + math.sqrt(unlike) * _unit(strange)).astype(np.float32)
+        return found
+
+
+def _unit(rows: NDArray[np.floating]) -> Floats:
+    """Rows (n, R, D), each of length 1."""
+    lengths = np.sqrt(np.einsum("nrd,nrd->n", rows, rows))
+    unit: Floats = (rows / np.maximum(lengths, 1e-12)[:, np.newaxis, np.newaxis]).astype(np.float32)
+    return unit
 
 
 def _flipped(places: Floats, rng: np.random.Generator) -> Floats:
@@ -225,5 +260,6 @@ def _wandering(
     for row in range(count):
         values[row] = value
         value = kept * value + np.sqrt(1 - kept**2) * rng.normal(size=2)
-    wandering: NDArray[np.float64] = values @ np.sqrt([FIRST_HALF, 1 - FIRST_HALF])
+    faster = FIRST_HALF["gain"]
+    wandering: NDArray[np.float64] = values @ np.sqrt([faster, 1 - faster])
     return wandering

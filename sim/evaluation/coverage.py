@@ -7,8 +7,9 @@ Each world is driven once with the rear camera by day (the map), home at night a
 Of every second world the middle third is not mapped. For each 100 m, the share of frames that are believed, as it is
 rehearsed (`edge.coverage`) and as it is found; for each drive, its longest gap. Descriptors are kept in FOLDER.
 
---similarity prints how alike a place is to its place of the map after normalization (cosine), by light and direction,
-in the worlds and in rehearsed drives over their maps: what the constants of `edge.coverage.rehearsal` rest on.
+--similarity prints how alike a place is to its place of the map after normalization (cosine), by where the map's camera
+looked, by direction and by light, in the worlds and in rehearsed drives over their maps: what the constants of
+`edge.coverage.rehearsal` rest on.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,7 @@ from edge.coverage.rehearsal import LIGHTS, WAYS
 from edge.coverage.sheet import longest_gap, spans_of
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
+from edge.feed import View
 from edge.reference_map import Drives, MapSet, ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
@@ -38,7 +41,9 @@ from sim.world.scenario import Scenario
 STRETCH_M, REHEARSALS, FACTOR = 100.0, 8, 1.5
 DRIVEN: tuple[tuple[Conditions, int], ...] = ((Conditions("home", "night"), 2), (Conditions("again", "dusk"), 3))
 """Conditions, and the seed of the drive."""
+VIEWS: tuple[View, ...] = ("rear", "front")
 M_PER_DEG = 110_574.0
+AROUND_M = 8.0
 DEAD = 0.1
 """Share of the mean deviation below which a dimension says nothing of a shift."""
 Floats = NDArray[np.float64]
@@ -57,8 +62,8 @@ class Judged:
 
 
 @contextmanager
-def mapped(road: Described, *, whole: bool) -> Iterator[MapSet]:
-    """The road's map, on a straight line north."""
+def mapped(road: Described, *, whole: bool, view: View = "rear") -> Iterator[MapSet]:
+    """The road's map, by a camera that looked so, on a straight line north."""
     rows, config = np.arange(len(road.raw)), Config()
     drives = [
         MappedDrive(
@@ -67,7 +72,7 @@ def mapped(road: Described, *, whole: bool) -> Iterator[MapSet]:
                 Place(row, float(road.route_m[row]) / M_PER_DEG, 0.0, route_m=float(road.route_m[row]))
                 for row in rows[start:end].tolist()
             ],
-            "rear",
+            view,
         )
         for start, end in kept("whole" if whole else "thirds", len(rows))
     ]
@@ -132,42 +137,36 @@ def _scene(seed: int, length_m: float, conditions: Conditions, drive_seed: int) 
 def print_similarity(seeds: list[int], length_m: float, cache: Path) -> None:
     """A table: cosine of a place with its place of the map, mean and standard deviation, found and rehearsed."""
     network = Network.load()
-    print("| way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|")
-    for way in WAYS:
-        for light in LIGHTS:
-            found, rehearsed, shifts = [], [], []
-            for seed in seeds:
-                road = described(Scenario(seed=seed, length_m=length_m, view="rear", drive_seed=1), network, cache)
-                conditions = Conditions(way, light)
-                query = described(_scene(seed, length_m, conditions, 5), network, cache)
-                shifts.append(_shift(road, query))
-                with mapped(road, whole=True) as maps:
-                    rehearsal = Rehearsal(maps, Config(), conditions)
-                    found.append(_similarity(road, query, swapped=way == "again"))
-                    raw = np.concatenate(list(rehearsal.frames(0, seed=0)))
-                    rehearsed.append(
-                        _similarity(road, Described(raw, _driven(road, way), road.route_m), swapped=way == "again")
-                    )
-            cells = (
-                f"{np.mean(values):.2f} / {np.std(values):.2f}" for values in map(np.concatenate, (found, rehearsed))
-            )
-            print(f"| {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |", flush=True)
-
-
-def _driven(road: Described, way: str) -> Floats:
-    return road.route_m[::-1] if way == "home" else road.route_m
+    print("| map | way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|---|")
+    for view, way, light in product(VIEWS, WAYS, LIGHTS):
+        found, rehearsed, shifts = [], [], []
+        for seed in seeds:
+            road = described(Scenario(seed=seed, length_m=length_m, view=view, drive_seed=1), network, cache)
+            conditions = Conditions(way, light)
+            query = described(_scene(seed, length_m, conditions, 5), network, cache)
+            shifts.append(_shift(road, query))
+            with mapped(road, whole=True, view=view) as maps:
+                rehearsal = Rehearsal(maps, Config(), conditions)
+                swapped = not rehearsal.look_alike(0)
+                found.append(_similarity(road, query, swapped=swapped))
+                raw = np.concatenate(list(rehearsal.frames(0, seed=0)))
+                driven_m = road.route_m[::-1] if way == "home" else road.route_m
+                rehearsed.append(_similarity(road, Described(raw, driven_m, road.route_m), swapped=swapped))
+        cells = (f"{np.mean(values):.2f} / {np.std(values):.2f}" for values in map(np.concatenate, (found, rehearsed)))
+        print(f"| {view} | {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |", flush=True)
 
 
 def _similarity(road: Described, query: Described, *, swapped: bool) -> Floats:
-    """Of each frame, to the place at the offset at which that is highest in the mean."""
+    """Of each frame, to the most similar place within AROUND_M of the offset at which it is highest in the mean."""
     places, frames = (_unit(one.raw.astype(np.float32)) for one in (road, query))
     if swapped:
         frames = frames[:, ::-1]
-    best = np.full(1, -np.inf)
+    values = []
     for ahead_m in np.arange(-40.0, 41.0, 2.0):
         rows = np.abs(road.route_m - (query.route_m + ahead_m)[:, np.newaxis]).argmin(axis=1)
-        values = np.einsum("nrd,nrd->n", frames, places[rows])
-        best = values if values.mean() > best.mean() else best
+        values.append(np.einsum("nrd,nrd->n", frames, places[rows]))
+    at, around = int(np.argmax(np.mean(values, axis=1))), round(AROUND_M / 2.0)
+    best: Floats = np.max(values[max(0, at - around) : at + around + 1], axis=0)
     return best
 
 
