@@ -199,3 +199,24 @@ def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.Cap
     capsys.readouterr()
     assert main([*command, "--picture", "/none/route.png"]) != 0
     assert "/none/route.png: cannot write it" in capsys.readouterr().err
+
+
+def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The prediction knows the map alone; what is found is a second recording of the corridor."""
+    corridor, journal = tmp_path / "corridor", tmp_path / "journal.jsonl"
+    config = tmp_path / "config.toml"
+    config.write_text('[sampling]\nby = "distance"\nspacing_m = 1.0\n')
+    feeds, options = shared / "feeds", ["--config", str(config)]
+    assert main(["map", "build", str(feeds / "corridor_reference"), "-o", str(corridor), *options]) == 0
+    query = ["--map", str(corridor), "--all", "-o", str(journal), *options]
+    assert main(["replay", str(feeds / "corridor_query"), *query]) == 0
+    sheets = []
+    for given in ([], [str(journal), "--rehearsals", "0"]):
+        capsys.readouterr()
+        command = ["map", "coverage", str(corridor), *given, "--for", "again", "--light", "day", "--stretch-m", "10"]
+        assert main([*command, "--json"]) == 0
+        sheets.append(json.loads(capsys.readouterr().out))
+    predicted, found = ([one["share"] for one in sheet["stretches"]] for sheet in sheets)
+    assert np.corrcoef(predicted, found)[0, 1] > 0.8
+    gaps = [sheet["longest_gap"]["length_m"] for sheet in sheets]
+    assert 1 / 1.5 < gaps[0] / gaps[1] < 1.5
