@@ -176,11 +176,10 @@ class Daemon:
         self._times.lap("mapping")
 
     def _process_second(self, frame: Frame, distance_m: float, missed: int) -> NDArray[np.float32]:
-        """Describe a frame of the second camera, and let it vote on the place if it may; timed as the others are."""
+        """Describe a frame of the second camera, which votes on the place if it may; timed as the others are."""
         self._times.start()
         raw = self._recognizer.describe(frame.image)
-        if self._config.mapping.recognize:
-            self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
+        self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
         return raw
 
     def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, missed: int) -> None:

@@ -117,7 +117,7 @@ class PlaceRecognizer:
     ) -> PlaceMatch | None:
         """Let a frame of the second camera vote on the place, by its raw descriptor; see `SequenceMatcher.push_second`.
 
-        Not while the vehicle stands, since the lines of both cameras wait then.
+        Not while the vehicle stands, since the lines of both cameras wait then, nor without [mapping] recognize.
         """
         return None if self.state == "standing" else self.matcher.push_second(raw, near, missed, distance_m)
 

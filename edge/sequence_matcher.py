@@ -33,7 +33,7 @@ MAP_COUNTS_AS = 20
 PARALLAX_EVERY = 2
 """Frames of which one is matched with each region alone: its neighbors share nearly all their frames."""
 SECOND_EVERY = 2
-"""Places of which the second camera's frame is matched at one: two cameras then cost at most twice what one costs."""
+"""Places of which the second camera's frame is matched at one: two cameras then cost about twice what one costs."""
 MOST_MISSED = 0.5
 """Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
 

@@ -71,12 +71,10 @@ LIKENESS: dict[tuple[bool, Way], Likeness] = {
     ),
 }
 """By whether the camera looks as the map's did, and the way, since the way home is another lane."""
-WANDERS, WANDERS_M = 0.12, (8.0, 50.0)
-"""Standard deviation of the gain, and correlation lengths of its two halves."""
+WANDERS, WANDERS_M, WANDERS_FASTER = 0.12, (8.0, 50.0), 0.64
+"""Standard deviation of the gain, correlation lengths of its two parts, and the faster part's share of the variance."""
 NOISE_ROWS, NOISE_M = 200, (6.0, 60.0)
 """Descriptors that the noise is mixed of, and correlation lengths of the weights of its two halves."""
-FIRST_HALF = {"gain": 0.64, "noise": 0.5}
-"""Share of the variance of the faster half."""
 SHIFTS: dict[Light, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rain": 0.49, "snow": 1.05}
 """Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
 RIGHT_M = 40.0
@@ -177,12 +175,18 @@ class Rehearsal:
         likeness = LIKENESS[alike, self._conditions.way]
         wandering = WANDERS * _wandering(len(rows), WANDERS_M, self.spacing_m, rng)
         gains = np.clip(likeness.gains[self._conditions.light] + wandering, 0.0, 1.0).astype(np.float32)
-        steps = [round(sign * far_m / self.spacing_m) for far_m in likeness.neighbors for sign in (-1, 1)]
-        weights = np.repeat(list(likeness.neighbors.values()), 2)
+        far_m = np.outer(list(likeness.neighbors), (-1, 1)).reshape(-1, 1)
+        steps = np.rint(far_m / self.spacing_m).astype(np.intp)
+        weights = np.repeat(list(likeness.neighbors.values()), 2).astype(np.float32)
+        weights /= weights.sum()
         for first in range(0, len(rows), CHUNK):
             here = slice(first, first + CHUNK)
-            around = [self.normalized(np.clip(rows[here] + step, start, end - 1)) for step in steps]
-            places = np.average(around, axis=0, weights=weights)
+            around = np.clip(rows[here] + steps, start, end - 1)
+            nearby = np.unique(around)
+            normalized = self.normalized(nearby)
+            places = np.zeros((around.shape[1], *normalized.shape[1:]), dtype=np.float32)
+            for weight, places_at in zip(weights, np.searchsorted(nearby, around), strict=True):
+                places += weight * normalized[places_at]
             gain = gains[here, np.newaxis, np.newaxis]
             unit = (gain * places + np.sqrt(1 - gain**2) * noise.next(len(places), likeness.unlike)).astype(np.float32)
             # Where the cameras look in opposed directions, what was left is right.
@@ -224,13 +228,11 @@ class _Noise:
         """Of the next frames (count, R, D), each of length 1; unlike: share that is like nothing in the map."""
         half = len(self._weights) // 2
         kept = np.exp(-self._spacing_m / np.repeat(NOISE_M, [half, len(self._weights) - half]))
-        faster = FIRST_HALF["noise"]
-        share = np.repeat([faster, 1 - faster], [half, len(self._weights) - half])
         weights = np.empty((count, len(self._weights)))
         for row in range(count):
             new = self._rng.normal(size=len(kept))
             self._weights = weights[row] = kept * self._weights + np.sqrt(1 - kept**2) * new
-        mixed = np.tensordot((weights * np.sqrt(share)).astype(np.float32), self._sources, axes=1)
+        mixed = np.tensordot(weights.astype(np.float32), self._sources, axes=1)
         strange: Floats = np.asarray(self._rng.normal(size=mixed.shape), dtype=np.float32)
         found: Floats = (math.sqrt(1 - unlike) * _unit(mixed) + math.sqrt(unlike) * _unit(strange)).astype(np.float32)
         return found
@@ -260,6 +262,5 @@ def _wandering(
     for row in range(count):
         values[row] = value
         value = kept * value + np.sqrt(1 - kept**2) * rng.normal(size=2)
-    faster = FIRST_HALF["gain"]
-    wandering: NDArray[np.float64] = values @ np.sqrt([faster, 1 - faster])
+    wandering: NDArray[np.float64] = values @ np.sqrt([WANDERS_FASTER, 1 - WANDERS_FASTER])
     return wandering

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -57,7 +57,7 @@ class TwoCameras:
         self._driven_m += SPACING_M
         self.recognizer.observe(ahead, frame * 200_000_000, distance_m=self._driven_m)
         raw = self.recognizer.describe(back)
-        self.recognizer.observe_second(raw, None, 0, self._driven_m)  # which does nothing unless it may
+        self.recognizer.observe_second(raw, None, 0, self._driven_m)
         self.live.add(raw, back, _position(self.live.status.places), self._driven_m)
         newest = self.live.newly_searchable(self._driven_m)
         if newest is not None:
@@ -94,16 +94,10 @@ def _alternately(racers: Mapping[str, Callable[[int], None]], frames: int) -> di
     return {name: Times(tuple(times[LENGTH:])) for name, times in runs_ms.items()}
 
 
-def _ratio(times: Times, to: Times) -> float:
-    """Median of the ratios of blocks: frames differ in cost, since a place is mapped or normalized again with some."""
-    pairs = zip(_means(times.runs_ms), _means(to.runs_ms), strict=True)
-    return statistics.median(ours / theirs for ours, theirs in pairs)
-
-
-def _means(runs_ms: Sequence[float]) -> Iterator[float]:
-    """Of each block."""
-    for first in range(0, len(runs_ms), BLOCK):
-        yield statistics.fmean(runs_ms[first : first + BLOCK])
+def _by_block(times: Times) -> Times:
+    """Means of blocks: frames differ in cost, since a place is mapped or normalized again with some."""
+    starts = range(0, len(times.runs_ms), BLOCK)
+    return Times(tuple(statistics.fmean(times.runs_ms[first : first + BLOCK]) for first in starts))
 
 
 def measure(folder: Path, places: int, frames: int) -> Section:
@@ -135,7 +129,7 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     rows, targets = [Row("one camera that recognizes", single)], []
     for what, cameras in ((maps_name, maps_only), (both_name, both)):
         cameras.live.close()
-        ratio = _ratio(times[what], single)
+        ratio = _by_block(times[what]).ratio(_by_block(single))
         slowest = statistics.quantiles(times[what].runs_ms, n=20)[-1]
         note = f"median ratio of {BLOCK} frames; 95 % of frames within {slowest:.1f} ms; all threads"
         rows.append(Row(what, times[what], "one camera", ratio, note))

@@ -97,14 +97,14 @@ def believe(
     odometer_scale: float = 1.0,
     *,
     rear: Described | None = None,
-    rig: RigConfig = RigConfig(),  # noqa: B008  # frozen
+    rig: RigConfig | None = None,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
     rear: the same drive as a rear camera saw it, which recognizes as well.
     """
     mapping = MappingConfig(folder="maps", recognize=rear is not None, camera=CameraConfig(view="rear"))
-    config, rows = Config(rig=rig, mapping=mapping), np.arange(len(road.raw))
+    config, rows = Config(rig=rig or RigConfig(), mapping=mapping), np.arange(len(road.raw))
     drives = [
         MappedDrive(
             road.raw[start:end].astype(np.float32),
