@@ -30,7 +30,7 @@ from edge.sequence.place_search import Near, PlaceSearch
 
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
-PARALLAX_EVERY = 2
+PARALLAX_EVERY = 8
 """Frames of which one is matched with each region alone: its neighbors share nearly all their frames."""
 SECOND_EVERY = 2
 """Places of which the second camera's frame is matched at one: two cameras then cost about twice what one costs."""
@@ -115,7 +115,7 @@ class CameraMatcher:
     def with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
         """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
         self._frame += 1
-        if match is None or self._frame % PARALLAX_EVERY or not (match.accepted and self._shows_parallax(match)):
+        if match is None or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
             return match
         return replace(match, parallax=parallax_of(match, self._normalizer.rows, self._map_set))
 

@@ -1,9 +1,11 @@
 """From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
 `consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
-matches; `route_filter` follows the vehicle over the ground, with `route_estimate` as its Kalman filter; `gps_referee`
-judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion; `integrity` decides what
-may be published, by what was observed (`claims`), and `protection_level` says how far off that may be.
+matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
+`route_filter` follows the vehicle with them, by one `track` or two, and `route_estimate` is the Kalman filter of each;
+`gps_referee` judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion;
+`integrity` decides what may be published, by what was observed (`claims`), and `protection_level` says how far off that
+may be.
 """
 
 from __future__ import annotations

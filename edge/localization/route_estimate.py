@@ -1,11 +1,11 @@
 """An extended Kalman filter for a vehicle on a mapped road: its position, and what its own velocity is wrong by. Pure.
 
     state      (8,): meters east, meters north, heading error in radians, scale error, and errors of the matches: one
-               along the road that stays for a drive, and three that change within CORRELATION_M, of lines along the
-               road and of their parallax along and across it
+               along the road that stays for a drive, and three that change within CORRELATION_M, of lines of both
+               regions together, and of those of the left and of the right one alone
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity
-    correction along the road by a match, and across it by its parallax; without any, the position across is never less
-               certain than the road is wide, see `keep_on_road`
+    correction along the road by the line of a match, or along and across it by the lines of its two regions; without
+               those, the position across is never less certain than the road is wide, see `keep_on_road`
 
 All but the position are first-order Gauss-Markov processes over the distance. The last three are what makes matches
 within a correlation length of each other about one observation.
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from edge.localization.region_lines import SIDES, RegionLines, Vector
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
@@ -26,18 +26,22 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
-PARALLAX_M = 1.0
-"""Standard deviation of a position by parallax, along the road and across it, that changes within CORRELATION_M."""
-LIKELY_SIGMAS = 1.3
-"""One parallax in 15 is of a wrong pair of lines, and its neighbors with it."""
+REGION_M, REGION_JITTER_M = 2.0, 0.5
+"""Standard deviations of the line of one region along the road: the least of what changes within CORRELATION_M, and
+that of what is independent in each match."""
+LEARNS = 0.95
+"""Of the variance that was expected: a line that would leave more than this says nothing."""
+LEAST_SUPPORT = 0.05
+"""How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 UNKNOWN_M = 100.0
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 
 
 OF_LINE, OF_ROAD = (1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
-ALONG_BY_PARALLAX, ACROSS_BY_PARALLAX = (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 """Which of the errors of matches a measurement has."""
+LEFT, RIGHT = 6, 7
+"""Errors of the lines of the regions alone, in the state."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,8 @@ class MatchErrors:
 
     @property
     def variances(self) -> tuple[float, float, float, float]:
-        """What stays for a drive, what changes, and that of parallax along and across."""
-        return STAYS * self.line_m**2 + self.apart_m**2, self.line_m**2, PARALLAX_M**2, PARALLAX_M**2
+        """What stays for a drive, what changes, and those of the left and of the right region."""
+        return STAYS * self.line_m**2 + self.apart_m**2, self.line_m**2, REGION_M**2, REGION_M**2
 
 
 @dataclass(frozen=True)
@@ -144,19 +148,44 @@ class RouteEstimate:
         off_m, _ = self._innovation(place_m, along, row, since_m, sigma_m)
         self._update(row, off_m, sigma_m**2)
 
-    def correct_by_parallax(
-        self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float, *, across: bool
-    ) -> None:
-        """Correct by a position across `along`, or along it.
+    def support(self, lines: RegionLines) -> float:
+        """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
+        support = 1.0
+        for likelihood, error, further in _each(lines):
+            expected_m, variance, _ = self._expected(lines, error, further)
+            density = np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+            support *= float(likelihood @ density) * (lines.beyond_m[-1] - lines.beyond_m[0])
+        return support
 
-        What is further off than LIKELY_SIGMAS gets the variance with which it would be just that far off: so one wrong
-        position moves the estimate by little, and many that agree still move it all the way.
+    def correct_by_regions(self, lines: RegionLines, apart_m: float) -> None:
+        """Correct by the line of each region, along the road and across it; apart_m: driven since the last ones.
+
+        What is expected and the likelihood give a mean and a variance, and these a measurement that would have led to
+        them from what was expected: assumed density filtering. What is expected elsewhere than the line is likely, or
+        where it may be anywhere, is not changed.
         """
-        direction, errors = (left_of(along), ACROSS_BY_PARALLAX) if across else (along, ALONG_BY_PARALLAX)
-        row = self._row(direction, since_m, errors)
-        off_m, deviation_m = self._innovation(place_m, direction, row, since_m, sigma_m)
-        known_m2 = deviation_m**2 - sigma_m**2
-        self._update(row, off_m, max(sigma_m**2, (off_m / LIKELY_SIGMAS) ** 2 - known_m2))
+        repeats = max(1.0, CORRELATION_M / max(apart_m, 1.0))
+        for likelihood, error, further in _each(lines):
+            expected_m, before, row = self._expected(lines, error, further)
+            weights = likelihood * np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * before))
+            weights /= max(weights.sum(), np.finfo(float).tiny)
+            mean_m = float(weights @ lines.beyond_m)
+            after = float(weights @ (lines.beyond_m - mean_m) ** 2)
+            if 0 < after < LEARNS * before:
+                variance = 1 / (1 / after - 1 / before)
+                off_m = (mean_m - expected_m) * (before + variance) / before
+                # Lines less than a correlation length apart share most of what they are wrong by.
+                excess = repeats * max(0.0, variance - REGION_M**2)
+                self._update(row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
+
+    def _expected(self, lines: RegionLines, error: int, further: float) -> tuple[float, float, Vector]:
+        """Where the line of a region is expected, m beyond that of both, its variance, and its row."""
+        passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
+        row = self._row(passed.along, passed.since_m, OF_ROAD) + further * self._row(left, seen.since_m, OF_ROAD)
+        row[error] = 1.0
+        along_m = passed.along @ (self._before(passed.since_m) - passed.place_m)
+        left_m = left @ (self._before(seen.since_m) - seen.place_m)
+        return float(along_m + further * left_m + self.mean[error]), float(row @ self.covariance @ row), row
 
     def _innovation(
         self, place_m: Vector, direction: Vector, row: Vector, since_m: Vector, sigma_m: float
@@ -212,6 +241,12 @@ class RouteEstimate:
         self.mean = self.mean + gain * off_m
         kept = np.eye(len(row)) - np.outer(gain, row)
         self.covariance = kept @ self.covariance @ kept.T + variance * np.outer(gain, gain)
+
+
+def _each(lines: RegionLines) -> tuple[tuple[Vector, int, float], ...]:
+    """Of both regions: how likely the line lies where, its error in the state, and its meters further for each left."""
+    left, right = (side * lines.parallax for side in SIDES)
+    return (lines.left, LEFT, left), (lines.right, RIGHT, right)
 
 
 def left_of(along: Vector) -> Vector:

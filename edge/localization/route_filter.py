@@ -1,18 +1,19 @@
 """From matches to a position that follows the vehicle on the ground. Pure: no link, no clock.
 
-A believed match says how far along the map's drive the vehicle is. How far it is beside it, only its parallax says,
-where [rig] has measured that; else the road's width is all that is known. Between matches the vehicle moves as the
-autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by how much. While GPS
-bounds the autopilot's position, it bounds the estimate as well, so that the first matches without it correct a position
-that is known. A match is used only if its line moved over the ground as the autopilot's velocity did, and if it agrees
-with the estimate. Where matches keep disagreeing with the estimate but agree with each other, a second estimate follows
-them and replaces the first one after a correlation length without a match for that.
+A believed match says how far along the map's drive the vehicle is. How far it is beside it, only the lines of its two
+regions say, where [rig] parallax is measured; else the road's width is all that is known. Between matches the vehicle
+moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by how
+much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without it
+correct a position that is known. A match is used only if its line moved over the ground as the autopilot's velocity
+did, and if it agrees with the estimate. Where matches keep disagreeing with the estimate but agree with each other, a
+second estimate follows them and replaces the first one after a correlation length without a match for that. An estimate
+that is lost, since there was no match for long, goes on by reckoning alone, and the next one begins where it is if it
+agrees with the match.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec import UNSET
@@ -22,78 +23,24 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.place_fix import map_error_m, moved_alike
-from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, Vector, VelocityErrors
+from edge.localization.place_fix import map_error_m
+from edge.localization.region_lines import Vector
+from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors
 from edge.localization.sighting import Sighting, Sightings
+from edge.localization.track import Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
-AGREE_SIGMAS = 3.0
 STOOD_NS = 30_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that."""
-PARALLAX_M = 0.5
-"""Standard deviation of a position across by parallax that differs from match to match."""
-OFF_LANE = 2.0
-"""Times by which the road counts as wider where a parallax could say where the vehicle is across."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
+SHOWN, FOLLOWS_EVERY_M = 3.0, 16.0
+"""What `RouteEstimate.support` must be of a match that is not believed, and how many meters those are apart."""
 RIVAL_MATCHES = 3
 """Matches in a row that disagree with the estimate before its positions are disputed."""
-
-
-@dataclass
-class _Track:
-    """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match."""
-
-    estimate: RouteEstimate
-    newest: Sighting
-    stamp_ns: int
-    matches: int = 0
-    since_m: float = 0.0
-    driven_m: float = 0.0
-
-    def move(self, displacement_m: Vector) -> None:
-        self.estimate.predict(displacement_m)
-        driven_m = float(np.hypot(*displacement_m))
-        self.since_m += driven_m
-        self.driven_m += driven_m
-
-    def agrees(self, sighting: Sighting) -> bool:
-        off_m, sigma_m = self.estimate.innovation(
-            sighting.place_m,
-            sighting.along,
-            sighting.since_m,
-            math.hypot(sighting.sigma_m, self._new_drive_m(sighting)),
-        )
-        return abs(off_m) <= AGREE_SIGMAS * sigma_m
-
-    def _new_drive_m(self, sighting: Sighting) -> float:
-        if not self._begins_drive(sighting):
-            return 0.0
-        errors = sighting.errors
-        return math.hypot(errors.line_m, errors.apart_m, sighting.map_sigma_m, self.newest.map_sigma_m)
-
-    def _begins_drive(self, sighting: Sighting) -> bool:
-        now, before = sighting.match, self.newest.match
-        return (sighting.segment, now.direction) != (self.newest.segment, before.direction)
-
-    def add(self, sighting: Sighting, road_sigma_m: float, stamp_ns: int) -> None:
-        if self._begins_drive(sighting):
-            self.estimate.begin_drive(sighting.errors)
-        # Where a parallax could be, none is a sign that the vehicle is off its lane.
-        road_sigma_m *= OFF_LANE if sighting.shows_parallax else 1.0
-        self.estimate.keep_on_road(sighting.place_m, sighting.along, sighting.since_m, road_sigma_m)
-        # The lines of both regions together may be those of one of them, where a vehicle is far beside the map's drive.
-        if sighting.middle is None:
-            self.estimate.correct(sighting.place_m, sighting.along, sighting.since_m, sighting.sigma_m)
-        else:
-            self.estimate.correct_by_parallax(*sighting.middle, PARALLAX_M, across=False)
-        if sighting.beside is not None:
-            self.estimate.correct_by_parallax(*sighting.beside, PARALLAX_M, across=True)
-        self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0
-        self.matches += 1
 
 
 class RouteFilter:
@@ -111,9 +58,11 @@ class RouteFilter:
         self._at: Displacement | None = None
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
-        self._track: _Track | None = None
-        self._rival: _Track | None = None
+        self._track: Track | None = None
+        self._rival: Track | None = None
         self._since_gps: RouteEstimate | None = None
+        self._since_lost: RouteEstimate | None = None
+        """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
 
     def bind(self, position: VehiclePosition, sigma_m: float) -> None:
         """The autopilot's position is bounded by GPS: the newest frame was there, to one standard deviation."""
@@ -132,12 +81,15 @@ class RouteFilter:
 
     def forget_gps(self) -> None:
         """GPS was wrong when it bounded the estimates: only places count from now on."""
-        self._exposure = self._track = self._rival = self._since_gps = None
+        self._exposure = self._track = self._rival = self._since_gps = self._since_lost = None
 
     def _estimates(self) -> list[RouteEstimate]:
         tracks = (self._track, self._rival)
-        own = [track.estimate for track in tracks if track is not None]
-        return own if self._since_gps is None else [*own, self._since_gps]
+        return [*(track.estimate for track in tracks if track is not None), *self._reckoned]
+
+    @property
+    def _reckoned(self) -> list[RouteEstimate]:
+        return [estimate for estimate in (self._since_lost, self._since_gps) if estimate is not None]
 
     def update(
         self, match: PlaceMatch | None, stamp_ns: int, displacement: Displacement | None, missed: int = 0
@@ -156,14 +108,26 @@ class RouteFilter:
         self._move(displacement, missed)
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
-            self._track = self._exposure = None
-        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        if match is None or not match.accepted or match.uniqueness < 1:
+            self._track, self._exposure, self._since_lost = None, None, track.estimate
+        if match is None:
             return
-        sighting = self._sightings.of(match, self._moved_alike)
-        if sighting is not None:
+        sighting = self._sightings.of(match, None if track is None else track.estimate)
+        if sighting is None:
+            return
+        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
+        if match.accepted and match.uniqueness >= 1:
             self._use(sighting, stamp_ns)
-            self._choose_origin()
+        else:
+            self._follow(sighting)
+        self._choose_origin()
+
+    def _follow(self, sighting: Sighting) -> None:
+        """A match that is not believed corrects an estimate whose expected lines it shows, and confirms nothing."""
+        track = self._track
+        estimate = self._since_lost if track is None else track.estimate
+        if estimate is None or sighting.regions is None or estimate.support(sighting.regions) < SHOWN:
+            return
+        estimate.correct_by_regions(sighting.regions, FOLLOWS_EVERY_M)
 
     def at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
@@ -191,7 +155,7 @@ class RouteFilter:
         estimate.predict(since_m)
         return self._fix(track, estimate, stamp_ns, track.since_m + driven_m)
 
-    def _is_lost(self, track: _Track, stamp_ns: int, driven_m: float) -> bool:
+    def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
         return is_silent or track.since_m + driven_m > self._config.lost_after_m
 
@@ -203,8 +167,8 @@ class RouteFilter:
             for track in (self._track, self._rival):
                 if track is not None:
                     track.move(moved_m)
-            if self._since_gps is not None:
-                self._since_gps.predict(moved_m)
+            for estimate in self._reckoned:
+                estimate.predict(moved_m)
         self._at = displacement
 
     def _use(self, sighting: Sighting, stamp_ns: int) -> None:
@@ -219,7 +183,7 @@ class RouteFilter:
         if track is not None:
             self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
 
-    def _dispute(self, sighting: Sighting, stamp_ns: int) -> _Track | None:
+    def _dispute(self, sighting: Sighting, stamp_ns: int) -> Track | None:
         """A match that disagrees with the estimate; returns the one that replaces it, if it is time for that."""
         rival = self._rival
         if rival is None or not rival.agrees(sighting):
@@ -231,29 +195,22 @@ class RouteFilter:
         self._track, self._rival = rival, None
         return rival
 
-    def _begin(self, sighting: Sighting, stamp_ns: int) -> _Track:
+    def _begin(self, sighting: Sighting, stamp_ns: int) -> Track:
         road_sigma_m = self._rig.sigma_across_m
         errors = self._velocity_errors(sighting.errors)
         estimate = RouteEstimate.on_road(sighting.place_m, sighting.along, road_sigma_m, errors)
         estimate.predict(sighting.since_m)
-        track = _Track(estimate, sighting, stamp_ns)
-        if self._since_gps is not None:
-            reckoned = _Track(self._since_gps.copy(), sighting, stamp_ns)
-            reckoned.estimate.begin_drive(sighting.errors)
-            track = reckoned if reckoned.agrees(sighting) else track
+        tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
+        for track in tracks:
+            track.estimate.begin_drive(sighting.errors)
+        agreeing = (one for one in tracks if one.agrees(sighting) and one.is_on_road(sighting, road_sigma_m))
+        track = next(agreeing, Track(estimate, sighting, stamp_ns))
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
 
     def _velocity_errors(self, match: MatchErrors) -> VelocityErrors:
         config = self._config
         return VelocityErrors(math.radians(config.heading_error_deg), config.drift_percent / 100, match)
-
-    def _moved_alike(self, line_m: Vector, moved_m: Vector) -> bool:
-        """Whether a line passed over the ground as the vehicle moved, by the autopilot's velocity."""
-        if self._track is None:
-            return moved_alike(line_m, moved_m, 2 * self._config.drift_percent / 100)
-        estimate = self._track.estimate
-        return moved_alike(line_m, estimate.truly(moved_m), 2 * estimate.scale_sigma)
 
     def _choose_origin(self) -> None:
         """A new origin for local meters where the last one is far away."""
@@ -265,7 +222,7 @@ class RouteFilter:
         for estimate in estimates:
             estimate.mean[:2] -= shift_m
 
-    def _fix(self, track: _Track, estimate: RouteEstimate, stamp_ns: int, since_m: float) -> PlaceFix | None:
+    def _fix(self, track: Track, estimate: RouteEstimate, stamp_ns: int, since_m: float) -> PlaceFix | None:
         newest, match = track.newest, track.newest.match
         sign = 1 if match.direction == "forward" else -1
         found = self._sightings.position(match, newest.along_m + sign * since_m)

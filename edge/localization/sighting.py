@@ -1,14 +1,12 @@
 """A match on the ground: where the vehicle was when its line passed a place, and how it has moved since.
 
-The middle of a line is best known. Where the two regions of a line say where they are by themselves (`Parallax`), the
-middle between both is known better still, and how far the vehicle is beside the map's drive.
+The middle of a line is best known. Where each of its two regions says by itself where it is (`Parallax`), they say
+better still how far the vehicle is along the map's drive, and how far beside it.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,18 +14,28 @@ import numpy as np
 
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.place_fix import LineMiddle, LineReadings, line_middle, map_error_m, position_on_route
-from edge.localization.route_estimate import MatchErrors, Vector, left_of
+from edge.localization.place_fix import (
+    LineMiddle,
+    LineReadings,
+    line_middle,
+    map_error_m,
+    moved_alike,
+    position_on_route,
+)
+from edge.localization.region_lines import BEYOND_PLACES, SIDES, Passed, RegionLines, Vector, likelihood
+from edge.localization.route_estimate import MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
-from edge.sequence import PARALLAX_ROWS, PlaceMatch
+from edge.sequence import PlaceMatch
 
-SEES_M = 16.0
+SEES_M = 12.0
 """How far in front of a camera the vehicle is as far beside the map's drive as its parallax says: a vehicle that turns
 by a degree sees what one would that is 0.28 m further to that side (in the simulator; without it, 0.3 m more error)."""
-CONFIRMS_M = 20.0, 80.0
-"""How far the vehicle moves between two parallaxes of which one confirms the other: wrong ones rarely stay."""
-CONFIRMED_M, CONFIRMED = 1.5, 0.05
-"""By how many meters across, and by which share of the distance between them, they may differ."""
+
+
+KNOTS = 9
+"""Points of a line on the ground, between which it is straight."""
+STRAIGHT = 2
+"""The newest frames by which a vehicle goes on."""
 
 
 class OnDrive(NamedTuple):
@@ -38,21 +46,13 @@ class OnDrive(NamedTuple):
     map_sigma_m: float
 
 
-class Passed(NamedTuple):
-    """Where the vehicle was, meters (2,), the direction of travel there, and how it has moved since."""
-
-    place_m: Vector
-    along: Vector
-    since_m: Vector
-
-
 @dataclass(frozen=True)
 class Sighting:
     """A match in local meters: where the vehicle was at the middle of its line, and its displacement since then.
 
     along: unit vector (2,) of travel there. along_m: of the vehicle now, along the drive. shows_parallax: whether lines
-    of this kind have one that was calibrated: where they say nothing, the vehicle may be off its lane. middle, beside:
-    where its parallax says that the vehicle was along the drive, and across it; None where it says nothing.
+    of this kind have one that was calibrated: where they say nothing, the vehicle may be off its lane. regions: the
+    lines of its two regions; None where the match has none.
     """
 
     match: PlaceMatch
@@ -65,8 +65,7 @@ class Sighting:
     errors: MatchErrors
     map_sigma_m: float
     shows_parallax: bool
-    middle: Passed | None
-    beside: Passed | None
+    regions: RegionLines | None
 
 
 class Sightings:
@@ -76,7 +75,7 @@ class Sightings:
         self._route, self._rig = route, config.rig
         self._length = config.sequence.length
         self._readings = LineReadings(self._length)
-        self._parallaxes: deque[tuple[Vector, float]] = deque(maxlen=32)
+        self._drift = config.tracking.drift_percent / 100
         self._sees_m = SEES_M if config.camera.view == "front" else -SEES_M
         self.origin: Origin | None = None
         """Of local meters."""
@@ -84,7 +83,6 @@ class Sightings:
     def clear(self) -> None:
         """The next frame begins a new line."""
         self._readings.clear()
-        self._parallaxes.clear()
 
     def add(self, displacement_m: Vector, missed: int) -> None:
         """A frame was used there (2,); see `LineReadings`."""
@@ -101,11 +99,10 @@ class Sightings:
         offset_m = along_m - self._route.route_m(match.place_index)
         return position_on_route(self._route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, moved_alike: Callable[[Vector, Vector], bool]) -> Sighting | None:
+    def of(self, match: PlaceMatch, estimate: RouteEstimate | None) -> Sighting | None:
         """The match in local meters; None where the map has no positions, or if the line did not move as we did.
 
-        moved_alike: whether a line that passed over the ground by one vector (2,) may be of a vehicle that moved by
-        another.
+        estimate: of the vehicle now, where there is one.
         """
         line = line_middle(match, self._route, self._length)
         if line is None or len(self._readings) < self._length:
@@ -114,7 +111,8 @@ class Sightings:
         if begin is None or middle is None or end is None:
             return None
         moved_m = self._since(2 * line.back)
-        if not moved_alike(end.place_m - begin.place_m, moved_m):
+        drift = self._drift if estimate is None else estimate.scale_sigma
+        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), 2 * drift):
             return None
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
@@ -129,20 +127,8 @@ class Sightings:
             errors=self._errors(match),
             map_sigma_m=middle.map_sigma_m,
             shows_parallax=match.order == "same" and self._rig.parallax > 0,
-            **self._by_parallax(match, line),
+            regions=self._regions(match, line, estimate),
         )
-
-    def _by_parallax(self, match: PlaceMatch, line: LineMiddle) -> dict[str, Passed | None]:
-        """Where parallax says that the vehicle was, if an earlier one of other rows has said the same."""
-        beside, here_m = self._beside(match, line), self._readings.back(0)
-        if beside is None:
-            return {"middle": self._middle(match, line), "beside": None}
-        off_m = float(left_of(beside.along) @ (beside.place_m + beside.since_m - here_m))
-        is_confirmed = any(_confirms(here_m, off_m, *earlier) for earlier in self._parallaxes)
-        self._parallaxes.append((here_m, off_m))
-        if not is_confirmed:
-            return {"middle": None, "beside": None}
-        return {"middle": self._middle(match, line), "beside": beside}
 
     def _errors(self, match: PlaceMatch) -> MatchErrors:
         apart_m = abs(self._rig.parallax * self._left_m(match)) if match.order == "same" else 0.0
@@ -161,41 +147,58 @@ class Sightings:
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         return OnDrive(self.local(found), along, map_error_m(found))
 
-    def _middle(self, match: PlaceMatch, line: LineMiddle) -> Passed | None:
-        """Where the vehicle was along the drive, in the middle of the newest rows of a line."""
-        if match.parallax is None:
-            return None
-        return self._passed_back(match, line, (PARALLAX_ROWS - 1) / 2, match.parallax.middle_places)
-
-    def _beside(self, match: PlaceMatch, line: LineMiddle) -> Passed | None:
-        """Where the vehicle was beside the map's drive, `SEES_M` further."""
-        if match.parallax is None or not self._rig.parallax:
+    def _regions(self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None) -> RegionLines | None:
+        """The lines of both regions on the ground; what they say of the position across counts `SEES_M` further on."""
+        parallax = match.parallax
+        if parallax is None or not self._rig.parallax:
             return None
         spacing_m = self._route.drive(match.place_index).spacing_m
-        back = (PARALLAX_ROWS - 1) / 2 - self._sees_m / spacing_m
-        passed = self._passed_back(match, line, back, match.parallax.middle_places)
-        if passed is None:
+        ages = np.append(parallax.ages, parallax.ages.mean())
+        passed = self._passed_at(match, line, ages)
+        seen = self._passed_at(match, line, ages - self._sees_m / spacing_m)
+        if passed is None or seen is None:
             return None
-        left_m = match.parallax.lag_places * spacing_m / self._rig.parallax
-        return passed._replace(place_m=passed.place_m + left_m * left_of(passed.along))
+        if estimate is None:
+            here_m = passed[-1].place_m + self._left_m(match) * left_of(passed[-1].along) + passed[-1].since_m
+        else:
+            here_m = estimate.position_m
+        along_m = np.array([one.along @ (here_m - _truly(one.since_m, estimate) - one.place_m) for one in passed])
+        left_m = np.array([left_of(one.along) @ (here_m - _truly(one.since_m, estimate) - one.place_m) for one in seen])
+        likely = []
+        for costs, side in zip(parallax.costs, SIDES, strict=True):
+            lies_m = along_m + side * self._rig.parallax * left_m
+            likely.append(likelihood(costs, (lies_m[:-1] - lies_m[-1]) / spacing_m))
+        left, right = likely
+        if left is None or right is None:
+            return None
+        return RegionLines(passed[-1], seen[-1], self._rig.parallax, spacing_m * BEYOND_PLACES, left, right)
 
-    def _passed_back(self, match: PlaceMatch, line: LineMiddle, back: float, beyond_places: float) -> Passed | None:
-        """What a line passed so many frames before the newest, moved by some places in the map's order."""
-        back = min(max(back, 0.0), 2 * line.back)
-        along_m = line.ends_m + (line.along_m - line.ends_m) * back / line.back
-        on_drive = self._on_drive(match, along_m + beyond_places * self._route.drive(match.place_index).spacing_m)
-        return None if on_drive is None else Passed(on_drive.place_m, on_drive.along, self._since(back))
+    def _passed_at(self, match: PlaceMatch, line: LineMiddle, ages: Vector) -> list[Passed] | None:
+        """What a line passed at some ages in frames (n,), on straight lines between KNOTS of them."""
+        knots = np.linspace(ages.min(), ages.max(), KNOTS)
+        found = [self._on_drive(match, line.ends_m + (line.along_m - line.ends_m) * back / line.back) for back in knots]
+        on_drives = [one for one in found if one is not None]
+        if len(on_drives) < len(knots):
+            return None
+        places_m, alongs = (np.array([getattr(one, name) for one in on_drives]) for name in ("place_m", "along"))
+        at = [np.array([np.interp(age, knots, axis) for axis in (*places_m.T, *alongs.T)]) for age in ages]
+        return [
+            Passed(one[:2], one[2:] / np.hypot(*one[2:]), self._since(age)) for one, age in zip(at, ages, strict=True)
+        ]
 
     def _since(self, frames: float) -> Vector:
-        """How far the vehicle has moved since so many frames ago, meters (2,) by the autopilot's velocity."""
+        """How far the vehicle has moved since so many frames ago, meters (2,) by the autopilot's velocity.
+
+        Of the future, as it goes on.
+        """
+        if frames < 0:
+            return frames / STRAIGHT * (self._readings.back(0) - self._readings.back(STRAIGHT))
         return self._readings.back(0) - self._readings.back(frames)
 
     def _ahead_m(self, match: PlaceMatch) -> float:
         return self._rig.ahead_m(match.direction, match.order)
 
 
-def _confirms(here_m: Vector, off_m: float, then_m: Vector, then_off_m: float) -> bool:
-    """Whether of two parallaxes the earlier one confirms the later; off_m: of the places from where reckoning is."""
-    apart_m = float(np.hypot(*(here_m - then_m)))
-    is_another = CONFIRMS_M[0] <= apart_m <= CONFIRMS_M[1]
-    return is_another and abs(off_m - then_off_m) <= CONFIRMED_M + CONFIRMED * apart_m
+def _truly(moved_m: Vector, estimate: RouteEstimate | None) -> Vector:
+    """A displacement (2,) by the autopilot's velocity without the errors that were found."""
+    return moved_m if estimate is None else estimate.truly(moved_m)

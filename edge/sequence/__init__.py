@@ -19,9 +19,6 @@ Alignment = tuple[Direction, Order]
 ORDERS: tuple[Order, ...] = ("same", "swapped")
 """Rows of a cost row, in this order."""
 
-PARALLAX_ROWS = 24
-"""Rows of a line, the newest, that are matched with each region alone; see `edge.sequence.parallax`."""
-
 VIEWS_ALIKE: tuple[Alignment, ...] = (("forward", "same"), ("reverse", "swapped"))
 """What can occur if both cameras look ahead, or both back."""
 
@@ -29,16 +26,25 @@ VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "sam
 """What can occur if one camera looks ahead and one back: on the way back along the map the two look the same way."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Parallax:
-    """Where the line of each region alone lies; see `edge.sequence.parallax`.
+    """The rows of a line with each region alone; see `edge.sequence.parallax`.
 
-    lag_places: by which the line of the left region lags behind that of the right one, in the direction of travel.
-    middle_places: by which the middle between both lies beyond the line of both together, in the map's order.
+    ages: (n,) of the rows, in frames. costs: (2, n, S) of the left and of the right region, moved along the map by a
+    number of places around 0, in the direction of travel; NaN beyond the map.
     """
 
-    lag_places: float
-    middle_places: float
+    ages: NDArray[np.intp]
+    costs: NDArray[np.float64]
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Parallax)
+            and np.array_equal(self.ages, other.ages)
+            and np.array_equal(self.costs, other.costs, equal_nan=True)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)

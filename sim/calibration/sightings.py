@@ -16,6 +16,7 @@ from edge.feed import Feed
 from edge.feed.traverse import traverse
 from edge.geodesy import east_north
 from edge.localization.place_fix import LineReadings, line_middle, moved_alike
+from edge.localization.region_lines import lag_places
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
@@ -86,7 +87,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
 
 def _lag_m(match: PlaceMatch, route: Route) -> float:
     """Meters by which the left region lags behind the right."""
-    return match.parallax.lag_places * route.drive(match.place_index).spacing_m if match.parallax else float("nan")
+    return lag_places(match.parallax) * route.drive(match.place_index).spacing_m if match.parallax else float("nan")
 
 
 def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:

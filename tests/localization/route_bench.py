@@ -27,15 +27,14 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from edge.sequence import Parallax, PlaceMatch
+from edge.sequence import PlaceMatch
+from tests.localization.region_bench import PLACES_APART, RegionViews
 
 HOME = (-27.0, 153.0)
 STEP_S, SPACING_M, LENGTH = 0.1, 2.0, 40
 CORRELATED_M, GPS_M = 60.0, 72.0
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 TURN_RADIUS_M = 8.0
-PLACES_APART, PARALLAX_M = 2.5, 1.0  # meters between the regions' lines for each meter aside, and its error
-WRONG_PAIRS, WRONG_FRAMES = 1 / 15, 8  # share of parallaxes that are of a wrong pair of lines, and how many in a row
 Points = NDArray[np.float64]
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
@@ -177,9 +176,7 @@ class Bench:
         self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
         self.wander_m = rng.normal(0.0, course.match_sigma_m)
         self.lane_m = rng.normal(0.0, 0.7)
-        self.parallax_m = np.zeros(2)  # errors along and across
-        self.wrong_pair_m, self.wrong_pair_frames = 0.0, 0
-        self.frames = 0
+        self.regions = RegionViews(rng, SPACING_M)
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
         self.seconds = self.lane = self.sampled_m = self.driven_m = self.steered_m = 0.0
@@ -316,6 +313,7 @@ class Bench:
         self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, sigma)
         shown = self._shown(s)
         self.history.append(shown)
+        self.regions.add(shown, self.right_m)
         del self.history[:-LENGTH]
         last = next((item for item in reversed(self.history) if item is not None), None)
         if last is None:
@@ -332,33 +330,13 @@ class Bench:
         first, _, _, places = self.segments[number]
         row = int(np.clip(round(end_m / SPACING_M), 0, places - 1))
         share = len(frames) / LENGTH
-        alias = self.alias_now
+        alias, slope = self.alias_now, round(slope / SPACING_M * 50) / 50
         confidence = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
             first + row, first + row, "forward", "same" if self.course.parallax else "swapped",
-            round(slope / SPACING_M * 50) / 50, 0.5, 1.2,
-            accepted=confidence >= 0.6, confidence=confidence, parallax=self._parallax(),
+            slope, 0.5, 1.2, accepted=confidence >= 0.6, confidence=confidence,
+            parallax=self.regions.parallax(number, row, slope) if self.course.parallax else None,
         )  # fmt: skip
-
-    def _parallax(self) -> Parallax | None:
-        """Of each second frame, as wrong as on drives with pictures."""
-        if not self.course.parallax:
-            return None
-        rng, kept = self.rng, math.exp(-SPACING_M / CORRELATED_M)
-        self.parallax_m = kept * self.parallax_m + math.sqrt(1 - kept**2) * rng.normal(0.0, PARALLAX_M, 2)
-        self.frames += 1
-        if self.frames % 2:
-            return None
-        if self.wrong_pair_frames > 0:
-            self.wrong_pair_frames -= 1
-        elif rng.random() < WRONG_PAIRS / WRONG_FRAMES:
-            self.wrong_pair_frames = WRONG_FRAMES
-            self.wrong_pair_m = float(rng.choice([-1.0, 1.0]) * rng.uniform(4.0, 10.0))
-        wrong_m = self.wrong_pair_m if self.wrong_pair_frames > 0 else 0.0
-        along_m, left_m = self.parallax_m + rng.normal(0.0, 0.5, 2)
-        error_m = self.bias_m + self.wander_m
-        left_m += wrong_m - self.right_m
-        return Parallax(left_m * PLACES_APART / SPACING_M, (along_m - error_m) / SPACING_M)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors
+from edge.localization.region_lines import Passed, RegionLines, Vector
+from edge.localization.route_estimate import (
+    CORRELATION_M,
+    LEAST_SUPPORT,
+    MatchErrors,
+    RouteEstimate,
+    VelocityErrors,
+)
 
 HEADING_RAD, SCALE, MATCH_M, JITTER_M, BEHIND = 0.035, 0.05, 2.5, 1.0, 20
 ERRORS = VelocityErrors(HEADING_RAD, SCALE, MatchErrors(MATCH_M))
@@ -79,19 +89,58 @@ def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
 
-def test_one_wrong_parallax_moves_the_estimate_by_little_and_many_that_agree_all_the_way() -> None:
-    along, here = np.array([0.0, 1.0]), np.zeros(2)
-    estimate = RouteEstimate(here, np.eye(2), ERRORS)
-    for _ in range(10):
-        estimate.correct_by_parallax(here, along, here, 0.5, across=True)
-    wrong = np.array([6.0, 0.0])
-    estimate.correct_by_parallax(wrong, along, here, 0.5, across=True)
-    assert 0.0 < estimate.position_m[0] < 0.5
-    for _ in range(100):
-        estimate.predict(np.array([0.0, 10.0]))
-        wrong += [0.0, 10.0]
-        estimate.correct_by_parallax(wrong, along, here, 0.5, across=True)
-    assert estimate.position_m[0] == pytest.approx(6.0, abs=1.0)
+def lines(*at_m: float, here: float = 0.0) -> RegionLines:
+    """Lines of both regions at so many meters beyond that of both together, which lies at `here`; NaN: nowhere."""
+    beyond_m = np.linspace(-32.0, 32.0, 129)
+    anywhere = np.full(129, 1 / 129)
+    each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
+    passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(2))
+    return RegionLines(passed, passed, 2.0, beyond_m, *each)
+
+
+def _bell(away_m: Vector) -> Vector:
+    bell: Vector = np.exp(-(away_m**2) / 2)
+    return bell / bell.sum()
+
+
+def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> None:
+    estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
+    estimate.correct_by_regions(lines(2.0, -2.0), 100.0)
+    assert estimate.position_m == pytest.approx([2.0, 0.0], abs=0.6), "2 m to the right, and just there"
+    assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(1.6, abs=0.4)
+
+
+def test_a_region_alone_says_only_what_both_are_together() -> None:
+    """Further along, or further to the left: the uncertainty of each stays, that of their sum does not."""
+    estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
+    estimate.correct_by_regions(lines(math.nan, 3.0), 100.0)
+    along_and_left = np.array([-1.0, 1.0])
+    assert along_and_left @ estimate.position_m == pytest.approx(3.0, abs=0.7)
+    assert np.sqrt(along_and_left @ estimate.covariance[:2, :2] @ along_and_left) < 2.4
+    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
+
+
+def test_a_line_far_from_where_it_is_expected_changes_nothing_and_has_no_support() -> None:
+    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
+    before = estimate.mean.copy()
+    estimate.correct_by_regions(lines(20.0, 20.0), 100.0)
+    assert np.abs(estimate.mean - before).max() < 0.1
+    assert estimate.support(lines(20.0, 20.0)) < LEAST_SUPPORT
+    assert estimate.support(lines(0.0, 0.0)) > 1.0
+    assert estimate.support(lines(math.nan, math.nan)) == pytest.approx(1.0, rel=0.02), "they may be anywhere"
+
+
+def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
+    wide = lines(0.0, 0.0)
+    wide = replace(wide, left=_bell(wide.beyond_m / 4), right=_bell(wide.beyond_m / 4))
+    sigmas_m = []
+    for apart_m in (2.0, 200.0):
+        estimate = RouteEstimate(np.zeros(2), 25.0 * np.eye(2), ERRORS)
+        estimate.correct_by_regions(wide, math.inf)
+        for _ in range(5):
+            estimate.correct_by_regions(wide, apart_m)
+        sigmas_m.append(np.sqrt(estimate.covariance[0, 0]))
+    assert sigmas_m[0] > 1.2 * sigmas_m[1]
 
 
 def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -> None:

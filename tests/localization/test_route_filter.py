@@ -156,16 +156,24 @@ def beside_m(fix: PlaceFix | None) -> float:
     return (153.0 - fix.lon_deg) * 99_255
 
 
+def regions(beyond_m: float, left_m: float) -> Parallax:
+    """Lines that are clearly so far beyond that of both regions, of a vehicle so far to the left of the map's drive."""
+    steps_m = SPACING_M * np.arange(-20, 21)
+    away_m = [steps_m - beyond_m - side * 2.4 * left_m for side in (-0.5, 0.5)]
+    rows = [np.tile(1 - 0.3 / (1 + (one / 4) ** 2), (LENGTH, 1)) for one in away_m]
+    return Parallax(np.arange(LENGTH), np.array(rows))
+
+
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
+@pytest.mark.parametrize("left_m", [5.0, 8.0, 0.0])
 def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
-    open_filter: Callable[..., RouteFilter], direction: str
+    open_filter: Callable[..., RouteFilter], direction: str, left_m: float
 ) -> None:
-    """The lane is 3.5 m to the left; this vehicle is 1.5 m further left, and each meter shows as 2.4 m of lag."""
-    lag = Parallax(lag_places=2.4 * 5.0 / SPACING_M, middle_places=0.0)
+    """The lane is 3.5 m to the left; this vehicle is somewhere else, and each meter shows as 2.4 m of lag."""
     rig = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
 
     def sees(place: int) -> PlaceMatch:
-        return match(place, direction, order="same", parallax=lag)
+        return match(place, direction, order="same", parallax=regions(0.0, left_m))
 
     filters = {}
     for name, one in (("measured", rig), ("not measured", msgspec.structs.replace(rig, parallax=0.0))):
@@ -174,20 +182,21 @@ def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
         drive.go(40, sees)
         filters[name] = drive.filter.at_exposure()
     left = 1 if direction == "forward" else -1
-    assert left * beside_m(filters["measured"]) == pytest.approx(5.0, abs=0.3)
+    assert left * beside_m(filters["measured"]) == pytest.approx(left_m, abs=0.5)
     assert left * beside_m(filters["not measured"]) == pytest.approx(3.5, abs=0.01)
     found, guessed = filters["measured"], filters["not measured"]
     assert found is not None and guessed is not None
     assert found.sigma_across_m < guessed.sigma_across_m
 
 
-def test_the_middle_of_both_regions_is_where_a_vehicle_is_along(open_filter: Callable[..., RouteFilter]) -> None:
+def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_both_is(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
     """The line of both together is that of one of them, 4 m ahead."""
-    beyond = Parallax(lag_places=4.0, middle_places=-2.0)
-    drive = Drive(open_filter(), 40)
+    drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
     drive.go(LENGTH, lambda _: None)
-    drive.go(40, lambda place: match(place + 2, order="same", parallax=beyond))
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.3)
+    drive.go(60, lambda place: match(place + 2, order="same", parallax=regions(-4.0, 0.0)))
+    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.5)
 
 
 def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(

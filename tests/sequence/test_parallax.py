@@ -1,4 +1,4 @@
-"""The two regions of a line apart: costs whose two valleys are placed by hand."""
+"""The rows of a line with each region alone: costs whose two valleys are placed by hand."""
 
 from __future__ import annotations
 
@@ -8,49 +8,67 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.sequence.parallax import regions_apart, rows_of_line
+from edge.localization.region_lines import BEYOND_PLACES, lag_places, likelihood
+from edge.sequence import Parallax
+from edge.sequence.parallax import REACH, along_line, rows_of_line
 
-ROWS, PLACES, END = 24, 80, 60
+ROWS, PLACES, END = 24, 90, 60
+AGES = np.arange(ROWS)
 
 
-def valleys(left: float, right: float, sign: int, depth: float = 0.5) -> NDArray[np.float64]:
-    """Costs (2, ROWS, PLACES) that are lowest so many places beyond the line in the map's order, for each region."""
-    at = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, np.arange(ROWS))[:, np.newaxis]
-    away = [np.arange(PLACES) - at - beyond for beyond in (left, right)]
+def valleys(left: float, right: float, sign: int, depth: float = 0.5, drifts: float = 0.0) -> NDArray[np.float64]:
+    """Costs (2, ROWS, PLACES) that are lowest so many places beyond the line in the direction of travel.
+
+    drifts: by how many places more with each row of age.
+    """
+    at = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, AGES)
+    away = [np.arange(PLACES) - (at + sign * (beyond + drifts * AGES))[:, np.newaxis] for beyond in (left, right)]
     return np.stack([1 - depth / (1 + (one / 2) ** 2) for one in away])
 
 
-def apart(costs: NDArray[np.float64], sign: int) -> tuple[float, float] | None:
-    places = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, np.arange(ROWS))
-    found = regions_apart(costs, places, 0, sign)
-    return None if found is None else (found.lag_places, found.middle_places)
+def line(costs: NDArray[np.float64], sign: int, first: int = 0) -> Parallax:
+    places = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, AGES)
+    return Parallax(AGES, along_line(costs[:, :, first:], places, first, sign))
 
 
-@given(lag=st.floats(-7, 7), middle=st.floats(-3, 3), sign=st.sampled_from([1, -1]))
-def test_the_lag_is_in_the_direction_of_travel_and_the_middle_in_the_maps_order(
-    lag: float, middle: float, sign: int
-) -> None:
-    found = apart(valleys(middle - sign * lag / 2, middle + sign * lag / 2, sign), sign)
+@given(lag=st.floats(-14, 14), middle=st.floats(-5, 5), sign=st.sampled_from([1, -1]))
+def test_each_region_says_where_its_line_lies_in_the_direction_of_travel(lag: float, middle: float, sign: int) -> None:
+    found = line(valleys(middle - lag / 2, middle + lag / 2, sign), sign)
+    assert lag_places(found) == pytest.approx(lag, abs=0.35)
+    for costs, beyond in zip(found.costs, (middle - lag / 2, middle + lag / 2), strict=True):
+        likely = likelihood(costs, np.zeros(ROWS))
+        assert likely is not None
+        assert likely.sum() == pytest.approx(1.0)
+        assert BEYOND_PLACES[likely.argmax()] == pytest.approx(beyond, abs=0.3)
+
+
+def test_rows_are_compared_where_the_vehicle_was() -> None:
+    """Of a vehicle that leaves its lane, each row lies elsewhere; where that is known, all show the same place."""
+    found = line(valleys(3.0, 3.0, 1, depth=0.1, drifts=-0.3), 1)
+    straight, moved = (likelihood(found.costs[0], places) for places in (np.zeros(ROWS), -0.3 * AGES))
+    assert straight is not None and moved is not None
+    assert moved.max() > 2 * straight.max()
+    assert BEYOND_PLACES[moved.argmax()] == pytest.approx(3.0, abs=0.3)
+
+
+def test_costs_without_a_contrast_may_be_anywhere() -> None:
+    found = likelihood(line(valleys(1.0, -1.0, 1, depth=0.0), 1).costs[0], np.zeros(ROWS))
+    assert found == pytest.approx(1 / len(BEYOND_PLACES))
+    assert np.isnan(lag_places(line(valleys(1.0, -1.0, 1, depth=0.0), 1)))
+
+
+def test_two_places_that_are_as_good_are_both_likely_and_their_lag_is_not_clear() -> None:
+    both = line(np.minimum(valleys(6.0, 6.0, 1), valleys(-6.0, -6.0, 1)), 1)
+    found = likelihood(both.costs[0], np.zeros(ROWS))
     assert found is not None
-    assert found == (pytest.approx(lag, abs=0.25), pytest.approx(middle, abs=0.2))
+    assert found[BEYOND_PLACES < 0].sum() == pytest.approx(0.5, abs=0.01)
+    assert np.isnan(lag_places(both))
 
 
-def test_costs_without_a_contrast_say_nothing() -> None:
-    assert apart(valleys(1.0, -1.0, 1, depth=0.0), 1) is None
-    noise = np.random.default_rng(1).normal(0, 1e-3, (2, ROWS, PLACES))
-    assert apart(1 + noise, 1) is None
-
-
-def test_two_answers_that_are_as_good_are_none() -> None:
-    """Each region sees both of two places, so that it is not known which of them belong together."""
-    both = np.minimum(valleys(3.0, -3.0, 1), valleys(-3.0, 3.0, 1))
-    assert apart(both, 1) is None
-
-
-def test_a_line_at_the_end_of_what_is_known_says_nothing() -> None:
-    costs = valleys(1.0, -1.0, 1)
-    places = rows_of_line(END, 1.0, 1, np.arange(ROWS))
-    assert regions_apart(costs[:, :, 50:], places, 50, 1) is None
+def test_beyond_the_map_a_line_is_not_looked_for() -> None:
+    found = line(valleys(1.0, -1.0, 1), 1, first=50)
+    assert np.isnan(found.costs[0, -1]).sum() > REACH
+    assert likelihood(found.costs[0], np.zeros(ROWS)) is None
 
 
 def test_the_rows_of_a_line_by_its_slope() -> None:

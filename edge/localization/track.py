@@ -1,0 +1,83 @@
+"""One hypothesis of where the vehicle is: an estimate, and the matches that agreed with it. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.localization.region_lines import Vector
+from edge.localization.route_estimate import CORRELATION_M, LEAST_SUPPORT, RouteEstimate, left_of
+from edge.localization.sighting import Sighting
+
+AGREE_SIGMAS = 3.0
+OFF_LANE = 2.0
+"""Times by which the road counts as wider where a parallax could say where the vehicle is across."""
+
+
+@dataclass
+class Track:
+    """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match."""
+
+    estimate: RouteEstimate
+    newest: Sighting
+    stamp_ns: int
+    matches: int = 0
+    since_m: float = 0.0
+    driven_m: float = 0.0
+    since_regions_m: float = math.inf
+
+    def move(self, displacement_m: Vector) -> None:
+        """Move on by a displacement (2,) of the autopilot's velocity."""
+        self.estimate.predict(displacement_m)
+        driven_m = float(np.hypot(*displacement_m))
+        self.since_m += driven_m
+        self.driven_m += driven_m
+        self.since_regions_m += driven_m
+
+    def agrees(self, sighting: Sighting) -> bool:
+        """Whether the vehicle may be where the match is along the road."""
+        if sighting.regions is not None and not self._begins_drive(sighting):
+            return self.estimate.support(sighting.regions) >= LEAST_SUPPORT
+        off_m, sigma_m = self.estimate.innovation(
+            sighting.place_m,
+            sighting.along,
+            sighting.since_m,
+            math.hypot(sighting.sigma_m, self._new_drive_m(sighting)),
+        )
+        return abs(off_m) <= AGREE_SIGMAS * sigma_m
+
+    def is_on_road(self, sighting: Sighting, road_sigma_m: float) -> bool:
+        """Whether the vehicle may be where the match is across the road, too."""
+        left = left_of(sighting.along)
+        off_m, sigma_m = self.estimate.innovation(sighting.place_m, left, sighting.since_m, OFF_LANE * road_sigma_m)
+        return abs(off_m) <= AGREE_SIGMAS * sigma_m
+
+    def _new_drive_m(self, sighting: Sighting) -> float:
+        if not self._begins_drive(sighting):
+            return 0.0
+        errors = sighting.errors
+        return math.hypot(errors.line_m, errors.apart_m, sighting.map_sigma_m, self.newest.map_sigma_m)
+
+    def _begins_drive(self, sighting: Sighting) -> bool:
+        now, before = sighting.match, self.newest.match
+        return (sighting.segment, now.direction) != (self.newest.segment, before.direction)
+
+    def add(self, sighting: Sighting, road_sigma_m: float, stamp_ns: int) -> None:
+        """Correct the estimate by a match; road_sigma_m: one standard deviation of the position across the road."""
+        if self._begins_drive(sighting):
+            self.estimate.begin_drive(sighting.errors)
+        # Where a parallax could be, none is a sign that the vehicle is off its lane.
+        road_sigma_m *= OFF_LANE if sighting.shows_parallax else 1.0
+        self.estimate.keep_on_road(sighting.place_m, sighting.along, sighting.since_m, road_sigma_m)
+        # The line of both regions together may be that of one of them, where a vehicle is far beside the map's drive:
+        # it only says where to begin, and where the regions have said nothing for long.
+        said_lately = sighting.shows_parallax and self.since_regions_m < CORRELATION_M
+        if not self.matches or (sighting.regions is None and not said_lately):
+            self.estimate.correct(sighting.place_m, sighting.along, sighting.since_m, sighting.sigma_m)
+        if sighting.regions is not None:
+            self.estimate.correct_by_regions(sighting.regions, self.since_regions_m)
+            self.since_regions_m = 0.0
+        self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0
+        self.matches += 1
