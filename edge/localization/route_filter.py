@@ -111,15 +111,17 @@ class RouteFilter:
             self._track, self._exposure, self._since_lost = None, None, track.estimate
         if match is None:
             return
-        sighting = self._sightings.of(match, None if track is None else track.estimate)
-        if sighting is None:
-            return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        if match.accepted and match.uniqueness >= 1:
-            self._use(sighting, stamp_ns)
-        else:
-            self._follow(sighting)
-        self._choose_origin()
+        is_believed = match.accepted and match.uniqueness >= 1
+        if not is_believed and match.parallax is None:
+            return
+        sighting = self._sightings.of(match, None if track is None else track.estimate)
+        if sighting is not None:
+            if is_believed:
+                self._use(sighting, stamp_ns)
+            else:
+                self._follow(sighting)
+            self._choose_origin()
 
     def _follow(self, sighting: Sighting) -> None:
         """A match that is not believed corrects an estimate whose expected lines it shows, and confirms nothing."""

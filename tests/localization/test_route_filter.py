@@ -199,6 +199,40 @@ def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_bo
     assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.5)
 
 
+def test_a_match_that_is_not_believed_corrects_within_what_is_expected_and_confirms_nothing(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    """It shows a vehicle that is 1 m further left, or 30 m further ahead."""
+    for beyond_m, left_m, expected_m in ((0.0, 1.0, 1.0), (30.0, 1.0, 0.0)):
+        drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
+        drive.go(LENGTH, lambda _: None)
+        drive.go(20, lambda place: match(place, order="same", parallax=regions(0.0, 0.0)))
+        last = drive.filter.at_exposure()
+        seen = regions(beyond_m, left_m)
+        drive.go(8, lambda place, seen=seen: match(place, order="same", parallax=seen, accepted=False))
+        found = drive.filter.at(drive.stamp_ns, drive.displacement())
+        assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
+        assert drive.north_m(found) == pytest.approx(drive.place * SPACING_M, abs=0.7)
+        assert found is not None and last is not None
+        assert found.matches == last.matches
+        drive.go(3, lambda place, seen=seen: match(place, order="same", parallax=seen, accepted=False))
+        assert drive.filter.at(drive.stamp_ns, drive.displacement()) is None, "20 m without a believed match"
+
+
+def test_a_lost_position_goes_on_only_where_the_next_match_agrees(open_filter: Callable[..., RouteFilter]) -> None:
+    """A vehicle 2 m beside the map's drive, which only its regions have shown; then 60 m without a match."""
+    for further, expected_m in ((0, 2.0), (40, 0.0)):
+        drive = Drive(open_filter(RigConfig(parallax=2.4, sigma_across_m=4.0)), 40)
+        drive.go(LENGTH, lambda _: None)
+        drive.go(30, lambda place: match(place, order="same", parallax=regions(0.0, 2.0)))
+        drive.go(30, lambda _: None)
+        assert drive.filter.at_exposure() is None
+        drive.go(1, lambda place, further=further: match(place + further))
+        found = drive.filter.at_exposure()
+        assert drive.north_m(found) == pytest.approx((drive.place + further) * SPACING_M, abs=1.0)
+        assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
+
+
 def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
