@@ -114,7 +114,7 @@ class RouteEstimate:
         return float(np.hypot(self.mean[2], self.mean[3]))
 
     def truly(self, displacement_m: Vector) -> Vector:
-        """A displacement (2,) by the autopilot's velocity without the errors that were found."""
+        """Displacements (..., 2) by the autopilot's velocity without the errors that were found."""
         return (1 + float(self.mean[3])) * _turned(displacement_m, float(self.mean[2]))
 
     def predict(self, displacement_m: Vector) -> None:
@@ -250,11 +250,12 @@ def _each(lines: RegionLines) -> tuple[tuple[Vector, int, float], ...]:
 
 
 def left_of(along: Vector) -> Vector:
-    """The unit vector (2,) to the left of another."""
-    return np.array([-along[1], along[0]])
+    """The unit vectors (..., 2) to the left of others."""
+    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
 
 def _turned(vector: Vector, clockwise_rad: float) -> Vector:
-    """East and north of a vector that is turned clockwise."""
+    """East and north (..., 2) of vectors that are turned clockwise."""
     sin, cos = np.sin(clockwise_rad), np.cos(clockwise_rad)
-    return np.array([cos * vector[0] + sin * vector[1], cos * vector[1] - sin * vector[0]])
+    east, north = vector[..., 0], vector[..., 1]
+    return np.stack([cos * east + sin * north, cos * north - sin * east], axis=-1)
