@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth, Frame
 from edge.telemetry.link import Link
@@ -65,6 +66,7 @@ class Simulation:
             lon_shift_deg=draft.lon_shift_deg,
             booted_before_s=draft.booted_before_s,
         )
+        self.autopilot.parameters = _parameters(draft)
         if draft.steers:
             self.driver.belief = self.autopilot.estimate
         self.autopilot.loses = self._loses
@@ -146,3 +148,12 @@ class Simulation:
 
     def close(self) -> None:
         """See NewestFrame."""
+
+
+def _parameters(draft: Draft) -> dict[str, tuple[float, int]]:
+    """What the daemon asks the autopilot about its velocity, see `edge.telemetry.velocity_aid`."""
+    kind, source = mavlink.MAV_PARAM_TYPE_REAL32, draft.errors.source
+    if draft.firmware.startswith("px4"):
+        return {"EKF2_EV_CTRL": (4.0 if source == "velocity sensor" else 0.0, kind)}
+    wheels = 7.0 if source == "wheels" else 0.0
+    return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}

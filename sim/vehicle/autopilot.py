@@ -84,6 +84,8 @@ class SimulatedAutopilot:
         1.15."""
         self.base_mode = 0
         """MAV_MODE_FLAG bits of its heartbeats."""
+        self.parameters: dict[str, tuple[float, int]] = {}
+        """Value and MAV_PARAM_TYPE of those that it answers PARAM_REQUEST_READ with; of others it says nothing."""
         self.has_script = False
         """Whether firmware_config/lookback_gps.lua runs on it, with LKG_ACTION 1."""
         self._link = link
@@ -192,6 +194,8 @@ class SimulatedAutopilot:
             self.inputs.vision(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self._set_origin(message)
+        elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ and message.param_id in self.parameters:
+            self._say_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and self.has_script:
             if message.name == GPS_DOUBT_NAME.decode() and message.value >= 1.0:
                 self.inputs.source_set = VISION_SET
@@ -200,6 +204,10 @@ class SimulatedAutopilot:
         elif kind in KINDS and (message.target_system, message.target_component) == (self._codec.system_id, 1):
             for answer in self.mission.handle(message, self._clock_ns() / 1e9):
                 self.send(answer)
+
+    def _say_parameter(self, name: str) -> None:
+        value, kind = self.parameters[name]
+        self.send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0xFFFF))
 
     def _acknowledge(self, command: Message, result: int) -> None:
         if result == SILENT:

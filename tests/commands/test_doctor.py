@@ -16,31 +16,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.__main__ import main
 from edge.commands.diagnostic import Diagnostic
 from edge.commands.doctor import examine
-from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 WHEELS = {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 1.0, "WENC_POS_Y": -0.2, "WENC_RADIUS": 0.1, "WENC_CPR": 3200.0}
-
-
-class Parameters:
-    """The part of an autopilot that the simulated one has not: it answers PARAM_REQUEST_READ, of what it has."""
-
-    def __init__(self, autopilot: SimulatedAutopilot, link: PtyLink, values: dict[str, tuple[float, int]]) -> None:
-        self._autopilot, self._link, self._values = autopilot, link, values
-        self._codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
-
-    def run(self, stop: threading.Event) -> None:
-        answered = 0
-        while not stop.wait(0.02):
-            received = self._autopilot.received[answered:]
-            answered += len(received)
-            for item in received:
-                if item.message.get_type() == "PARAM_REQUEST_READ" and item.message.param_id in self._values:
-                    value, kind = self._values[item.message.param_id]
-                    name = item.message.param_id.encode()
-                    self._link.send(self._codec.encode(mavlink.MAVLink_param_value_message(name, value, kind, 1, 0)))
 
 
 @pytest.fixture
@@ -53,9 +33,9 @@ def fly() -> Iterator[Callable[..., str]]:
     def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot") -> str:
         links.append(open_pty())
         autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
-        for part in (autopilot, Parameters(autopilot, links[-1], parameters)):
-            threads.append(threading.Thread(target=part.run, args=(stop,)))
-            threads[-1].start()
+        autopilot.parameters = parameters
+        threads.append(threading.Thread(target=autopilot.run, args=(stop,)))
+        threads[-1].start()
         return f"serial:{links[-1].device}:921600"
 
     yield start

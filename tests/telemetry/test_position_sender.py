@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -11,6 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
 from edge.telemetry.encoders import UNBOUNDED_M
+from edge.telemetry.velocity_aid import UNAIDED_M
 from sim.vehicle.autopilot import SILENT
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
@@ -173,6 +175,19 @@ def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open
     assert rig.journalled(FixSent)[-1].level_along_m is None
     assert rig.connection.status().level_along_m is None
     assert protection_sent(rig) == {"pl_along": UNBOUNDED_M, "pl_across": UNBOUNDED_M}
+
+
+@pytest.mark.parametrize(("vision", "certain"), [(4.0, True), (0.0, False)])
+def test_a_position_is_less_certain_where_nothing_measures_the_velocity(
+    open_rig: OpenRig, vision: float, certain: bool
+) -> None:
+    rig = open_rig(emit="external_position", gates=OFTEN, firmware="px4", gps=False)
+    rig.autopilot.parameters = {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
+    rig.run(8.0)
+    offer_for(rig, 2.0)
+    sigma_m, stated_m = fixes_received(rig)[0].param3, rig.fix().sigma_m
+    assert (sigma_m == pytest.approx(stated_m, rel=1e-3)) is certain
+    assert sigma_m == pytest.approx(math.hypot(stated_m, 0.0 if certain else math.sqrt(2) * UNAIDED_M), rel=1e-3)
 
 
 def test_above_the_alert_limit_nothing_is_sent(open_rig: OpenRig) -> None:
