@@ -31,6 +31,9 @@ REGION_M, REGION_JITTER_M = 2.0, 0.5
 that of what is independent in each match."""
 LEARNS = 0.95
 """Of the variance that was expected: a line that would leave more than this says nothing."""
+DOUBTED, DOUBT_M = 0.5, 2.0
+"""Below which support the line of a region contradicts what is expected, and by how much less certain the position is
+then, in each direction."""
 LEAST_SUPPORT = 0.05
 """How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 UNKNOWN_M = 100.0
@@ -150,22 +153,25 @@ class RouteEstimate:
 
     def support(self, lines: RegionLines) -> float:
         """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
-        support = 1.0
-        for likelihood, error, further in _each(lines):
-            expected_m, variance, _ = self._expected(lines, error, further)
-            density = np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-            support *= float(likelihood @ density) * (lines.beyond_m[-1] - lines.beyond_m[0])
-        return support
+        return float(np.prod([self._support(lines, *region) for region in _each(lines)]))
+
+    def _support(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> float:
+        expected_m, variance, _ = self._expected(lines, error, further)
+        density = np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+        return float(likelihood @ density) * float(lines.beyond_m[-1] - lines.beyond_m[0])
 
     def correct_by_regions(self, lines: RegionLines, apart_m: float) -> None:
         """Correct by the line of each region, along the road and across it; apart_m: driven since the last ones.
 
         What is expected and the likelihood give a mean and a variance, and these a measurement that would have led to
-        them from what was expected: assumed density filtering. What is expected elsewhere than the line is likely, or
-        where it may be anywhere, is not changed.
+        them from what was expected: assumed density filtering. A line that may be anywhere changes nothing. One that is
+        likely only where it is not expected makes the position less certain, so that many of them move it.
         """
         repeats = max(1.0, CORRELATION_M / max(apart_m, 1.0))
         for likelihood, error, further in _each(lines):
+            if self._support(lines, likelihood, error, further) < DOUBTED:
+                self.covariance[:2, :2] += DOUBT_M**2 * np.eye(2)
+                continue
             expected_m, before, row = self._expected(lines, error, further)
             weights = likelihood * np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * before))
             weights /= max(weights.sum(), np.finfo(float).tiny)

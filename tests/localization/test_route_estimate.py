@@ -120,14 +120,18 @@ def test_a_region_alone_says_only_what_both_are_together() -> None:
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
 
 
-def test_a_line_far_from_where_it_is_expected_changes_nothing_and_has_no_support() -> None:
+def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_and_many_move_it() -> None:
     estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
-    before = estimate.mean.copy()
-    estimate.correct_by_regions(lines(20.0, 20.0), 100.0)
-    assert np.abs(estimate.mean - before).max() < 0.1
-    assert estimate.support(lines(20.0, 20.0)) < LEAST_SUPPORT
     assert estimate.support(lines(0.0, 0.0)) > 1.0
     assert estimate.support(lines(math.nan, math.nan)) == pytest.approx(1.0, rel=0.02), "they may be anywhere"
+    assert estimate.support(lines(10.0, 10.0)) < LEAST_SUPPORT
+    before = estimate.mean.copy()
+    estimate.correct_by_regions(lines(10.0, 10.0), 16.0)
+    assert (estimate.mean == before).all()
+    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
+    for _ in range(8):
+        estimate.correct_by_regions(lines(10.0, 10.0), 16.0)
+    assert estimate.position_m == pytest.approx([0.0, 10.0], abs=2.0)
 
 
 def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
