@@ -153,12 +153,11 @@ class RouteEstimate:
 
     def support(self, lines: RegionLines) -> float:
         """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
-        return float(np.prod([self._support(lines, *region) for region in _each(lines)]))
-
-    def _support(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> float:
-        expected_m, variance, _ = self._expected(lines, error, further)
-        density = np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-        return float(likelihood @ density) * float(lines.beyond_m[-1] - lines.beyond_m[0])
+        support = 1.0
+        for likelihood, error, further in _each(lines):
+            expected_m, variance, _ = self._expected(lines, error, further)
+            support *= _support(lines, _weights(lines, likelihood, expected_m, variance), variance)
+        return support
 
     def correct_by_regions(self, lines: RegionLines, apart_m: float) -> None:
         """Correct by the line of each region, along the road and across it; apart_m: driven since the last ones.
@@ -169,12 +168,12 @@ class RouteEstimate:
         """
         repeats = max(1.0, CORRELATION_M / max(apart_m, 1.0))
         for likelihood, error, further in _each(lines):
-            if self._support(lines, likelihood, error, further) < DOUBTED:
+            expected_m, before, row = self._expected(lines, error, further)
+            weights = _weights(lines, likelihood, expected_m, before)
+            if _support(lines, weights, before) < DOUBTED:
                 self.covariance[:2, :2] += DOUBT_M**2 * np.eye(2)
                 continue
-            expected_m, before, row = self._expected(lines, error, further)
-            weights = likelihood * np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * before))
-            weights /= max(weights.sum(), np.finfo(float).tiny)
+            weights /= weights.sum()
             mean_m = float(weights @ lines.beyond_m)
             after = float(weights @ (lines.beyond_m - mean_m) ** 2)
             if 0 < after < LEARNS * before:
@@ -253,6 +252,17 @@ def _each(lines: RegionLines) -> tuple[tuple[Vector, int, float], ...]:
     """Of both regions: how likely the line lies where, its error in the state, and its meters further for each left."""
     left, right = (side * lines.parallax for side in SIDES)
     return (lines.left, LEFT, left), (lines.right, RIGHT, right)
+
+
+def _weights(lines: RegionLines, likelihood: Vector, expected_m: float, variance: float) -> Vector:
+    """How likely a region's line lies at each of beyond_m (n,), given where it was expected; not normalized."""
+    weights: Vector = likelihood * np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance))
+    return weights
+
+
+def _support(lines: RegionLines, weights: Vector, variance: float) -> float:
+    """How likely a line is where it is expected, over how likely it would be anywhere."""
+    return float(weights.sum() / np.sqrt(2 * np.pi * variance) * (lines.beyond_m[-1] - lines.beyond_m[0]))
 
 
 def left_of(along: Vector) -> Vector:
