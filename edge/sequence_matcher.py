@@ -125,9 +125,9 @@ class CameraMatcher:
         self.search.clear()
 
     def _shows_parallax(self, match: PlaceMatch) -> bool:
-        """Whether both cameras look the same way: else the two regions do not see the same side of the road."""
-        has_regions = self._map_set.headers[0].regions.count == 2
-        return has_regions and match.order == "same" and self._config.sequence.region_order != "frame"
+        """Whether it is used, and both cameras look the same way: else the two regions see unlike sides of the road."""
+        has_regions = self._map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
+        return has_regions and self._config.rig.parallax > 0 and match.order == "same"
 
     def _skip(self, missed: int) -> None:
         """Leave room in the ring for places of which there is no frame, or every line would end too far back."""

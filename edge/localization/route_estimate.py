@@ -82,6 +82,8 @@ class RouteEstimate:
         self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
         self.covariance[:2, :2] = covariance
+        self.since_regions_m = np.inf
+        """Driven since the last correction by regions."""
 
     @classmethod
     def on_road(cls, place_m: Vector, along: Vector, road_sigma_m: float, errors: VelocityErrors) -> RouteEstimate:
@@ -92,7 +94,7 @@ class RouteEstimate:
     def copy(self) -> RouteEstimate:
         """An estimate of its own."""
         other = object.__new__(RouteEstimate)
-        other._variances = self._variances.copy()
+        other._variances, other.since_regions_m = self._variances.copy(), self.since_regions_m
         other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
         return other
 
@@ -123,6 +125,7 @@ class RouteEstimate:
     def predict(self, displacement_m: Vector) -> None:
         """Move on by a displacement (2,)."""
         driven_m = float(np.hypot(*displacement_m))
+        self.since_regions_m += driven_m
         self.mean[:2] += self.truly(displacement_m)
         kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, DRIVE_M, *[CORRELATION_M] * 3]))
         transition = np.diag([1.0, 1.0, *kept])
@@ -145,6 +148,11 @@ class RouteEstimate:
         """
         return self._innovation(place_m, along, self._row(along, since_m, OF_LINE), since_m, sigma_m)
 
+    def off_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> tuple[float, float]:
+        """The same to the left of a road: by how many meters the vehicle is beside it, and the deviation."""
+        left = left_of(along)
+        return self._innovation(place_m, left, self._row(left, since_m, OF_ROAD), since_m, road_sigma_m)
+
     def correct(self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float) -> None:
         """Correct by the along part of a match; sigma_m: of what is independent in each match."""
         row = self._row(along, since_m, OF_LINE)
@@ -159,14 +167,15 @@ class RouteEstimate:
             support *= _support(lines, _weights(lines, likelihood, expected_m, variance), variance)
         return support
 
-    def correct_by_regions(self, lines: RegionLines, apart_m: float) -> None:
-        """Correct by the line of each region, along the road and across it; apart_m: driven since the last ones.
+    def correct_by_regions(self, lines: RegionLines) -> None:
+        """Correct by the line of each region, along the road and across it.
 
         What is expected and the likelihood give a mean and a variance, and these a measurement that would have led to
         them from what was expected: assumed density filtering. A line that may be anywhere changes nothing. One that is
         likely only where it is not expected makes the position less certain, so that many of them move it.
         """
-        repeats = max(1.0, CORRELATION_M / max(apart_m, 1.0))
+        repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
+        self.since_regions_m = 0.0
         for likelihood, error, further in _each(lines):
             expected_m, before, row = self._expected(lines, error, further)
             weights = _weights(lines, likelihood, expected_m, before)

@@ -37,8 +37,8 @@ FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
-SHOWN, FOLLOWS_EVERY_M = 3.0, 16.0
-"""What `RouteEstimate.support` must be of a match that is not believed, and how many meters those are apart."""
+SHOWN = 3.0
+"""What `RouteEstimate.support` must be of a match that is not believed."""
 RIVAL_MATCHES = 3
 """Matches in a row that disagree with the estimate before its positions are disputed."""
 
@@ -127,9 +127,8 @@ class RouteFilter:
         """A match that is not believed corrects an estimate whose expected lines it shows, and confirms nothing."""
         track = self._track
         estimate = self._since_lost if track is None else track.estimate
-        if estimate is None or sighting.regions is None or estimate.support(sighting.regions) < SHOWN:
-            return
-        estimate.correct_by_regions(sighting.regions, FOLLOWS_EVERY_M)
+        if estimate is not None and sighting.regions is not None and estimate.support(sighting.regions) >= SHOWN:
+            estimate.correct_by_regions(sighting.regions)
 
     def at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import CORRELATION_M, LEAST_SUPPORT, RouteEstimate, left_of
+from edge.localization.route_estimate import CORRELATION_M, LEAST_SUPPORT, RouteEstimate
 from edge.localization.sighting import Sighting
 
 AGREE_SIGMAS = 3.0
@@ -26,7 +26,6 @@ class Track:
     matches: int = 0
     since_m: float = 0.0
     driven_m: float = 0.0
-    since_regions_m: float = math.inf
 
     def move(self, displacement_m: Vector) -> None:
         """Move on by a displacement (2,) of the autopilot's velocity."""
@@ -34,7 +33,6 @@ class Track:
         driven_m = float(np.hypot(*displacement_m))
         self.since_m += driven_m
         self.driven_m += driven_m
-        self.since_regions_m += driven_m
 
     def agrees(self, sighting: Sighting) -> bool:
         """Whether the vehicle may be where the match is along the road."""
@@ -50,8 +48,8 @@ class Track:
 
     def is_on_road(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is across the road, too."""
-        left = left_of(sighting.along)
-        off_m, sigma_m = self.estimate.innovation(sighting.place_m, left, sighting.since_m, OFF_LANE * road_sigma_m)
+        road = sighting.place_m, sighting.along, sighting.since_m
+        off_m, sigma_m = self.estimate.off_road(*road, OFF_LANE * road_sigma_m)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def _new_drive_m(self, sighting: Sighting) -> float:
@@ -73,11 +71,10 @@ class Track:
         self.estimate.keep_on_road(sighting.place_m, sighting.along, sighting.since_m, road_sigma_m)
         # The line of both regions together may be that of one of them, where a vehicle is far beside the map's drive:
         # it only says where to begin, and where the regions have said nothing for long.
-        said_lately = sighting.shows_parallax and self.since_regions_m < CORRELATION_M
+        said_lately = sighting.shows_parallax and self.estimate.since_regions_m < CORRELATION_M
         if not self.matches or (sighting.regions is None and not said_lately):
             self.estimate.correct(sighting.place_m, sighting.along, sighting.since_m, sighting.sigma_m)
         if sighting.regions is not None:
-            self.estimate.correct_by_regions(sighting.regions, self.since_regions_m)
-            self.since_regions_m = 0.0
+            self.estimate.correct_by_regions(sighting.regions)
         self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0
         self.matches += 1

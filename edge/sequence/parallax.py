@@ -25,14 +25,12 @@ PARALLAX_ROWS = 40
 on the far side of the lane; of 40, half of them are within 1.5 m up to 4 m from it."""
 REACH = 20
 """Places by which each row of a line is moved along the map, in each direction."""
-LEAST_ROWS = 0.6
-"""Share of the rows of a line that must be on the map."""
 
 _STEPS = np.arange(-REACH, REACH + 1)
 
 
 def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet) -> Parallax | None:
-    """Of a match; None where too much of its line is beyond the map.
+    """Of a match; None where its line is beyond the map.
 
     newest: the newest so many rows of its ring (n, R, D), oldest first. Its cameras look the same way, or the two
     regions do not see the same side of the road.
@@ -45,7 +43,7 @@ def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]],
     own = map_set.index.rows[map_set.index.map_of(match.place_index)]
     first = max(segment[0], own[0], int(places.min()) - REACH)
     end = min(segment[1], own[1], int(places.max()) + REACH + 1)
-    if np.mean((places >= first) & (places < end)) < LEAST_ROWS:
+    if first >= end:
         return None
     return Parallax(ages, along_line(map_set.region_costs(rows[::-1][ages], first, end), places, first, sign))
 

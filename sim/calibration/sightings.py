@@ -60,9 +60,9 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
     if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
         raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
-    # Measured without any offset; the view is that of the feed.
+    # Measured without any offset, and with any parallax, so that the regions are matched; the view is the feed's.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
-    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
+    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig(parallax=1.0))
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
     route, readings = Route(recognizer.map_set), LineReadings(config.sequence.length)

@@ -105,7 +105,7 @@ def _bell(away_m: Vector) -> Vector:
 
 def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> None:
     estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
-    estimate.correct_by_regions(lines(2.0, -2.0), 100.0)
+    estimate.correct_by_regions(lines(2.0, -2.0))
     assert estimate.position_m == pytest.approx([2.0, 0.0], abs=0.6), "2 m to the right, and just there"
     assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(1.6, abs=0.4)
 
@@ -113,7 +113,7 @@ def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> 
 def test_a_region_alone_says_only_what_both_are_together() -> None:
     """Further along, or further to the left: the uncertainty of each stays, that of their sum does not."""
     estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
-    estimate.correct_by_regions(lines(math.nan, 3.0), 100.0)
+    estimate.correct_by_regions(lines(math.nan, 3.0))
     along_and_left = np.array([-1.0, 1.0])
     assert along_and_left @ estimate.position_m == pytest.approx(3.0, abs=0.7)
     assert np.sqrt(along_and_left @ estimate.covariance[:2, :2] @ along_and_left) < 2.4
@@ -126,11 +126,12 @@ def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_a
     assert estimate.support(lines(math.nan, math.nan)) == pytest.approx(1.0, rel=0.02), "they may be anywhere"
     assert estimate.support(lines(10.0, 10.0)) < LEAST_SUPPORT
     before = estimate.mean.copy()
-    estimate.correct_by_regions(lines(10.0, 10.0), 16.0)
+    estimate.correct_by_regions(lines(10.0, 10.0))
     assert (estimate.mean == before).all()
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
     for _ in range(8):
-        estimate.correct_by_regions(lines(10.0, 10.0), 16.0)
+        estimate.since_regions_m = 16.0
+        estimate.correct_by_regions(lines(10.0, 10.0))
     assert estimate.position_m == pytest.approx([0.0, 10.0], abs=2.0)
 
 
@@ -140,9 +141,10 @@ def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> Non
     sigmas_m = []
     for apart_m in (2.0, 200.0):
         estimate = RouteEstimate(np.zeros(2), 25.0 * np.eye(2), ERRORS)
-        estimate.correct_by_regions(wide, math.inf)
+        estimate.correct_by_regions(wide)
         for _ in range(5):
-            estimate.correct_by_regions(wide, apart_m)
+            estimate.since_regions_m = apart_m
+            estimate.correct_by_regions(wide)
         sigmas_m.append(np.sqrt(estimate.covariance[0, 0]))
     assert sigmas_m[0] > 1.2 * sigmas_m[1]
 
