@@ -6,18 +6,24 @@ saw from further ahead. The places of the two regions are then apart by a distan
 vehicle is beside the map's drive; [rig] parallax is the factor, which `lookback calibrate` measures. In the simulator
 it is 2.4 to 2.6 m for each meter, over the lights and roads that were tried: a few meters show as several places.
 
-The paper matches both regions together. Here the line that it found is matched again with each region alone, moved
-along the map. Where the vehicle was at each frame of the line, `edge.localization.region_lines` makes of that.
+The paper matches both regions of a frame together; so does this where no parallax was measured. In a lane whose
+distance from the map's drive is known, the left region of one frame and the right one of some frames before show the
+same place, and are matched together (`lane_costs`). On five simulated roads, 3.5 m beside the map's drive, uniqueness
+so rose from 1.22 to 1.29 at night, and from 1.32 to 1.45 at dusk. The line that is found is matched again with each
+region alone, moved along the map (`parallax_of`): `edge.localization.region_lines` makes of that how far the vehicle is
+beside its lane.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.reference_map import MapSet
+from edge.config import Config
+from edge.reference_map import MapSet, Ranges
 from edge.sequence import Parallax, PlaceMatch
 
 PARALLAX_ROWS = 40
@@ -27,6 +33,64 @@ REACH = 20
 """Places by which each row of a line is moved along the map, in each direction."""
 
 _STEPS = np.arange(-REACH, REACH + 1)
+
+
+class Lags(NamedTuple):
+    """Frames, an even number, by which the left region shows a place later than the right one; below 0: earlier.
+
+    alike, opposed: on drives of the map whose camera looked as this one does, and on those where it looked back.
+    """
+
+    alike: int = 0
+    opposed: int = 0
+
+
+NO_LAGS = Lags()
+
+
+def lags_of(config: Config) -> Lags:
+    """Of the lanes that [rig] has; none where the image has no regions, or their order is not that of the rig."""
+    if config.descriptor.regions != "left-right" or config.sequence.region_order != "rig":
+        return NO_LAGS
+    # With views alike, regions in the same order are seen on the way out, with opposed ones on the way back.
+    lanes_m = config.rig.left_forward_m, config.rig.left_reverse_m
+    alike, opposed = (2 * round(config.rig.parallax * lane_m / config.sampling.spacing_m / 2) for lane_m in lanes_m)
+    return Lags(alike, opposed)
+
+
+def lane_costs(
+    map_set: MapSet, ring: NDArray[np.float32], ages: Sequence[int], ranges: Ranges, lags: Lags, view: str
+) -> NDArray[np.int32]:
+    """Costs (n, orders, places) of some rows of the ring against some places, as `MapSet.costs` has them.
+
+    ring: (rows, R, D), oldest first. ages: of the n rows, in frames. view: of the camera. Order "same" is that of the
+    lane; for the oldest rows, and within half a lag of where a drive ends, it is that of one frame alone.
+    """
+    pieces = list(map_set.index.by_segment(ranges))
+    looks_alike = [map_set.index.view(number) == view for number, _, _ in pieces]
+    of_pieces = [lags.alike if is_alike else lags.opposed for is_alike in looks_alike]
+    used, newest_first = sorted({lag for lag in of_pieces if lag}), ring[::-1]
+    found = map_set.costs(np.concatenate([_paired(newest_first, ages, lag) for lag in (0, *used)]), ranges)
+    by_lag = found.reshape(1 + len(used), len(ages), *found.shape[1:])
+    costs: NDArray[np.int32] = by_lag[0]
+    at = 0
+    for (_, start, end), is_alike, lag in zip(pieces, looks_alike, of_pieces, strict=True):
+        stop, half = at + end - start, abs(lag) // 2
+        if half:
+            # Half a lag ago the vehicle was further back: on the way home along the drive, at a later place.
+            into, of = (slice(at + half, stop), slice(at, stop - half))[:: 1 if is_alike else -1]
+            has_earlier = np.array(ages) + abs(lag) < len(ring)
+            costs[has_earlier, 0, into] = by_lag[1 + used.index(lag)][has_earlier, 0, of]
+        at = stop
+    return costs
+
+
+def _paired(newest_first: NDArray[np.float32], ages: Sequence[int], lag: int) -> NDArray[np.float32]:
+    """Rows (n, R, D) of some ages, one of whose regions is of `lag` frames before, if there were so many."""
+    now = np.array(ages)
+    before = np.minimum(now + abs(lag), len(newest_first) - 1)
+    of_regions = (now, before) if lag > 0 else (before, now)
+    return np.stack([newest_first[of, region] for region, of in enumerate(of_regions[: newest_first.shape[1]])], axis=1)
 
 
 def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet) -> Parallax | None:

@@ -23,6 +23,7 @@ from edge.geodesy import apart_m
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import CostView, Direction, PlaceMatch
 from edge.sequence.global_search import GlobalSearch
+from edge.sequence.parallax import NO_LAGS, Lags, lags_of, lane_costs
 from edge.sequence.submap import Submap
 
 SLACK_M = 250.0
@@ -86,6 +87,7 @@ class PlaceSearch:
         self._map_set, self._config = map_set, config
         self._most = config.map.places_per_frame
         self._scan = GlobalSearch(map_set, config)
+        self._lane_lags = lags_of(config)
         self._frame = 0
         self._is_whole = map_set.index.places <= self._most
         self.part: Submap | None = None
@@ -136,7 +138,9 @@ class PlaceSearch:
                 self.part = self._reach = None
             elif self._reach is not None:
                 self._search_around(self._reach)
-        elif self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config):
+        elif (
+            self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config, self._lags)
+        ):
             self._search(self._everything(), None)
 
     def push(
@@ -153,7 +157,7 @@ class PlaceSearch:
         self._frame += 1
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._frame)
+            found = self._scan.step(ring(), self._frame, self._lags)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found
@@ -192,8 +196,12 @@ class PlaceSearch:
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
         if self.part is None:
             return None
-        rows = ring() if self._is_fresh else change.rows
-        costs = self._map_set.costs(rows, self.part.ranges)
+        if any(self._lags) or self._is_fresh:
+            rows = ring()
+            ages = range(len(rows))[::-1] if self._is_fresh else change.ages
+            costs = lane_costs(self._map_set, rows, ages, self.part.ranges, self._lags, self._config.camera.view)
+        else:
+            costs = self._map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
         if not self._is_fresh:
             self.newest_costs = costs[0]
@@ -262,6 +270,11 @@ class PlaceSearch:
     @property
     def _slopes_config(self) -> Config:
         return with_measured_slopes(self._config) if self._is_measured else self._config
+
+    @property
+    def _lags(self) -> Lags:
+        """Frames are a distance only where that is measured."""
+        return self._lane_lags if self._is_measured else NO_LAGS
 
     @property
     def _is_measured(self) -> bool:

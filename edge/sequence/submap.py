@@ -13,6 +13,7 @@ from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
 from edge.sequence.evidence import Neighborhood, best_match, best_match_within
+from edge.sequence.parallax import Lags, lane_costs
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
@@ -137,11 +138,11 @@ class Submap(RowMatcher):
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
 
-    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config) -> bool:
+    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lags: Lags) -> bool:
         """Add all places of a set after those of this part, which has all of the set before; between two frames.
 
-        ring: the rows of the ring (n, R, D), oldest first. False if the further places need another part, since they
-        can be passed in other directions or region orders.
+        ring: the rows of the ring (n, R, D), oldest first. lags: see `lane_costs`. False if the further places need
+        another part, since they can be passed in other directions or region orders.
         """
         before, after = len(self.places), map_set.index.places
         if after == before:
@@ -151,7 +152,8 @@ class Submap(RowMatcher):
         planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config)
         if tuple(planes) != self._search.planes:
             return False
-        costs = map_set.costs(ring, [(before, after)])
+        ages = range(len(ring))[::-1]
+        costs = lane_costs(map_set, ring, ages, [(before, after)], lags, config.camera.view)
         if self._per_frame_order:
             costs = costs.min(axis=1, keepdims=True)
         self.neighborhood, self._count, self.lines = neighborhood, after, None

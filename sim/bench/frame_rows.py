@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.config import Config, MapConfig
+from edge.config import Config, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import open_map_set
@@ -48,7 +48,9 @@ def run_frames(folder: Path, places: int, frames: int, network: Network) -> Iter
     path = folder / f"frames_{places}.map"
     write_simulated_map(path, places, model_key(network))
     laps = Laps()
-    config = Config(map=MapConfig(places_per_frame=max(100, places)))
+    # In a lane beside the map's drive: regions are matched at two frames together, and alone as well.
+    rig = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
+    config = Config(map=MapConfig(places_per_frame=max(100, places)), rig=rig)
     recognizer = open_recognizer(config, network=network, map_set=open_map_set(path), stopwatch=laps.lap)
     rng = np.random.default_rng(1)
     for frame in range(LENGTH + frames):

@@ -4,7 +4,8 @@
 
 Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
 and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
-vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day).
+vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day), as
+is the parallax of the lane home.
 With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.descriptor.regions import cut_regions
+from edge.localization.region_lines import lag_places
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
@@ -38,6 +40,7 @@ LIGHTS: tuple[LightName, ...] = ("night", "dusk", "day", "snow")
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 SPACING_M = 2.0
 TOLERANCE_M = 40.0
+HOME_LEFT_M = 3.5  # of the map's drive is the lane home
 FIRST_FRAME = 16  # the first that can have an answer
 Cut = Literal["whole", "first half", "second half", "thirds"]
 CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
@@ -55,12 +58,16 @@ class Described:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone."""
+    """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
+
+    lag_m: meters by which the left region lags behind the right one, NaN where they do not say.
+    """
 
     along_m: Floats
     confidence: Floats
     match_m: Floats
     uniqueness: Floats
+    lag_m: Floats
 
 
 def described(scenario: Scenario, network: Network, cache: Path) -> Described:
@@ -104,7 +111,8 @@ def believe(
     rear: the same drive as a rear camera saw it, which recognizes as well.
     """
     mapping = MappingConfig(folder="maps", recognize=rear is not None, camera=CameraConfig(view="rear"))
-    config, rows = Config(rig=rig or RigConfig(), mapping=mapping), np.arange(len(road.raw))
+    # Without a rig there is no lane, but any parallax, so that it is measured.
+    config, rows = Config(rig=rig or RigConfig(parallax=1.0), mapping=mapping), np.arange(len(road.raw))
     drives = [
         MappedDrive(
             road.raw[start:end].astype(np.float32),
@@ -113,7 +121,7 @@ def believe(
         )
         for start, end in kept(cut, len(rows))
     ]
-    found = np.full((len(query.raw), 4), np.nan)
+    found = np.full((len(query.raw), 5), np.nan)
     found[:, 1] = found[:, 3] = 0.0
     model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
     with temporary_map(drives, model, config.descriptor) as map_set:
@@ -125,8 +133,10 @@ def believe(
             match = matcher.push(raw, distance_m=distance_m)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
+            if match is not None and match.parallax is not None:
+                found[frame, 4] = lag_places(match.parallax) * SPACING_M
             if matcher.best is not None and frame >= config.sequence.length - 1:
-                found[frame, 2:] = route_m[matcher.best.place_index], matcher.best.uniqueness
+                found[frame, 2:4] = route_m[matcher.best.place_index], matcher.best.uniqueness
     return Beliefs(*found.T)
 
 
@@ -134,6 +144,15 @@ def offset_m(query: Described, whole: Beliefs) -> float:
     """Meters of the route by which unique matches lie beyond the vehicle."""
     unique = whole.uniqueness >= AcceptanceConfig().uniqueness_min
     return float(np.median((whole.match_m - query.route_m)[unique]))
+
+
+def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
+    """As `calibrate` would write it; ahead_m: as `offset_m` has it."""
+    if way == "forward":
+        return RigConfig(ahead_forward_swapped_m=ahead_m)
+    is_known = whole.confidence >= AcceptanceConfig().confidence_min
+    parallax = float(np.nanmedian(whole.lag_m[is_known])) / HOME_LEFT_M
+    return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M, parallax=max(0.0, parallax))
 
 
 @dataclass(frozen=True)
@@ -195,14 +214,11 @@ def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> 
     """Each drive over the road with each part of it mapped."""
     alone = {name: believe(road, drive.front, "whole", odometer) for name, drive in drives.items()}
     for cut, (name, drive) in product(CUTS, drives.items()):
-        light, way = name.split()
+        light, _, way = name.partition(" ")
         other = f"{'dusk' if light == 'day' else 'day'} {way}"
         ahead_m = offset_m(drives[other].front, alone[other])
-        rig = (
-            RigConfig(ahead_forward_swapped_m=ahead_m) if way == "forward" else RigConfig(ahead_reverse_same_m=-ahead_m)
-        )
-        is_known = cut == "whole" and drive.rear is None
-        beliefs = alone[name] if is_known else believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
+        rig = rig_of("forward" if way == "forward" else "reverse", ahead_m, alone[other])
+        beliefs = believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
         mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
         yield cut, judge(drive.front, mapped_m, beliefs, ahead_m)
 

@@ -107,7 +107,7 @@ def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> 
     estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
     estimate.correct_by_regions(lines(2.0, -2.0))
     assert estimate.position_m == pytest.approx([2.0, 0.0], abs=0.6), "2 m to the right, and just there"
-    assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(1.6, abs=0.4)
+    assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(1.2, abs=0.3)
 
 
 def test_a_region_alone_says_only_what_both_are_together() -> None:

@@ -1,0 +1,107 @@
+"""A vehicle in a lane beside the map's drive: its two regions show different places, and are matched as one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.config import Config, DescriptorConfig, RigConfig, SamplingConfig, SequenceConfig
+from edge.descriptor import NormalizedRows
+from edge.reference_map import COST_ONE, MapSet, ModelKey
+from edge.reference_map.builder import Place
+from edge.sequence import PlaceMatch
+from edge.sequence.parallax import NO_LAGS, Lags, lags_of, lane_costs
+from edge.sequence.place_search import PlaceSearch
+from sim.evaluation.temporary_map import MappedDrive, temporary_map
+
+PLACES, LENGTH, DIMENSIONS = 120, 10, 64
+LAG = 4
+RIG = RigConfig(left_reverse_m=3.5, parallax=2.4)
+
+
+@pytest.fixture(scope="module")
+def raw() -> NDArray[np.float32]:
+    """A road (places, regions, D) of which neighbors resemble each other a little."""
+    rough = np.random.default_rng(4).normal(size=(PLACES + 2, 2, DIMENSIONS)).astype(np.float32)
+    return np.abs(rough[:-2] / 2 + rough[1:-1] + rough[2:] / 2)
+
+
+@pytest.fixture(scope="module")
+def maps(raw: NDArray[np.float32]) -> Iterator[MapSet]:
+    """Driven once with a rear camera, and once with a front one."""
+    half = PLACES // 2
+    drives = [
+        MappedDrive(raw[first : first + half], [Place(row, route_m=2.0 * row) for row in range(half)], view)
+        for first, view in ((0, "rear"), (half, "front"))
+    ]
+    with temporary_map(drives, ModelKey("test", "0" * 64, "fc6", DIMENSIONS), DescriptorConfig()) as found:
+        yield found
+
+
+def normalized(raw: NDArray[np.float32]) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = ((raw - raw.mean(axis=0)) / raw.std(axis=0)).astype(np.float32)
+    return found
+
+
+def way_home(raw: NDArray[np.float32], left_of_drive: int) -> NDArray[np.float32]:
+    """Rows on the way back from the end of the rear drive; each region shows places that lie so many apart."""
+    seen, half = normalized(raw), LAG // 2 * left_of_drive
+    places = np.arange(PLACES // 2 - 5, 5, -1)
+    return np.stack([seen[places + half, 0], seen[places - half, 1]], axis=1)
+
+
+def test_lags_are_those_of_the_lanes() -> None:
+    assert lags_of(Config(rig=RIG)) == Lags(alike=0, opposed=LAG)
+    assert lags_of(Config(rig=RigConfig(left_reverse_m=-3.5, parallax=2.4))) == Lags(0, -LAG)
+    assert lags_of(Config(rig=RigConfig(left_forward_m=3.5, parallax=2.4))) == Lags(LAG, 0)
+    assert lags_of(Config(rig=RIG, sampling=SamplingConfig(spacing_m=1.0))) == Lags(0, 2 * LAG)
+    assert lags_of(Config(rig=RigConfig(left_reverse_m=3.5))) == NO_LAGS, "no parallax was measured"
+    assert lags_of(Config(rig=RIG, descriptor=DescriptorConfig(regions="whole"))) == NO_LAGS
+    assert lags_of(Config(rig=RIG, sequence=SequenceConfig(region_order="sequence"))) == NO_LAGS
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_in_its_lane_a_vehicle_fits_the_place_where_it_is(side: int, raw: NDArray[np.float32], maps: MapSet) -> None:
+    ring = way_home(raw, side)[:LENGTH]
+    here = PLACES // 2 - 5 - (LENGTH - 1)
+    plain = lane_costs(maps, ring, [0], [(0, PLACES)], NO_LAGS, "front")[0]
+    lane = lane_costs(maps, ring, [0], [(0, PLACES)], Lags(0, side * LAG), "front")[0]
+    assert lane[0].argmin() == here
+    assert lane[0, here] < 0.1 * COST_ONE < 0.5 * COST_ONE < plain[0, here]
+    np.testing.assert_array_equal(lane[1], plain[1], "regions in the other order are those of one frame")
+    np.testing.assert_array_equal(
+        lane[:, PLACES // 2 :], plain[:, PLACES // 2 :], "and so are the other camera's drives"
+    )
+
+
+def test_the_first_frames_and_the_ends_of_a_drive_are_matched_as_one_frame(
+    raw: NDArray[np.float32], maps: MapSet
+) -> None:
+    ring, everything = way_home(raw, 1)[:LENGTH], [(0, PLACES)]
+    plain = lane_costs(maps, ring, range(LENGTH)[::-1], everything, NO_LAGS, "front")
+    lane = lane_costs(maps, ring, range(LENGTH)[::-1], everything, Lags(0, LAG), "front")
+    half, end = LAG // 2, PLACES // 2
+    np.testing.assert_array_equal(lane[:LAG], plain[:LAG], "no frame is earlier")
+    assert (lane[LAG:, 0, : end - half] != plain[LAG:, 0, : end - half]).any()
+    np.testing.assert_array_equal(lane[:, 0, end - half : end], plain[:, 0, end - half : end])
+    piece = lane_costs(maps, ring, range(LENGTH)[::-1], [(10, 40)], Lags(0, LAG), "front")
+    np.testing.assert_array_equal(piece[:, :, : 30 - half], lane[:, :, 10 : 40 - half])
+
+
+def test_a_search_uses_the_lane_where_distance_is_measured(raw: NDArray[np.float32], maps: MapSet) -> None:
+    def last_match(*, is_measured: bool) -> PlaceMatch | None:
+        search = PlaceSearch(maps, Config(rig=RIG, sequence=SequenceConfig(length=LENGTH)))
+        match = None
+        rows = way_home(raw, 1)[: 3 * LENGTH]
+        for number, row in enumerate(rows):
+            ring = rows[max(0, number - LENGTH + 1) : number + 1]
+            match = search.push(NormalizedRows(row[np.newaxis]), lambda ring=ring: ring, None, is_measured=is_measured)
+        return match
+
+    lane, alone = last_match(is_measured=True), last_match(is_measured=False)
+    assert lane is not None and alone is not None
+    assert (lane.place_index, lane.direction, lane.order) == (PLACES // 2 - 5 - (3 * LENGTH - 1), "reverse", "same")
+    assert lane.uniqueness > 2 * alone.uniqueness
