@@ -17,10 +17,13 @@ from pathlib import Path
 
 import cv2
 
+from edge.config import RigConfig
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
+from edge.recognizer import model_key
 from sim.bench.frame_rows import SIZE_PX, run_frames
 from sim.bench.machine import machine_name
+from sim.bench.simulated_map import write_simulated_map
 from sim.bench.timing import wall_ns
 
 PLACES = 10_000
@@ -78,7 +81,9 @@ def measure(folder: Path, places: int, seconds: float) -> Run:
     """Recognize pictures for that long, at least two of them, and read the sensors between them."""
     frames, temperatures, limits = [], [], set()
     until_ns = wall_ns() + seconds * 1e9
-    for frame in run_frames(folder, places, sys.maxsize // 2, Network.load()):
+    network, path = Network.load(), folder / "board.map"
+    write_simulated_map(path, places, model_key(network))
+    for frame in run_frames(path, places, sys.maxsize // 2, network, RigConfig()):
         frames.append(frame)
         temperatures += hottest_c()
         limits |= throttling()

@@ -22,6 +22,8 @@ from sim.bench.timing import Times
 
 SIZE_PX = (640, 480)
 LENGTH = 40
+LANE = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
+"""Beside the map's drive: the regions of two frames are matched together, and each region alone."""
 
 
 class Laps:
@@ -43,15 +45,13 @@ class Laps:
         self._last_ns = now_ns
 
 
-def run_frames(folder: Path, places: int, frames: int, network: Network) -> Iterator[dict[str, float]]:
+def run_frames(
+    map_path: Path, places: int, frames: int, network: Network, rig: RigConfig
+) -> Iterator[dict[str, float]]:
     """CPU milliseconds of each stage of each frame of 640x480, after the warm-up, on a map with this many places."""
-    path = folder / f"frames_{places}.map"
-    write_simulated_map(path, places, model_key(network))
     laps = Laps()
-    # In a lane beside the map's drive: regions are matched at two frames together, and alone as well.
-    rig = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
     config = Config(map=MapConfig(places_per_frame=max(100, places)), rig=rig)
-    recognizer = open_recognizer(config, network=network, map_set=open_map_set(path), stopwatch=laps.lap)
+    recognizer = open_recognizer(config, network=network, map_set=open_map_set(map_path), stopwatch=laps.lap)
     rng = np.random.default_rng(1)
     for frame in range(LENGTH + frames):
         picture = smooth_picture(rng, SIZE_PX)
@@ -64,8 +64,10 @@ def run_frames(folder: Path, places: int, frames: int, network: Network) -> Iter
 
 def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
     """A row for each stage of the frames, and for all of them together; a stage without a floor is its own."""
-    network = Network.load()
-    measured = list(run_frames(folder, places, frames, network))
+    network, path = Network.load(), folder / f"frames_{places}.map"
+    write_simulated_map(path, places, model_key(network))
+    measured = list(run_frames(path, places, frames, network, RigConfig()))
+    in_lane = list(run_frames(path, places, frames, network, LANE))
     whole = Times(tuple(sum(frame.values()) for frame in measured))
     alone = Times(tuple(frame["network"] for frame in measured))
     floors = {
@@ -93,6 +95,10 @@ def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section
             f"{over_floors:.2f} times its floors, {least_ms:.1f} ms; 95 % of frames within {slow:.1f} ms, 99 % within"
             f" {slowest:.1f} ms; the slow ones match rows of the ring that are normalized again",
         )
+    )
+    lane = Times(tuple(sum(frame.values()) for frame in in_lane))
+    rows.append(
+        Row("whole frame, in a lane beside the map's drive", lane, "whole frame", lane.median_ms / whole.median_ms)
     )
     over = whole.median_ms / alone.median_ms
     what = f"whole frame, {places:,} places, regions on"
