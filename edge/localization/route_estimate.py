@@ -14,6 +14,7 @@ within a correlation length of each other about one observation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,8 @@ map's drive to the lane, and 1.0 to 2.4 m up to 4 m on the far side of it."""
 LEARNS = 0.95
 """Of the variance that was expected: a line that would leave more than this says nothing."""
 DOUBTED, DOUBT_M = 0.5, 2.0
-"""Below which support the line of a region contradicts what is expected, and by how much less certain the position is
-then, in each direction."""
+"""Below which support the line of a region contradicts what is expected, and by how much less certain the position
+becomes then, in each direction, before the line is judged again."""
 LEAST_SUPPORT = 0.05
 """How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 UNKNOWN_M = 100.0
@@ -72,6 +73,20 @@ class VelocityErrors:
     heading_rad: float
     scale: float
     match: MatchErrors
+
+
+class _Expectation(NamedTuple):
+    """Of the line of one region: m beyond that of both, variance, and how the two depend on the state.
+
+    weights: (n,) how likely it lies at each of beyond_m then, not normalized. support: how likely it is where it is
+    expected, over how likely it would be anywhere.
+    """
+
+    at_m: float
+    variance: float
+    row: Vector
+    weights: Vector
+    support: float
 
 
 class RouteEstimate:
@@ -164,8 +179,7 @@ class RouteEstimate:
         """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
         support = 1.0
         for likelihood, error, further in _each(lines):
-            expected_m, variance, _ = self._expected(lines, error, further)
-            support *= _support(lines, _weights(lines, likelihood, expected_m, variance), variance)
+            support *= self._expectation(lines, likelihood, error, further).support
         return support
 
     def correct_by_regions(self, lines: RegionLines) -> None:
@@ -173,34 +187,38 @@ class RouteEstimate:
 
         What is expected and the likelihood give a mean and a variance, and these a measurement that would have led to
         them from what was expected: assumed density filtering. A line that may be anywhere changes nothing. One that is
-        likely only where it is not expected makes the position less certain, so that many of them move it.
+        likely only where it is not expected makes the position less certain, and is judged anew: where it contradicts
+        that as well, only many such lines move the position.
         """
         repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
         self.since_regions_m = 0.0
         for likelihood, error, further in _each(lines):
-            expected_m, before, row = self._expected(lines, error, further)
-            weights = _weights(lines, likelihood, expected_m, before)
-            if _support(lines, weights, before) < DOUBTED:
+            expected = self._expectation(lines, likelihood, error, further)
+            if expected.support < DOUBTED:
                 self.covariance[:2, :2] += DOUBT_M**2 * np.eye(2)
-                continue
-            weights /= weights.sum()
+                expected = self._expectation(lines, likelihood, error, further)
+            weights, before = expected.weights / expected.weights.sum(), expected.variance
             mean_m = float(weights @ lines.beyond_m)
             after = float(weights @ (lines.beyond_m - mean_m) ** 2)
-            if 0 < after < LEARNS * before:
+            if expected.support >= DOUBTED and 0 < after < LEARNS * before:
                 variance = 1 / (1 / after - 1 / before)
-                off_m = (mean_m - expected_m) * (before + variance) / before
+                off_m = (mean_m - expected.at_m) * (before + variance) / before
                 # Lines less than a correlation length apart share most of what they are wrong by.
                 excess = repeats * max(0.0, variance - REGION_M**2)
-                self._update(row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
+                self._update(expected.row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
 
-    def _expected(self, lines: RegionLines, error: int, further: float) -> tuple[float, float, Vector]:
-        """Where the line of a region is expected, m beyond that of both, its variance, and its row."""
+    def _expectation(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> _Expectation:
+        """Of the line of one region, before it corrects anything."""
         passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
         row = self._row(passed.along, passed.since_m, OF_ROAD) + further * self._row(left, seen.since_m, OF_ROAD)
         row[error] = 1.0
         along_m = passed.along @ (self._before(passed.since_m) - passed.place_m)
         left_m = left @ (self._before(seen.since_m) - seen.place_m)
-        return float(along_m + further * left_m + self.mean[error]), float(row @ self.covariance @ row), row
+        at_m, variance = float(along_m + further * left_m + self.mean[error]), float(row @ self.covariance @ row)
+        weights = likelihood * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
+        reach_m = lines.beyond_m[-1] - lines.beyond_m[0]
+        support = float(weights.sum() / np.sqrt(2 * np.pi * variance) * reach_m)
+        return _Expectation(at_m, variance, row, weights, support)
 
     def _innovation(
         self, place_m: Vector, direction: Vector, row: Vector, since_m: Vector, sigma_m: float
@@ -262,17 +280,6 @@ def _each(lines: RegionLines) -> tuple[tuple[Vector, int, float], ...]:
     """Of both regions: how likely the line lies where, its error in the state, and its meters further for each left."""
     left, right = (side * lines.parallax for side in SIDES)
     return (lines.left, LEFT, left), (lines.right, RIGHT, right)
-
-
-def _weights(lines: RegionLines, likelihood: Vector, expected_m: float, variance: float) -> Vector:
-    """How likely a region's line lies at each of beyond_m (n,), given where it was expected; not normalized."""
-    weights: Vector = likelihood * np.exp(-((lines.beyond_m - expected_m) ** 2) / (2 * variance))
-    return weights
-
-
-def _support(lines: RegionLines, weights: Vector, variance: float) -> float:
-    """How likely a line is where it is expected, over how likely it would be anywhere."""
-    return float(weights.sum() / np.sqrt(2 * np.pi * variance) * (lines.beyond_m[-1] - lines.beyond_m[0]))
 
 
 def left_of(along: Vector) -> Vector:

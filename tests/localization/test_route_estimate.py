@@ -124,15 +124,22 @@ def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_a
     estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
     assert estimate.support(lines(0.0, 0.0)) > 1.0
     assert estimate.support(lines(math.nan, math.nan)) == pytest.approx(1.0, rel=0.02), "they may be anywhere"
-    assert estimate.support(lines(10.0, 10.0)) < LEAST_SUPPORT
+    assert estimate.support(lines(14.0, 14.0)) < LEAST_SUPPORT
     before = estimate.mean.copy()
-    estimate.correct_by_regions(lines(10.0, 10.0))
+    estimate.correct_by_regions(lines(14.0, 14.0))
     assert (estimate.mean == before).all()
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
     for _ in range(8):
         estimate.since_regions_m = 16.0
-        estimate.correct_by_regions(lines(10.0, 10.0))
-    assert estimate.position_m == pytest.approx([0.0, 10.0], abs=2.0)
+        estimate.correct_by_regions(lines(14.0, 14.0))
+    assert estimate.position_m == pytest.approx([0.0, 14.0], abs=2.0)
+
+
+def test_a_line_that_contradicts_what_is_expected_is_judged_anew_where_that_is_less_certain() -> None:
+    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
+    estimate.correct_by_regions(lines(7.0, 7.0))
+    assert 2.0 < estimate.position_m[1] < 7.0, "one match moves it, though not all the way"
+    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 1.2
 
 
 def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
