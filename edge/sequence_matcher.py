@@ -27,6 +27,7 @@ from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import Near, PlaceSearch
+from edge.sequence.search import FIRST_FRAMES
 
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
@@ -172,6 +173,7 @@ class SequenceMatcher:
         """The best line after the newest frame, wherever the place is believed to be (eq. 3, the paper's answer)."""
         self.map_set = map_set
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
+        self._unmeasured: int | None = 0  # frames of this sequence, as long as none had a known distance
         self._begin_consensus()
 
     def _begin_consensus(self) -> None:
@@ -197,9 +199,16 @@ class SequenceMatcher:
         near: where the vehicle may be, which only maps too large to be searched whole make use of. missed: places that
         were passed since the last frame without one. distance_m: the odometer, None where it is not known.
         """
-        if self._first.ends_sequence(missed):
-            self.reset()
         odometer_m = distance_m if self._drives.is_metric else None
+        # A line over rows whose distance is not known may be steeper, and takes the lane for none: without them it is
+        # better, and as long as there is no answer yet, nothing is lost.
+        begins_again = odometer_m is not None and 0 < (self._unmeasured or 0) <= FIRST_FRAMES
+        if begins_again or self._first.ends_sequence(missed):
+            self.reset()
+        if odometer_m is not None:
+            self._unmeasured = None
+        elif self._unmeasured is not None:
+            self._unmeasured += 1
         match = self.best = self._first.push(raw, near, missed, is_measured=odometer_m is not None)
         vote = PlaceVote.of(match, self._drives) if match else None
         believed = self._believed(match, self._consensus.update(vote, odometer_m, missed))
@@ -270,6 +279,7 @@ class SequenceMatcher:
         for camera in self._cameras:
             camera.reset()
         self._consensus.reset()
+        self._unmeasured = 0
 
     @property
     def search(self) -> PlaceSearch:

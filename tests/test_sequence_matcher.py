@@ -14,6 +14,8 @@ from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import PlaceMatch
+from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
+from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.temporary_map import MappedDrive, temporary_map
 
@@ -123,3 +125,26 @@ def test_too_many_missed_frames_begin_the_second_cameras_sequence_anew(road: Roa
     assert found[58] is not None
     assert found[60] is None
     assert matcher.best is not None
+
+
+@pytest.mark.parametrize("road", [("reverse", 1)], indirect=True)
+def test_frames_before_the_odometer_is_known_do_not_delay_the_first_belief(road: Road, maps: MapSet) -> None:
+    """A sequence that has no answer yet begins again; one that has, goes on."""
+    seen = [road.seen(place, "front", signal=0.5) for place in road.places]
+
+    def first_answers(unknown: range) -> list[int]:
+        matcher, answered = SequenceMatcher(maps, Config()), []
+        for frame, raw in enumerate(seen[:70]):
+            match = matcher.push(raw, distance_m=None if frame in unknown else SPACING_M * frame)
+            answered += [frame] if match is not None else []
+        return answered
+
+    known = first_answers(range(0))
+    assert first_answers(range(3)) == [frame for frame in known if frame >= known[0] + 3]
+    assert first_answers(range(30)) == known, "without the odometer there were answers"
+    assert first_answers(range(40, 42)) == known, "a frame without it ends nothing"
+
+    matcher, of_odometer = SequenceMatcher(maps, Config()), slopes_around_diagonal(MEASURED_SLOPE_RAD, MEASURED_SLOPES)
+    for frame, raw in enumerate(seen[:40]):
+        match = matcher.push(raw, distance_m=None if frame < 3 else SPACING_M * frame)
+        assert match is None or match.slope in of_odometer

@@ -117,6 +117,9 @@ class PlaceSearch:
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
         self._scan.restart()
+        was_measured, self._measured_frames = self._is_measured, self._config.sequence.length
+        if self.part is not None and not was_measured:
+            self.part, self._is_fresh = self._submap(self.part.ranges), True
         if self._is_whole and self.part:
             self.part.clear()
         else:
