@@ -76,7 +76,7 @@ def lane_costs(
     at = 0
     for (_, start, end), is_alike, lag in zip(pieces, looks_alike, of_pieces, strict=True):
         stop, half = at + end - start, abs(lag) // 2
-        if half:
+        if 0 < half < end - start:
             # Half a lag ago the vehicle was further back: on the way home along the drive, at a later place.
             into, of = (slice(at + half, stop), slice(at, stop - half))[:: 1 if is_alike else -1]
             has_earlier = np.array(ages) + abs(lag) < len(ring)

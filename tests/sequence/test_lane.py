@@ -91,6 +91,18 @@ def test_the_first_frames_and_the_ends_of_a_drive_are_matched_as_one_frame(
     np.testing.assert_array_equal(piece[:, :, : 30 - half], lane[:, :, 10 : 40 - half])
 
 
+def test_fewer_places_than_half_a_lag_are_matched_as_one_frame(raw: NDArray[np.float32], maps: MapSet) -> None:
+    ring = way_home(raw, 1)[:LENGTH]
+    for ranges in ([(0, 1), (30, 40)], [(30, 40), (PLACES // 2 - 1, PLACES)]):
+        plain = lane_costs(maps, ring, [0], ranges, NO_LAGS, "front")
+        for lags in (Lags(0, LAG), Lags(0, -LAG), Lags(LAG, LAG), Lags(0, 100)):
+            lane = lane_costs(maps, ring, [0], ranges, lags, "front")
+            assert lane.shape == plain.shape
+            np.testing.assert_array_equal(lane[0, 1], plain[0, 1])
+            one_place = 0 if ranges[0] == (0, 1) else 10
+            assert lane[0, 0, one_place] == plain[0, 0, one_place]
+
+
 def test_a_search_uses_the_lane_where_distance_is_measured(raw: NDArray[np.float32], maps: MapSet) -> None:
     def last_match(*, is_measured: bool) -> PlaceMatch | None:
         search = PlaceSearch(maps, Config(rig=RIG, sequence=SequenceConfig(length=LENGTH)))
