@@ -117,9 +117,7 @@ class PlaceSearch:
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
         self._scan.restart()
-        was_measured, self._measured_frames = self._is_measured, self._config.sequence.length
-        if self.part is not None and not was_measured:
-            self.part, self._is_fresh = self._submap(self.part.ranges), True
+        self._count_measured(self._config.sequence.length)
         if self._is_whole and self.part:
             self.part.clear()
         else:
@@ -284,8 +282,10 @@ class PlaceSearch:
         return self._measured_frames >= self._config.sequence.length
 
     def _measure(self, is_measured: bool) -> None:
+        self._count_measured(self._measured_frames + 1 if is_measured and self._is_regular else 0)
+
+    def _count_measured(self, frames: int) -> None:
         """Search other slopes where distance is known now, and was not within the sequence; or the reverse."""
-        was_measured = self._is_measured
-        self._measured_frames = self._measured_frames + 1 if is_measured and self._is_regular else 0
+        was_measured, self._measured_frames = self._is_measured, frames
         if self.part is not None and self._is_measured != was_measured:
             self.part, self._is_fresh = self._submap(self.part.ranges), True
