@@ -114,7 +114,9 @@ def write_traverse() -> Callable[..., Path]:
     """Writes a feed that passes the fronts of one and the same street, 2 m and `period_ms` a frame."""
     strip = _street(160 + 12 * 80)
 
-    def write(path: Path, frames: range = range(80), *, noise: float = 0.0, period_ms: int = 50) -> Path:
+    def write(
+        path: Path, frames: range = range(80), *, noise: float = 0.0, period_ms: int = 50, is_located: bool = True
+    ) -> Path:
         rng = np.random.default_rng(1)
         with FeedWriter(path, FeedHeader(path.name, "front", 160, 120)) as writer:
             for row, frame in enumerate(frames):
@@ -122,10 +124,10 @@ def write_traverse() -> Callable[..., Path]:
                 writer.write(
                     image.clip(0, 255).astype(np.uint8),
                     row * period_ms * 1_000_000,
-                    lat_deg=-27.0 + frame * 2 / 110_800,
-                    lon_deg=153.0,
+                    lat_deg=-27.0 + frame * 2 / 110_800 if is_located else None,
+                    lon_deg=153.0 if is_located else None,
                     heading_deg=0.0,
-                    distance_m=row * 2.0,
+                    distance_m=row * 2.0 if is_located else None,
                 )
         return path
 
@@ -163,9 +165,15 @@ def make_street(
 ) -> Callable[..., Path]:
     """Makes a folder with the `feed` of a drive along the street, and the `map` made of it."""
 
-    def make(frames: range = range(80), *, period_ms: int = 50, sampling: SamplingConfig | None = None) -> Path:
+    def make(
+        frames: range = range(80),
+        *,
+        period_ms: int = 50,
+        sampling: SamplingConfig | None = None,
+        is_located: bool = True,
+    ) -> Path:
         folder = tmp_path_factory.mktemp("street")
-        feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms))
+        feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms, is_located=is_located))
         build_map([feed], folder / "map", DescriptorConfig(), sampling or SamplingConfig(), network=network)
         return folder
 

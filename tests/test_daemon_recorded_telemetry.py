@@ -10,9 +10,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import msgspec
 import pytest
 import tomli_w
 
+from edge.config import SamplingConfig
 from edge.journal.journal import records_of
 from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
@@ -76,14 +78,16 @@ def test_the_daemon_hears_a_real_autopilot(
     read_tlog: ReadTlog, make_street: Callable[..., Path], tmp_path: Path, recording: str
 ) -> None:
     """Link up, streams asked for, the boot clock right to 20 ms, and with `report` never a position."""
-    street = make_street(range(FRAMES), period_ms=PERIOD_MS)
+    # Both recorded vehicles stand while the pictured one drives: only a map without distances does not mind.
+    sampling = SamplingConfig(by="time", interval_s=PERIOD_MS / 1000)
+    street = make_street(range(FRAMES), period_ms=PERIOD_MS, sampling=sampling, is_located=False)
     cable = open_pty()
     played = Played(read_tlog(recording), cable)
     (tmp_path / "lookback.toml").write_text(
         tomli_w.dumps(
             {
                 "camera": {"kind": "feed", "device": str(street / "feed")},
-                "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
+                "sampling": msgspec.to_builtins(sampling),
                 "map": {"path": str(street / "map")},
                 "sequence": {"length": 5},
                 "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0, "hold_off_s": 0.5},
@@ -112,8 +116,7 @@ def test_the_daemon_hears_a_real_autopilot(
     asked = {message.param1 for message in played.heard("COMMAND_LONG") if message.command == 511}
     assert asked == STREAMS
     kinds = {message.get_type() for _, message in played.answers}
-    # Values only with a place, which the recorded odometer may contradict.
-    assert kinds | VALUES == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *VALUES}, "and no position"
+    assert kinds == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *VALUES}, "and no position"
     # A value is stamped when it is sent; a busy machine sends and reads some of them late.
     errors_s = [
         message.time_boot_ms / 1e3 - played.boot_s(now_s)
