@@ -94,7 +94,7 @@ def _paired(newest_first: NDArray[np.float32], ages: Sequence[int], lag: int) ->
 
 
 def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet) -> Parallax | None:
-    """Of a match; None where its line is beyond the map.
+    """Of a match; None of a drive of a single place.
 
     newest: the newest so many rows of its ring (n, R, D), oldest first. Its cameras look the same way, or the two
     regions do not see the same side of the road.
@@ -102,29 +102,39 @@ def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]],
     rows = newest(PARALLAX_ROWS)
     ages = np.flatnonzero(~np.isnan(rows[::-1, 0, 0]))  # a place without a frame is NaN throughout
     sign = 1 if match.direction == "forward" else -1
-    places = rows_of_line(match.place_index, match.slope, sign, ages)
     segment = map_set.index.segment(map_set.index.segment_of(match.place_index))
     own = map_set.index.rows[map_set.index.map_of(match.place_index)]
-    first = max(segment[0], own[0], int(places.min()) - REACH)
-    end = min(segment[1], own[1], int(places.max()) + REACH + 1)
-    if first >= end:
+    start, stop = max(segment[0], own[0]), min(segment[1], own[1])
+    if stop - start < 2:
         return None
-    return Parallax(ages, along_line(map_set.region_costs(rows[::-1][ages], first, end), places, first, sign))
+    drive_m, spacing_m = _lengths(map_set.places["route_m"][start:stop])
+    lie_m = drive_m[match.place_index - start] - sign * match.slope * spacing_m * ages
+    reach_m = REACH * spacing_m
+    around = int(np.searchsorted(drive_m, lie_m.min() - reach_m)), int(np.searchsorted(drive_m, lie_m.max() + reach_m))
+    first, end = max(0, around[0] - 1), min(len(drive_m), around[1] + 1)
+    costs = map_set.region_costs(rows[::-1][ages], start + first, start + end)
+    return Parallax(ages, along_line(costs, lie_m, drive_m[first:end], spacing_m, sign))
 
 
-def rows_of_line(place: int, slope: float, sign: int, rows: Sequence[int] | NDArray[np.intp]) -> NDArray[np.intp]:
-    """The places (n,) of a line that ends at a place, at some ages in frames; sign: -1 for the way back."""
-    return place - sign * np.rint(np.asarray(rows) * slope).astype(np.intp)
+def _lengths(route_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """How far some places lie along their drive (n,), and how far they are usually apart; in places, if not known."""
+    usual_m = float(np.median(np.diff(route_m))) if len(route_m) > 1 else 0.0
+    return (np.ascontiguousarray(route_m), usual_m) if usual_m > 0 else (np.arange(float(len(route_m))), 1.0)
 
 
-def along_line(costs: NDArray[np.float64], places: NDArray[np.intp], first: int, sign: int) -> NDArray[np.float64]:
+def along_line(
+    costs: NDArray[np.float64], lie_m: NDArray[np.float64], route_m: NDArray[np.float64], spacing_m: float, sign: int
+) -> NDArray[np.float64]:
     """Costs (2, n, 2 * REACH + 1) of each row of a line, moved along the map in the direction of travel.
 
-    costs: (2, n, W) of the left and of the right region alone, of n frames against the places from `first` on. places:
-    (n,) of the line. sign: 1 if places were passed in the map's order, -1 on the way back. Beyond those places: NaN.
+    costs: (2, n, W) of the left and of the right region alone, of n frames against the places at `route_m` (W,),
+    between which they are interpolated, since places need not be regularly spaced. lie_m: (n,) of the line. A step is
+    spacing_m; sign: 1 if places were passed in the map's order, -1 on the way back. Beyond those places: NaN.
     """
-    moved = places[:, np.newaxis] - first + sign * _STEPS
-    is_known = (moved >= 0) & (moved < costs.shape[2])
-    at = np.broadcast_to(moved.clip(0, costs.shape[2] - 1), (2, *moved.shape))
-    found: NDArray[np.float64] = np.where(is_known, np.take_along_axis(costs, at, axis=2), np.nan)
+    moved_m = lie_m[:, np.newaxis] + sign * _STEPS * spacing_m
+    at = np.interp(moved_m, route_m, np.arange(len(route_m)), left=np.nan, right=np.nan)
+    before = np.nan_to_num(at).astype(np.intp).clip(0, max(0, len(route_m) - 2))
+    share = at - before
+    here, after = (np.take_along_axis(costs, np.broadcast_to(i, (2, *i.shape)), axis=2) for i in (before, before + 1))
+    found: NDArray[np.float64] = here + share * (after - here)
     return found

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.sequence import Parallax
-from edge.sequence.parallax import PARALLAX_ROWS, REACH, rows_of_line
+from edge.sequence.parallax import PARALLAX_ROWS, REACH
 from edge.sequence_matcher import PARALLAX_EVERY
 
 PLACES_APART = 2.5  # meters between the regions' lines for each meter aside
@@ -47,7 +47,7 @@ class RegionViews:
             return None
         costs = np.stack([self._noise(), self._noise()])
         ages = np.arange(len(self._rows))
-        places = rows_of_line(row, slope, 1, ages)
+        places = row - np.rint(slope * ages)
         wrong_m = self._rng.uniform(-25, 25, 2) * (self._rng.random(2) < WRONG)
         for age, shown in zip(ages, reversed(self._rows), strict=True):
             if shown is None or shown[0] != segment:

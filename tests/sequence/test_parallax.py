@@ -10,25 +10,36 @@ from numpy.typing import NDArray
 
 from edge.localization.region_lines import BEYOND_PLACES, lag_places, likelihood
 from edge.sequence import Parallax
-from edge.sequence.parallax import REACH, along_line, rows_of_line
+from edge.sequence.parallax import REACH, along_line
 
 ROWS, PLACES, END = 24, 90, 60
 AGES = np.arange(ROWS)
+EVERY_PLACE = np.arange(float(PLACES))
 
 
-def valleys(left: float, right: float, sign: int, depth: float = 0.5, drifts: float = 0.0) -> NDArray[np.float64]:
-    """Costs (2, ROWS, PLACES) that are lowest so many places beyond the line in the direction of travel.
+def line_at(sign: int) -> NDArray[np.float64]:
+    """Where a line of one place a frame lies (ROWS,), in places."""
+    return (END if sign > 0 else PLACES - END) - sign * AGES.astype(np.float64)
 
-    drifts: by how many places more with each row of age.
+
+def valleys(
+    left: float,
+    right: float,
+    sign: int,
+    depth: float = 0.5,
+    drifts: float = 0.0,
+    route: NDArray[np.float64] = EVERY_PLACE,
+) -> NDArray[np.float64]:
+    """Costs (2, ROWS, places) that are lowest so many places beyond the line in the direction of travel.
+
+    drifts: by how many places more with each row of age. route: where the places lie.
     """
-    at = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, AGES)
-    away = [np.arange(PLACES) - (at + sign * (beyond + drifts * AGES))[:, np.newaxis] for beyond in (left, right)]
+    away = [route - (line_at(sign) + sign * (beyond + drifts * AGES))[:, np.newaxis] for beyond in (left, right)]
     return np.stack([1 - depth / (1 + (one / 2) ** 2) for one in away])
 
 
 def line(costs: NDArray[np.float64], sign: int, first: int = 0) -> Parallax:
-    places = rows_of_line(END if sign > 0 else PLACES - END, 1.0, sign, AGES)
-    return Parallax(AGES, along_line(costs[:, :, first:], places, first, sign))
+    return Parallax(AGES, along_line(costs[:, :, first:], line_at(sign), EVERY_PLACE[first:], 1.0, sign))
 
 
 @given(lag=st.floats(-14, 14), middle=st.floats(-5, 5), sign=st.sampled_from([1, -1]))
@@ -71,7 +82,8 @@ def test_beyond_the_map_a_line_is_not_looked_for() -> None:
     assert likelihood(found.costs[0], np.zeros(ROWS)) is None
 
 
-def test_the_rows_of_a_line_by_its_slope() -> None:
-    assert rows_of_line(20, 1.0, 1, [0, 1, 5]).tolist() == [20, 19, 15]
-    assert rows_of_line(20, 1.0, -1, [0, 1, 5]).tolist() == [20, 21, 25]
-    assert rows_of_line(20, 0.5, 1, [0, 4]).tolist() == [20, 18]
+@pytest.mark.parametrize("sign", [1, -1])
+def test_places_need_not_be_regularly_spaced(sign: int) -> None:
+    route = np.cumsum(np.random.default_rng(1).uniform(0.5, 2.5, PLACES)) - 20.0
+    found = Parallax(AGES, along_line(valleys(-3.0, 4.0, sign, route=route), line_at(sign), route, 1.0, sign))
+    assert lag_places(found) == pytest.approx(7.0, abs=0.35)
