@@ -8,7 +8,7 @@ correct a position that is known. A match is used only if its line moved over th
 did, and if it agrees with the estimate. Where matches keep disagreeing with the estimate but agree with each other, a
 second estimate follows them and replaces the first one after a correlation length without a match for that. An estimate
 that is lost, since there was no match for long, goes on by reckoning alone, and the next one begins where it is if it
-agrees with the match.
+agrees with the match. If it does not, the positions of the next one are disputed for a correlation length.
 """
 
 from __future__ import annotations
@@ -108,7 +108,9 @@ class RouteFilter:
         self._move(displacement, missed)
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
-            self._track, self._exposure, self._since_lost = None, None, track.estimate
+            self._track, self._exposure = None, None
+            if track.is_confirmed:
+                self._since_lost = track.estimate
         if match is None:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
@@ -137,11 +139,12 @@ class RouteFilter:
 
     @property
     def _is_disputed(self) -> bool:
-        """Whether matches disagree with the estimate, or agree only if the odometer is wrong by too much."""
-        is_odd = (
-            self._track is not None and abs(self._track.estimate.scale) > ODD_SIGMAS * self._config.drift_percent / 100
-        )
-        return is_odd or (self._rival is not None and self._rival.matches >= RIVAL_MATCHES)
+        """Whether reckoning or matches disagree with the estimate, or agree only with an odometer that is too wrong."""
+        track, rival = self._track, self._rival
+        if track is None:
+            return False
+        is_odd = abs(track.estimate.scale) > ODD_SIGMAS * self._config.drift_percent / 100
+        return is_odd or not track.is_confirmed or (rival is not None and rival.matches >= RIVAL_MATCHES)
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
@@ -206,6 +209,7 @@ class RouteFilter:
             track.estimate.begin_drive(sighting.errors)
         agreeing = (one for one in tracks if one.agrees(sighting) and one.is_on_road(sighting, road_sigma_m))
         track = next(agreeing, Track(estimate, sighting, stamp_ns))
+        track.contradicts_reckoning = bool(tracks) and track is not tracks[0]
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
 

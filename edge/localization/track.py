@@ -18,7 +18,10 @@ OFF_LANE = 2.0
 
 @dataclass
 class Track:
-    """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match."""
+    """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match.
+
+    contradicts_reckoning: whether the first match was not where reckoning had the vehicle, as well as it knew.
+    """
 
     estimate: RouteEstimate
     newest: Sighting
@@ -26,6 +29,12 @@ class Track:
     matches: int = 0
     since_m: float = 0.0
     driven_m: float = 0.0
+    contradicts_reckoning: bool = False
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether it began where reckoning had the vehicle, or matches have agreed with it for a correlation length."""
+        return not self.contradicts_reckoning or self.driven_m - self.since_m >= CORRELATION_M
 
     def move(self, displacement_m: Vector) -> None:
         """Move on by a displacement (2,) of the autopilot's velocity."""

@@ -106,10 +106,10 @@ class Simulation:
                 self._gps(self.time_s()).usable and draft.has_gps,
             )
         )
-        way, row = draft.way, int(driver.along_m)
-        route_m = way.route_m[row] + (driver.along_m - row) * (
-            way.route_m[min(row + 1, len(way.route_m) - 1)] - way.route_m[row]
-        )
+        # One whose odometer is wrong may go past the end of its way, where it sees what is to be seen there.
+        way, last_m = draft.way, len(draft.way.route_m) - 1
+        row = min(int(driver.along_m), last_m)
+        route_m = np.interp(min(driver.along_m, last_m), [row, row + 1], way.route_m[[row, min(row + 1, last_m)]])
         turned_deg = way.turn_deg[row] + math.degrees(driver.heading_rad - way.heading_rad[row])
         view = View(way.roads[way.road[row]], float(route_m), driver.left_m, turned_deg)
         self._front.expose(view)

@@ -233,6 +233,29 @@ def test_a_lost_position_goes_on_only_where_the_next_match_agrees(open_filter: C
         assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
 
 
+@pytest.mark.parametrize(("frames", "stays"), [(20, False), (40, True)])
+def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_for_long(
+    open_filter: Callable[..., RouteFilter], frames: int, stays: bool
+) -> None:
+    """A track that is lost before that is nothing from which the next one could begin."""
+    drive, further = warm(open_filter(), 20), 60
+    drive.go(30, lambda _: None)
+    disputed = []
+    for _ in range(frames):
+        drive.go(1, lambda place: match(place + further))
+        fix = drive.filter.at_exposure()
+        assert fix is not None
+        disputed.append(fix.disputed)
+    assert all(disputed[:29])
+    assert disputed[-1] is not stays
+    drive.go(30, lambda _: None)
+    drive.go(1)
+    found = drive.filter.at_exposure()
+    assert drive.north_m(found) == pytest.approx(drive.place * SPACING_M, abs=1.0)
+    assert found is not None
+    assert found.disputed is stays
+
+
 def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
