@@ -26,8 +26,6 @@ CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
 EARTH_M = 6_371_000.0
 MOVED_NS = 1_500_000_000
 """How long after ACCEPTED the position may take to move."""
-STREAM_NS = 10_000_000_000
-"""How long after the beginning of a stream, which is not answered, the position may take to come nearer."""
 
 VERDICTS: dict[int, Verdict] = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
@@ -73,26 +71,3 @@ class Jump:
     def happened(self, after: VehiclePosition) -> bool:
         """Whether the position moved at least half of the jump, or is within the standard deviation of the fix."""
         return self.remaining_m(after) <= max(self.sigma_m, math.hypot(self.east_m, self.north_m) / 2)
-
-
-class StreamCheck:
-    """Whether a stream of positions, which no message answers, is used: the autopilot's position must come nearer."""
-
-    def __init__(self) -> None:
-        self._began_ns = self._last_ns = 0
-        self._first_m = 0.0
-        self._is_checked = True
-
-    def add(self, distance_m: float, sigma_m: float, now_ns: int) -> bool | None:
-        """Whether it came nearer, once for each stream; None before and after.
-
-        distance_m: from the autopilot's own position to the one that is sent now. Nearer is half of the first distance,
-        or within the standard deviation.
-        """
-        if now_ns - self._last_ns > MOVED_NS:
-            self._began_ns, self._first_m, self._is_checked = now_ns, distance_m, False
-        self._last_ns = now_ns
-        if self._is_checked or now_ns - self._began_ns < STREAM_NS:
-            return None
-        self._is_checked = True
-        return distance_m <= max(sigma_m, self._first_m / 2)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from itertools import chain
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
 from edge.localization import PlaceFix
-from edge.telemetry import encoders
+from edge.telemetry import encoders, stream_check, velocity_aid
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.vehicle import Origin, Vehicle
-from edge.telemetry.velocity_aid import PARAMETERS
 
 HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 500_000_000
@@ -135,8 +135,9 @@ class LinkProtocol:
         """The autopilot is another one, or has rebooted: request everything."""
         self._due_ns.update(version=0, origin=0)
         self._streams = StreamRequests()
-        # What aids the velocity matters only where positions are sent.
-        self.parameters = ParameterRequests(PARAMETERS.get(self._vehicle.autopilot or 0, ()) if self._moves else ())
+        # What aids the velocity, and whether positions are used, matters only where some are sent.
+        names = (one.PARAMETERS.get(self._vehicle.autopilot or 0, ()) for one in (velocity_aid, stream_check))
+        self.parameters = ParameterRequests(chain.from_iterable(names) if self._moves else ())
         self._origin_requested = False
 
     def heartbeat(self, system_status: int, now_ns: int) -> list[Message]:

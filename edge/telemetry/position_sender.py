@@ -37,7 +37,6 @@ from edge.telemetry.acknowledgements import (
     NO_ANSWER,
     VERDICTS,
     Jump,
-    StreamCheck,
     result_name,
 )
 from edge.telemetry.codec import Message
@@ -47,6 +46,7 @@ from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_checks import PositionChecks
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
+from edge.telemetry.stream_check import StreamCheck, unused_because
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.velocity_aid import as_certain_as_aided, velocity_aid
 
@@ -102,7 +102,7 @@ class PositionSender:
         """The newest one, of a steady stream about one per second."""
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._jump: tuple[PlaceFix, Jump, int] | None = None
-        self._stream = StreamCheck()
+        self._stream, self._unused = StreamCheck(), ""
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -269,6 +269,7 @@ class PositionSender:
         if message.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
+        self._publish_unused(unused_because(self._vehicle, message.name, self._telemetry.sensor_id))
         moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
         if moved is not None:
             self._publish_check(fix, distance_m, moved=moved)
@@ -379,6 +380,12 @@ class PositionSender:
             self._checks.bind(max(fix.sigma_m, remaining_m), now_ns)
         else:
             self._back_off.failed(now_ns)
+
+    def _publish_unused(self, why: str) -> None:
+        if why and why != self._unused:
+            log.error("the autopilot uses no positions: %s; see firmware_config", why)
+            self._send_text(f"Lookback: positions unused: {why}")
+        self._unused = why
 
     def _publish_check(self, fix: PlaceFix, remaining_m: float, *, moved: bool) -> None:
         self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))

@@ -222,7 +222,7 @@ def warns(run: Run) -> str:
     warned = [
         text
         for time_s, severity, text in run.texts
-        if severity <= WARNING and first_s < time_s <= first_s + WARNED_S and "position" in text.lower()
+        if severity <= WARNING and first_s <= time_s <= first_s + WARNED_S and "position" in text.lower()
     ]
     return "" if warned else "no warning"
 

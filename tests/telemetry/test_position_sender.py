@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
+from edge.telemetry import stream_check
 from edge.telemetry.encoders import UNBOUNDED_M
 from edge.telemetry.velocity_aid import UNAIDED_M
 from sim.vehicle.autopilot import SILENT
@@ -242,6 +243,23 @@ def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) 
     assert len(texts) == ignored
     (checked,) = rig.journalled(FixChecked)
     assert checked.moved is not ignored
+
+
+@pytest.mark.parametrize(
+    ("control", "sensor_id", "why"), [(0, 0, "EKF2_AGP0_CTRL is 0"), (1, 2, "EKF2_AGP0_ID is 2"), (1, 1, "")]
+)
+def test_parameters_that_ignore_positions_are_named_with_the_first_one(
+    open_rig: OpenRig, control: int, sensor_id: int, why: str
+) -> None:
+    rig = open_rig(emit="auto", gates=OFTEN, firmware="px4")
+    values = {"EKF2_EV_CTRL": 4.0, stream_check.CONTROL: float(control), stream_check.ID: float(sensor_id)}
+    rig.autopilot.parameters = {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}
+    rig.run(8.0)
+    rig.autopilot.gps = False
+    rig.run(8.0)
+    offer_for(rig, 3.0)
+    said = [message.text for message in rig.received("STATUSTEXT") if "unused" in message.text]
+    assert said == ([f"Lookback: positions unused: {why}"] if why else [])
 
 
 @pytest.mark.parametrize(("firmware", "emit"), [("ardupilot", "external_position"), ("px4", "global_position_sensor")])
