@@ -72,6 +72,7 @@ class PlaceRecognizer:
         self._last: _UsedFrame | None = None
         self._unmoved = 0  # frames since then that showed no other place
         self._changes: deque[float] = deque(maxlen=KEPT_CHANGES)  # from each used frame to the next
+        self._ns_per_m: deque[float] = deque(maxlen=KEPT_CHANGES)  # of the same
         self.was_carried = False
         """Whether the vehicle was moved without its wheels before the newest frame, so that nothing before counts."""
         self.state: State = "warming up"
@@ -179,15 +180,22 @@ class PlaceRecognizer:
         return True
 
     def _is_carried(self, frame: _UsedFrame) -> bool:
-        """Whether the first frame after a halt shows another place than the last one before: on a tow, or a ferry."""
+        """Whether the first frame after a halt shows another place than the last one before: on a tow, or a ferry.
+
+        Where it drove on before the next frame, the two cannot be compared, and it may have been carried.
+        """
         last = self._last
         if last is None:
             return False
-        change = last.change_to(frame)
-        stood = frame.stamp_ns - last.stamp_ns >= STOOD_NS
-        if stood and frame.driven_since_m(last) <= 2 * self.config.sampling.spacing_m:
+        change, driven_m = last.change_to(frame), frame.driven_since_m(last)
+        elapsed_ns = frame.stamp_ns - last.stamp_ns
+        if elapsed_ns >= STOOD_NS and driven_m <= 2 * self.config.sampling.spacing_m:
             return len(self._changes) >= FEWEST_CHANGES and change > CARRIED * float(np.median(self._changes))
+        if elapsed_ns >= STOOD_NS and driven_m > 0 and self._ns_per_m:
+            return elapsed_ns - driven_m * float(np.median(self._ns_per_m)) >= STOOD_NS
         self._changes.append(change)
+        if driven_m > 0:
+            self._ns_per_m.append(elapsed_ns / driven_m)
         return False
 
     def _reset_after_gap(self, frame: _UsedFrame) -> None:

@@ -177,6 +177,19 @@ def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
     assert not recognizer.was_carried
 
 
+@pytest.mark.parametrize(("further", "halt_ns", "is_carried"), [(8, 10_000_000_000, True), (16, 0, False)])
+def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], further: int, halt_ns: int, is_carried: bool
+) -> None:
+    """The camera shows nothing for some places, which the vehicle passes at its usual pace, after a halt or without."""
+    recognizer, period_ns = recognizer_of(network, street_map), 250_000_000
+    for index in range(26):
+        recognizer.observe(frames[index], index * period_ns, distance_m=2.0 * index)
+    now, missed = 25 + further, further - 1
+    recognizer.observe(frames[now], now * period_ns + halt_ns, missed=missed, distance_m=2.0 * now)
+    assert recognizer.was_carried == is_carried
+
+
 def test_after_turning_around_nothing_of_the_way_out_counts(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
