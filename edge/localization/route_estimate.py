@@ -38,6 +38,7 @@ DOUBTED, DOUBT_M = 0.5, 2.0
 becomes then, in each direction, before the line is judged again."""
 LEAST_SUPPORT = 0.05
 """How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
+AGREE_SIGMAS = 3.0
 UNKNOWN_M = 100.0
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
@@ -164,10 +165,11 @@ class RouteEstimate:
         """
         return self._innovation(place_m, along, self._row(along, since_m, OF_LINE), since_m, sigma_m)
 
-    def off_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> tuple[float, float]:
-        """The same to the left of a road: by how many meters the vehicle is beside it, and the deviation."""
+    def is_on_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> bool:
+        """Whether the vehicle may be on the road of a match; far beside it, what its regions show means nothing."""
         left = left_of(along)
-        return self._innovation(place_m, left, self._row(left, since_m, OF_ROAD), since_m, road_sigma_m)
+        off_m, sigma_m = self._innovation(place_m, left, self._row(left, since_m, OF_ROAD), since_m, road_sigma_m)
+        return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def correct(self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float) -> None:
         """Correct by the along part of a match; sigma_m: of what is independent in each match."""

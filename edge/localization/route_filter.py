@@ -129,7 +129,10 @@ class RouteFilter:
         """A match that is not believed corrects an estimate whose expected lines it shows, and confirms nothing."""
         track = self._track
         estimate = self._since_lost if track is None else track.estimate
-        if estimate is not None and sighting.regions is not None and estimate.support(sighting.regions) >= SHOWN:
+        if estimate is None or sighting.regions is None:
+            return
+        road = sighting.place_m, sighting.along, sighting.since_m
+        if estimate.is_on_road(*road, self._rig.sigma_across_m) and estimate.support(sighting.regions) >= SHOWN:
             estimate.correct_by_regions(sighting.regions)
 
     def at_exposure(self) -> PlaceFix | None:
@@ -179,7 +182,7 @@ class RouteFilter:
         track = self._track
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
-        elif track.agrees(sighting):
+        elif track.agrees(sighting, self._rig.sigma_across_m):
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
             self._rival = None
         else:
@@ -190,7 +193,7 @@ class RouteFilter:
     def _dispute(self, sighting: Sighting, stamp_ns: int) -> Track | None:
         """A match that disagrees with the estimate; returns the one that replaces it, if it is time for that."""
         rival = self._rival
-        if rival is None or not rival.agrees(sighting):
+        if rival is None or not rival.agrees(sighting, self._rig.sigma_across_m):
             self._rival = self._begin(sighting, stamp_ns)
             return None
         rival.add(sighting, self._rig.sigma_across_m, stamp_ns)
@@ -207,7 +210,7 @@ class RouteFilter:
         tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
         for track in tracks:
             track.estimate.begin_drive(sighting.errors)
-        agreeing = (one for one in tracks if one.agrees(sighting) and one.is_on_road(sighting, road_sigma_m))
+        agreeing = (one for one in tracks if one.agrees(sighting, road_sigma_m))
         track = next(agreeing, Track(estimate, sighting, stamp_ns))
         track.contradicts_reckoning = bool(tracks) and track is not tracks[0]
         track.add(sighting, road_sigma_m, stamp_ns)

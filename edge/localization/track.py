@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import CORRELATION_M, LEAST_SUPPORT, RouteEstimate
+from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, LEAST_SUPPORT, RouteEstimate
 from edge.localization.sighting import Sighting
 
-AGREE_SIGMAS = 3.0
 OFF_LANE = 2.0
 """Times by which the road counts as wider where a parallax could say where the vehicle is across."""
 
@@ -43,8 +42,12 @@ class Track:
         self.since_m += driven_m
         self.driven_m += driven_m
 
-    def agrees(self, sighting: Sighting) -> bool:
-        """Whether the vehicle may be where the match is along the road."""
+    def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
+        """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
+        road = sighting.place_m, sighting.along, sighting.since_m
+        return self.estimate.is_on_road(*road, road_sigma_m) and self._agrees_along(sighting)
+
+    def _agrees_along(self, sighting: Sighting) -> bool:
         if sighting.regions is not None and not self._begins_drive(sighting):
             return self.estimate.support(sighting.regions) >= LEAST_SUPPORT
         off_m, sigma_m = self.estimate.innovation(
@@ -53,12 +56,6 @@ class Track:
             sighting.since_m,
             math.hypot(sighting.sigma_m, self._new_drive_m(sighting)),
         )
-        return abs(off_m) <= AGREE_SIGMAS * sigma_m
-
-    def is_on_road(self, sighting: Sighting, road_sigma_m: float) -> bool:
-        """Whether the vehicle may be where the match is across the road, too."""
-        road = sighting.place_m, sighting.along, sighting.since_m
-        off_m, sigma_m = self.estimate.off_road(*road, OFF_LANE * road_sigma_m)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def _new_drive_m(self, sighting: Sighting) -> float:
