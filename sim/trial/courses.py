@@ -201,8 +201,11 @@ def _false_no_gps(draft: Draft, value: float) -> None:
 
 @course("no-gps")
 def _no_gps(draft: Draft) -> None:
-    """No GPS from boot, and an origin that was set by hand 6 m off; the map is right. For roads of over 700 m."""
-    draft.has_gps = False
+    """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right.
+
+    For roads of over 700 m.
+    """
+    draft.has_gps = draft.steers = False
     draft.unsent = [(0.0, SAME_DRIVE * GatesConfig().confirm_m + FIRST_LINE_M)]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
