@@ -256,6 +256,23 @@ def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_fo
     assert found.disputed is stays
 
 
+def test_far_beside_the_road_no_match_corrects_a_position(open_filter: Callable[..., RouteFilter]) -> None:
+    """By its own reckoning the vehicle goes 26 m to the side; its regions would have it at 21 m there."""
+    drive = warm(open_filter(RigConfig(parallax=2.4, sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0))
+    aside_m = 0.0
+    drive.displacement = lambda: Displacement(1, aside_m, drive.frames * SPACING_M)  # type: ignore[method-assign]
+    for _ in range(20):
+        aside_m += 1.3
+        drive.go(1, lambda _: None)
+    drive.go(LENGTH, lambda _: None)
+    for believed in (True, False):
+        drive.go(4, lambda place, ok=believed: match(place, order="same", parallax=regions(0.0, -21.0), accepted=ok))
+        later = drive.filter.at(drive.stamp_ns, drive.displacement())
+        assert beside_m(later) == pytest.approx(-26.0, abs=1.0)
+        assert later is not None
+        assert later.matches == 30, "none has agreed since"
+
+
 def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
