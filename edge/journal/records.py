@@ -206,7 +206,7 @@ class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):
 
 
 class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
-    """Whether the autopilot's own position moved after it had accepted one, or, far from a stream, came nearer in 10 s."""
+    """Whether the autopilot's own position moved after it accepted one, or, far from a stream, came nearer in 10 s."""
 
     place: Place
     moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]
