@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen, Record
+from edge.journal.records import FixAnswered, FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
     CORRELATION_M,
     GpsVerdict,
@@ -26,7 +26,6 @@ from edge.localization import (
     ProtectionLevel,
     Refusal,
     distance_from,
-    offset_m,
 )
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
@@ -36,7 +35,6 @@ from edge.telemetry.acknowledgements import (
     MOVED_NS,
     NO_ANSWER,
     VERDICTS,
-    Jump,
     result_name,
 )
 from edge.telemetry.codec import Message
@@ -45,15 +43,13 @@ from edge.telemetry.encoders import Sending
 from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_checks import PositionChecks
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
+from edge.telemetry.position_use import PositionUse
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
-from edge.telemetry.stream_check import StreamCheck, unused_because
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.velocity_aid import as_certain_as_aided, velocity_aid
 
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
-NEAR_SIGMAS = 3.0
-"""An autopilot that is as near as this to a position of a stream follows it."""
 log = logging.getLogger(__name__)
 
 
@@ -85,11 +81,11 @@ class PositionSender:
         self.message: PositionMessage | None = None
         self.why = ""
         self._disabled = False
-        self._reset_counter = 0
         self.sources = SourceSelection(vehicle, record, send_text)
         self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
         remembered = Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None
         self._checks = PositionChecks(gates, vehicle, self.doubted_gps, remembered)
+        self._use = PositionUse(vehicle, self._checks, telemetry.sensor_id, record, send_text)
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -101,8 +97,7 @@ class PositionSender:
         self.sent: SentPosition | None = None
         """The newest one, of a steady stream about one per second."""
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
-        self._jump: tuple[PlaceFix, Jump, int] | None = None
-        self._stream, self._unused = StreamCheck(), ""
+        self._use.new_session()
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -213,7 +208,7 @@ class PositionSender:
             return []
         own = vehicle.position(now_ns)
         distance_m = round(distance_from(own, fix), 3) if own else None
-        self._expect_jump(fix, now_ns, message)
+        self._use.expect(fix, message, now_ns, is_new_stream=self._is_new_stream(now_ns))
         age_s = (now_ns - fix.stamp_ns) / 1e9
         down_m = vehicle.origin.alt_m - own.alt_m if own and vehicle.origin else 0.0
         sending = Sending(
@@ -223,7 +218,7 @@ class PositionSender:
             self._telemetry.sensor_id,
             vehicle.origin,
             down_m,
-            self._reset_counter,
+            self._use.reset_counter,
         )
         values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
@@ -259,25 +254,6 @@ class PositionSender:
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
         return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
 
-    def _expect_jump(self, fix: PlaceFix, now_ns: int, message: PositionMessage) -> None:
-        """Keep how far the fix should move the autopilot's position; jumps of a stream are marked in reset_counter."""
-        own = self._vehicle.position(now_ns)
-        if own is None:
-            return
-        east_m, north_m = offset_m(own, fix)
-        distance_m = math.hypot(east_m, north_m)
-        if message.acknowledged:
-            self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
-            return
-        self._publish_unused(unused_because(self._vehicle, message.name, self._telemetry.sensor_id))
-        moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
-        if moved is not None:
-            self._publish_check(fix, distance_m, moved=moved)
-        if distance_m <= NEAR_SIGMAS * fix.sigma_m:
-            self._checks.bind(max(fix.sigma_m, distance_m), now_ns)
-        elif self._is_new_stream(now_ns):
-            self._reset_counter = (self._reset_counter + 1) % 256
-
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
@@ -302,10 +278,9 @@ class PositionSender:
         self._record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
             self._back_off.reset()
-            if self._jump is not None:
-                self._jump = *self._jump[:2], now_ns
+            self._use.accepted(now_ns)
             return
-        self._jump = None
+        self._use.refused()
         self._back_off.failed(now_ns)
         if verdict == "never":
             self._disabled = True
@@ -331,7 +306,8 @@ class PositionSender:
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
         self._checks.remember(now_ns)
-        self._check_jump(now_ns)
+        if self._use.was_ignored(self.message, now_ns):
+            self._back_off.failed(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
         return messages
@@ -361,37 +337,6 @@ class PositionSender:
         else:
             self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
         return messages
-
-    def _check_jump(self, now_ns: int) -> None:
-        """Whether the position has moved, once it has had time to."""
-        if self._jump is None or self._jump[2] == 0:
-            return
-        fix, jump, accepted_ns = self._jump
-        own = self._vehicle.position(now_ns)
-        if own is None or own.stamp_ns <= accepted_ns:
-            return
-        moved = jump.happened(own)
-        if not moved and now_ns - accepted_ns < MOVED_NS:
-            return
-        self._jump = None
-        remaining_m = jump.remaining_m(own)
-        self._publish_check(fix, remaining_m, moved=moved)
-        if moved:
-            self._checks.bind(max(fix.sigma_m, remaining_m), now_ns)
-        else:
-            self._back_off.failed(now_ns)
-
-    def _publish_unused(self, why: str) -> None:
-        if why and why != self._unused:
-            log.error("the autopilot uses no positions: %s; see firmware_config", why)
-            self._send_text(f"Lookback: positions unused: {why}")
-        self._unused = why
-
-    def _publish_check(self, fix: PlaceFix, remaining_m: float, *, moved: bool) -> None:
-        self._record(FixChecked(fix.place, moved, round(remaining_m, 2), fix.map))
-        if not moved:
-            sent = "fix accepted" if self.message is not None and self.message.acknowledged else "fixes sent"
-            self._send_text(f"Lookback: {sent}, position {remaining_m:.0f} m off")
 
 
 def _level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:
