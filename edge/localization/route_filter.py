@@ -146,9 +146,10 @@ class RouteFilter:
         track, rival = self._track, self._rival
         if track is None:
             return False
-        # What the last track found of the odometer still holds.
-        found = [track.estimate] if self._since_lost is None else [track.estimate, self._since_lost]
-        is_odd = max(abs(one.scale) for one in found) > ODD_SIGMAS * self._config.drift_percent / 100
+        # What the last track found of the odometer holds until this one knows it as well.
+        estimates = (track.estimate, self._since_lost or track.estimate)
+        scale = min(estimates, key=lambda one: one.scale_sigma).scale
+        is_odd = abs(scale) > ODD_SIGMAS * self._config.drift_percent / 100
         return is_odd or not track.is_confirmed or (rival is not None and rival.matches >= RIVAL_MATCHES)
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:

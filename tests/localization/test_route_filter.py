@@ -356,20 +356,23 @@ def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., Rout
     assert 3.0 <= many.sigma_along_m < few.sigma_along_m < 1.5 * many.sigma_along_m
 
 
-def test_a_wrong_scale_is_found(open_filter: Callable[..., RouteFilter]) -> None:
+def test_a_wrong_scale_is_found_and_remembered(open_filter: Callable[..., RouteFilter]) -> None:
     """The odometer reads 8 % too little."""
     drive = Drive(open_filter(), 10)
-    for _ in range(160):
-        drive.frames += 1
-        drive.stamp_ns += FRAME_NS
-        drive.place += 1
-        seen = match(drive.place) if drive.frames >= 2 * LENGTH else None
-        drive.filter.update(seen, drive.stamp_ns, Displacement(1, 0.0, 0.92 * drive.frames * SPACING_M))
+    drive.displacement = lambda: Displacement(1, 0.0, 0.92 * drive.frames * SPACING_M)  # type: ignore[method-assign]
+    drive.go(2 * LENGTH, lambda _: None)
+    drive.go(130)
     fix = drive.filter.at_exposure()
     assert fix is not None
     assert drive.north_m(fix) == pytest.approx(drive.place * SPACING_M, abs=2.0)
     assert fix.velocity_error == pytest.approx(0.087, abs=0.03)
     assert fix.disputed, "by more than drift_percent allows: what else is wrong, nobody knows"
+    drive.go(30, lambda _: None)
+    assert drive.filter.at_exposure() is None
+    drive.go(40, lambda place: match(place - 90))
+    later = drive.filter.at_exposure()
+    assert later is not None
+    assert later.disputed
 
 
 def test_one_false_match_changes_nothing(open_filter: Callable[..., RouteFilter]) -> None:
