@@ -1,6 +1,6 @@
 """The map of known places: on-disk format, building, and the cost of a query to every place.
 
-`map_set`  a map, or a folder of them, opened as plain arrays; `place_index` counts their places through
+`map_set`  a map, or a folder of them, as plain arrays, opened by `map_folder`; `place_index` counts their places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
 `closure`  which drives are closed laps; `spatial_index` which places a known position allows; `route` positions along
@@ -15,7 +15,8 @@
 from edge.reference_map.builder import MapBuilder, Normalize, Place
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
-from edge.reference_map.map_set import ExcludedMap, MapSet, open_map_set
+from edge.reference_map.map_folder import open_map_set
+from edge.reference_map.map_set import ExcludedMap, MapSet
 from edge.reference_map.place_picture import thumbnail
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route

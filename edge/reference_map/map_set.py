@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import resource
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,23 +26,17 @@ from edge.reference_map.closure import lap_places
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.place_index import PlaceIndex
-from edge.reference_map.signature import check_signature
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
-    HEADER,
     PLACES,
     PROJECTION,
     MapHeader,
     ModelKey,
     ReferenceMap,
     matching_files,
-    open_map,
-    open_unverified,
 )
 
 SAMPLED_MAPS = 16
-OTHER_FILES = 256
-"""Files that the rest of the program may open besides one of each map."""
 log = logging.getLogger(__name__)
 
 
@@ -124,7 +117,7 @@ class MapSet:
     @property
     def names(self) -> tuple[str, ...]:
         """Of all maps."""
-        return tuple(_name_of(one.path) for one in self.maps)
+        return tuple(name_of(one.path) for one in self.maps)
 
     @property
     def sha256(self) -> str:
@@ -145,7 +138,7 @@ class MapSet:
     def locate(self, place_index: int) -> tuple[str | None, int]:
         """The name of a place's map, None if there is only that, and its row there."""
         index = self.index.map_of(place_index)
-        name = _name_of(self.maps[index].path) if self.is_folder else None
+        name = name_of(self.maps[index].path) if self.is_folder else None
         return name, place_index - self.index.starts[index]
 
     def folders_of(self, ranges: Ranges) -> list[Path]:
@@ -234,8 +227,8 @@ class MapSet:
         if not self.is_folder:
             raise MapError(next(iter(damaged.values())))
         kept = [one for one in self.maps if one.path not in damaged]
-        reasons = [ExcludedMap(_name_of(path), printable(why)) for path, why in damaged.items()]
-        return _of_folder(self.path, kept, [*self.excluded, *reasons])
+        reasons = [ExcludedMap(name_of(path), printable(why)) for path, why in damaged.items()]
+        return of_folder(self.path, kept, [*self.excluded, *reasons])
 
     def with_accuracy(self, sigma_m: NDArray[np.float32]) -> MapSet:
         """The same maps, with other accuracies (N,) of the positions."""
@@ -255,44 +248,8 @@ class MapSet:
         return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
 
 
-def open_map_set(
-    path: Path,
-    *,
-    require_signature_by: Path | None = None,
-    every_file: bool = False,
-    newest: MapSoFar | None = None,
-) -> MapSet:
-    """Open the map at a path, or all maps of a folder. newest: of this drive, searched after all others, if any.
-
-    Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
-    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
-    Raises MapError, and ConfigError for the key.
-    """
-    folders = _maps_in(path)
-    _allow_open_files(path, len(folders))
-    projections: dict[str, NDArray[np.float32]] = {}
-
-    def open_one(folder: Path) -> ReferenceMap:
-        one = open_map(folder, every_file=True) if every_file else open_unverified(folder, projections)
-        if require_signature_by is not None:
-            check_signature(folder, one.header, require_signature_by)
-        return one
-
-    if not folders and newest is None:
-        return MapSet.of(open_one(path))
-    if newest is not None and (path / HEADER).exists():
-        folders = [path]
-    maps: list[ReferenceMap] = []
-    excluded = []
-    for folder in folders:
-        try:
-            maps.append(open_one(folder))
-        except MapError as error:
-            excluded.append(ExcludedMap(_name_of(folder), printable(str(error))))
-    return _of_folder(path, maps if newest is None else [*maps, newest], excluded)
-
-
-def _of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
+def of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
+    """The usable maps of a folder; MapError if there is none."""
     if not maps:
         first = next(iter(excluded)).why
         raise MapError(f"{path}: none of its {len(excluded)} maps is usable; the first: {first}")
@@ -326,36 +283,12 @@ def _spell_regions(kind: str, width: float, normalization: str) -> str:
     return f"{kind} of width {width:g}, normalization {normalization}"
 
 
-def _maps_in(path: Path) -> list[Path]:
-    """The maps of a folder, in the order of their names; none if it is a map itself."""
-    try:
-        if (path / HEADER).exists() or not path.is_dir():
-            return []
-        # What is hidden is still being built.
-        return sorted(one for one in path.iterdir() if not one.name.startswith(".") and (one / HEADER).exists())
-    except OSError as error:
-        raise MapError(f"{error.filename}: cannot read it: {error.strerror}") from None
-
-
-def _allow_open_files(path: Path, maps: int) -> None:
-    """Each map is one open file for as long as the program runs. MapError if that is not allowed."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = maps + OTHER_FILES
-    if soft == resource.RLIM_INFINITY or needed <= soft:
-        return
-    if hard != resource.RLIM_INFINITY and needed > hard:
-        raise MapError(
-            f"{path}: {maps} maps need {needed} open files, and this process may have {hard};"
-            " raise the limit (LimitNOFILE= of the service, or `ulimit -Hn`), or make larger tiles"
-        )
-    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
-
-
 def _matcher_of(one: ReferenceMap) -> CostMatcher:
     return one.matcher if isinstance(one, MapSoFar) else CostMatcher.of(one)
 
 
-def _name_of(folder: Path) -> str:
+def name_of(folder: Path) -> str:
+    """The name of a map's folder, for people."""
     return printable(folder.name)
 
 

@@ -24,7 +24,7 @@ from edge.journal.journal import records_of
 from edge.journal.records import MapExcluded, PlaceFix
 from edge.page import map_view
 from edge.recognizer import open_recognizer
-from edge.reference_map.map_set import open_map_set
+from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
 

@@ -13,7 +13,8 @@ import pytest
 
 from edge.descriptor.network import Network
 from edge.errors import FeedError
-from edge.reference_map.map_set import MapSet, open_map_set
+from edge.reference_map.map_folder import open_map_set
+from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench import dimension_rows, frame_rows, map_rows, mapping_rows, memory_rows, page_rows, search_rows
 from sim.bench.machine import Machine
