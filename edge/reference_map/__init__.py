@@ -1,6 +1,6 @@
 """The map of known places: on-disk format, building, and the cost of a query to every place.
 
-`map_set`  a map, or a folder of them, as plain arrays, opened by `map_folder`; `place_index` counts their places through
+`map_set`  a map, or a folder of them, as plain arrays; `map_folder` opens it, `place_index` counts its places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
 `closure`  which drives are closed laps; `spatial_index` which places a known position allows; `route` positions along
