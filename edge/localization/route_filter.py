@@ -114,12 +114,11 @@ class RouteFilter:
         if match is None:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        is_believed = match.accepted and match.uniqueness >= 1
-        if not is_believed and match.parallax is None:
+        if match.uniqueness < 1 or (not match.accepted and match.parallax is None):
             return
         sighting = self._sightings.of(match, None if track is None else track.estimate)
         if sighting is not None:
-            if is_believed:
+            if match.accepted:
                 self._use(sighting, stamp_ns)
             else:
                 self._follow(sighting)

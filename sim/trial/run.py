@@ -123,7 +123,8 @@ def _run_daemon(
 
 def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path, start: Pose) -> Config:
     """The defaults, but for the rig and what the course asks for; nothing is kept from an earlier drive."""
-    (folder / JOURNAL).unlink(missing_ok=True)
+    for suffix in (".jsonl", ".bound"):
+        (folder / JOURNAL).with_suffix(suffix).unlink(missing_ok=True)
     lat_deg, lon_deg = geodetic(start.east_m + ORIGIN_OFF_M, start.north_m, draft.lon_shift_deg)
     mapping = MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear"))
     return Config(

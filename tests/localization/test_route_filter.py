@@ -202,20 +202,20 @@ def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_bo
 def test_a_match_that_is_not_believed_corrects_within_what_is_expected_and_confirms_nothing(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
-    """It shows a vehicle that is 1 m further left, or 30 m further ahead."""
-    for beyond_m, left_m, expected_m in ((0.0, 1.0, 1.0), (30.0, 1.0, 0.0)):
+    """It shows a vehicle that is 1 m further left, or 30 m further ahead; or another place fits better than this one."""
+    for beyond_m, uniqueness, expected_m in ((0.0, 1.02, 1.0), (30.0, 1.02, 0.0), (0.0, 0.98, 0.0)):
         drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
         drive.go(LENGTH, lambda _: None)
         drive.go(20, lambda place: match(place, order="same", parallax=regions(0.0, 0.0)))
         last = drive.filter.at_exposure()
-        seen = regions(beyond_m, left_m)
-        drive.go(8, lambda place, seen=seen: match(place, order="same", parallax=seen, accepted=False))
+        fields = {"order": "same", "parallax": regions(beyond_m, 1.0), "accepted": False, "uniqueness": uniqueness}
+        drive.go(8, lambda place, fields=fields: match(place, **fields))
         found = drive.filter.at(drive.stamp_ns, drive.displacement())
         assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
         assert drive.north_m(found) == pytest.approx(drive.place * SPACING_M, abs=0.7)
         assert found is not None and last is not None
         assert found.matches == last.matches
-        drive.go(3, lambda place, seen=seen: match(place, order="same", parallax=seen, accepted=False))
+        drive.go(3, lambda place, fields=fields: match(place, **fields))
         assert drive.filter.at(drive.stamp_ns, drive.displacement()) is None, "20 m without a believed match"
 
 
