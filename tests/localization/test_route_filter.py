@@ -202,7 +202,7 @@ def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_bo
 def test_a_match_that_is_not_believed_corrects_within_what_is_expected_and_confirms_nothing(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
-    """It shows a vehicle that is 1 m further left, or 30 m further ahead; or another place fits better than this one."""
+    """It shows a vehicle that is 1 m further left, or 30 m further ahead; or another place fits the frame better."""
     for beyond_m, uniqueness, expected_m in ((0.0, 1.02, 1.0), (30.0, 1.02, 0.0), (0.0, 0.98, 0.0)):
         drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
         drive.go(LENGTH, lambda _: None)
