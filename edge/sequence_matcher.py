@@ -113,12 +113,12 @@ class CameraMatcher:
         self._stopwatch("search")
         return match
 
-    def with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
+    def with_parallax(self, match: PlaceMatch | None, drives: Drives) -> PlaceMatch | None:
         """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
         self._frame += 1
         if match is None or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
             return match
-        return replace(match, parallax=parallax_of(match, self._normalizer.rows, self._map_set))
+        return replace(match, parallax=parallax_of(match, self._normalizer.rows, self._map_set, drives))
 
     def reset(self) -> None:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
@@ -214,7 +214,7 @@ class SequenceMatcher:
         believed = self._believed(match, self._consensus.update(vote, odometer_m, missed))
         for camera in self._cameras:
             camera.search.follow(believed.place_index if believed and believed.accepted else None)
-        believed = self._first.with_parallax(believed)
+        believed = self._first.with_parallax(believed, self._drives)
         self._stopwatch("belief")
         return believed
 

@@ -16,6 +16,7 @@ from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import LinkConfig, TelemetryConfig
 from edge.errors import LookbackError
 from edge.localization import GpsState
+from edge.telemetry import stream_check
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link_protocol import LinkProtocol
 from edge.telemetry.position_messages import NAMES, suitable_message
@@ -89,7 +90,13 @@ REQUIREMENTS = (
         clear=VISUAL_ODOMETRY,
         remedy="set it to 785918: all checks of a rover but VisualOdometry",
     ),
-    Requirement(PX4, "global_position_sensor", "EKF2_AGP0_CTRL", "else message 296 is not fused", bits=1),
+    Requirement(
+        PX4,
+        "global_position_sensor",
+        stream_check.CONTROL,
+        "else message 296 is not fused",
+        bits=stream_check.FUSES_POSITION,
+    ),
 )
 
 
@@ -192,7 +199,7 @@ def requirements(config: TelemetryConfig, autopilot: int | None, version: tuple[
     needed = [one for one in REQUIREMENTS if (one.autopilot, one.message) == (autopilot, name)]
     if autopilot == PX4 and name == "global_position_sensor":
         why = "it must equal [telemetry] sensor_id"
-        needed.append(Requirement(PX4, name, "EKF2_AGP0_ID", why, values=(config.sensor_id,)))
+        needed.append(Requirement(PX4, name, stream_check.ID, why, values=(config.sensor_id,)))
     return needed
 
 

@@ -122,9 +122,7 @@ class Route:
             np.ascontiguousarray(known[name]) for name in ("route_m", "lat_deg", "lon_deg", "heading_deg")
         )
         extent_m = float(np.fmin.reduce(records["route_m"])), float(np.fmax.reduce(records["route_m"]))
-        steps_m = np.abs(np.diff(records["route_m"]))
-        steps_m = steps_m[~np.isnan(steps_m)]
-        spacing_m = float(np.median(steps_m)) if steps_m.size else math.nan
+        spacing_m = _usual_step_m(records["route_m"])
         if np.isnan(heading_deg).any():
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
@@ -157,7 +155,8 @@ class Drives:
         self._index, self._places, self._laps = map_set.index, map_set.places, map_set.laps
         self._route_m = map_set.places["route_m"]
         self._origin: tuple[float, float] | None = None
-        self._grounds: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._lines: dict[int, tuple[NDArray[np.float64], float]] = {}
+        self._grounds: dict[int, NDArray[np.float64]] = {}
         steps_m = [abs(self._route_m[end - 1] - self._route_m[start]) for start, end in self._index.segments]
         gaps = self._index.places - len(steps_m)
         mean_m = float(np.sum(steps_m)) / gaps if gaps else np.nan
@@ -176,17 +175,24 @@ class Drives:
         if self.is_metric:
             for drive in np.unique(drives):
                 here = drives == drive
-                route_m, east_north_m = self._ground(int(drive))
+                route_m, east_north_m = self.line(int(drive))[0], self._ground(int(drive))
                 found[here] = np.column_stack([np.interp(along_m[here], route_m, line) for line in east_north_m])
         return found
 
-    def _ground(self, drive: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A drive's route_m (n,), and its meters east and north (2, n)."""
+    def line(self, drive: int) -> tuple[NDArray[np.float64], float]:
+        """A drive's route_m (n,), and by how much neighboring places usually differ in it; NaN if one is unknown."""
+        if drive not in self._lines:
+            route_m = np.ascontiguousarray(self._route_m[slice(*self._index.segment(drive))])
+            self._lines[drive] = route_m, math.nan if np.isnan(route_m).any() else _usual_step_m(route_m)
+        return self._lines[drive]
+
+    def _ground(self, drive: int) -> NDArray[np.float64]:
+        """A drive's meters east and north (2, n)."""
         if drive not in self._grounds:
             places = self._places[slice(*self._index.segment(drive))]
             self._origin = self._origin or first_known(places["lat_deg"], places["lon_deg"])
             east_north_m = east_north(places["lat_deg"], places["lon_deg"], self._origin)
-            self._grounds[drive] = np.ascontiguousarray(places["route_m"]), np.ascontiguousarray(east_north_m.T)
+            self._grounds[drive] = np.ascontiguousarray(east_north_m.T)
         return self._grounds[drive]
 
     def drive_of(self, place_index: int) -> int:
@@ -214,8 +220,15 @@ class Drives:
         if not self.is_metric:
             rows = np.ceil(low_m / self.spacing_m), np.floor(high_m / self.spacing_m) + 1
             return start + int(np.clip(rows[0], 0, end - start)), start + int(np.clip(rows[1], 0, end - start))
-        first, last = np.searchsorted(self._route_m[start:end], [low_m, np.nextafter(high_m, np.inf)])
+        first, last = np.searchsorted(self.line(drive)[0], [low_m, np.nextafter(high_m, np.inf)])
         return start + int(first), start + int(last)
+
+
+def _usual_step_m(route_m: NDArray[np.float64]) -> float:
+    """By how many meters places that follow each other usually differ, NaN where that is not known."""
+    steps_m = np.abs(np.diff(route_m))
+    steps_m = steps_m[~np.isnan(steps_m)]
+    return float(np.median(steps_m)) if steps_m.size else math.nan
 
 
 def _course_deg(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> NDArray[np.float64]:

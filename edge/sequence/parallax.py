@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map import MapSet, Ranges
+from edge.reference_map import Drives, MapSet, Ranges
 from edge.sequence import Parallax, PlaceMatch
 
 PARALLAX_ROWS = 40
@@ -93,33 +93,30 @@ def _paired(newest_first: NDArray[np.float32], ages: Sequence[int], lag: int) ->
     return np.stack([newest_first[of, region] for region, of in enumerate(of_regions[: newest_first.shape[1]])], axis=1)
 
 
-def parallax_of(match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet) -> Parallax | None:
-    """Of a match; None of a drive of a single place.
+def parallax_of(
+    match: PlaceMatch, newest: Callable[[int], NDArray[np.float32]], map_set: MapSet, drives: Drives
+) -> Parallax | None:
+    """Of a match; None where the map knows no meters, and of a map with a single place of the drive.
 
     newest: the newest so many rows of its ring (n, R, D), oldest first. Its cameras look the same way, or the two
-    regions do not see the same side of the road.
+    regions do not see the same side of the road. drives: of the same maps.
     """
+    drive = drives.drive_of(match.place_index)
+    (begin, stop), own = map_set.index.segment(drive), map_set.index.rows[map_set.index.map_of(match.place_index)]
+    route_m, spacing_m = drives.line(drive)
+    if not spacing_m > 0:
+        return None
     rows = newest(PARALLAX_ROWS)
     ages = np.flatnonzero(~np.isnan(rows[::-1, 0, 0]))  # a place without a frame is NaN throughout
     sign = 1 if match.direction == "forward" else -1
-    segment = map_set.index.segment(map_set.index.segment_of(match.place_index))
-    own = map_set.index.rows[map_set.index.map_of(match.place_index)]
-    start, stop = max(segment[0], own[0]), min(segment[1], own[1])
-    if stop - start < 2:
-        return None
-    drive_m, spacing_m = _lengths(map_set.places["route_m"][start:stop])
-    lie_m = drive_m[match.place_index - start] - sign * match.slope * spacing_m * ages
+    lie_m = route_m[match.place_index - begin] - sign * match.slope * spacing_m * ages
     reach_m = REACH * spacing_m
-    around = int(np.searchsorted(drive_m, lie_m.min() - reach_m)), int(np.searchsorted(drive_m, lie_m.max() + reach_m))
-    first, end = max(0, around[0] - 1), min(len(drive_m), around[1] + 1)
-    costs = map_set.region_costs(rows[::-1][ages], start + first, start + end)
-    return Parallax(ages, along_line(costs, lie_m, drive_m[first:end], spacing_m, sign))
-
-
-def _lengths(route_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """How far some places lie along their drive (n,), and how far they are usually apart; in places, if not known."""
-    usual_m = float(np.median(np.diff(route_m))) if len(route_m) > 1 else 0.0
-    return (np.ascontiguousarray(route_m), usual_m) if usual_m > 0 else (np.arange(float(len(route_m))), 1.0)
+    around = begin + np.searchsorted(route_m, [lie_m.min() - reach_m, lie_m.max() + reach_m])
+    first, end = max(begin, own[0], int(around[0]) - 1), min(stop, own[1], int(around[1]) + 1)
+    if end - first < 2:
+        return None
+    costs = map_set.region_costs(rows[::-1][ages], first, end)
+    return Parallax(ages, along_line(costs, lie_m, route_m[first - begin : end - begin], spacing_m, sign))
 
 
 def along_line(
@@ -133,7 +130,7 @@ def along_line(
     """
     moved_m = lie_m[:, np.newaxis] + sign * _STEPS * spacing_m
     at = np.interp(moved_m, route_m, np.arange(len(route_m)), left=np.nan, right=np.nan)
-    before = np.nan_to_num(at).astype(np.intp).clip(0, max(0, len(route_m) - 2))
+    before = np.nan_to_num(at).astype(np.intp).clip(0, len(route_m) - 2)
     share = at - before
     here, after = (np.take_along_axis(costs, np.broadcast_to(i, (2, *i.shape)), axis=2) for i in (before, before + 1))
     found: NDArray[np.float64] = here + share * (after - here)

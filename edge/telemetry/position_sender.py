@@ -306,7 +306,7 @@ class PositionSender:
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
         self._checks.remember(now_ns)
-        if self._use.was_ignored(self.message, now_ns):
+        if self._use.was_ignored(now_ns):
             self._back_off.failed(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)

@@ -55,7 +55,7 @@ class PositionUse:
         self._publish_unused(unused_because(self._vehicle, message.name, self._sensor_id))
         moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
         if moved is not None:
-            self._publish_check(fix, distance_m, message, moved=moved)
+            self._publish_check(fix, distance_m, "fixes sent", moved=moved)
         if distance_m <= NEAR_SIGMAS * fix.sigma_m:
             self._checks.bind(max(fix.sigma_m, distance_m), now_ns)
         elif is_new_stream:
@@ -70,7 +70,7 @@ class PositionUse:
         """It has not: nothing need move."""
         self._jump = None
 
-    def was_ignored(self, message: PositionMessage | None, now_ns: int) -> bool:
+    def was_ignored(self, now_ns: int) -> bool:
         """Whether the autopilot's position, once it has had time to move to an accepted one, turns out not to have."""
         if self._jump is None or self._jump[2] == 0:
             return False
@@ -83,7 +83,7 @@ class PositionUse:
             return False
         self._jump = None
         remaining_m = jump.remaining_m(own)
-        self._publish_check(fix, remaining_m, message, moved=moved)
+        self._publish_check(fix, remaining_m, "fix accepted", moved=moved)
         if moved:
             self._checks.bind(max(fix.sigma_m, remaining_m), now_ns)
         return not moved
@@ -94,8 +94,7 @@ class PositionUse:
             self._send_text(f"Lookback: positions unused: {why}")
         self._unused = why
 
-    def _publish_check(self, fix: PlaceFix, off_m: float, message: PositionMessage | None, *, moved: bool) -> None:
+    def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
         self._record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))
         if not moved:
-            sent = "fix accepted" if message is not None and message.acknowledged else "fixes sent"
-            self._send_text(f"Lookback: {sent}, position {off_m:.0f} m off")
+            self._send_text(f"Lookback: {what}, position {off_m:.0f} m off")
