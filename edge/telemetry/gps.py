@@ -1,10 +1,12 @@
 """GPS in three states, from its receivers (GPS_RAW_INT, GPS2_RAW) and from the flags of the autopilot's own filter.
 
 healthy      a receiver has reported a 3-D fix of good accuracy for RETURN_NS, and the filter uses it
-not healthy  no receiver has reported one for LOST_NS, and all that were heard still report
+not healthy  no receiver has reported one for LOST_NS, after a short return for RETURN_NS, and all that were heard
+             still report
 unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use
 
-Only "not healthy" permits positions. GPS that comes and goes is therefore never healthy, and permits between its fixes.
+Only "not healthy" permits positions. GPS that comes and goes within RETURN_NS is unknown throughout: the filter follows
+it, and is better at that alone.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from edge.telemetry.codec import Message
 
 FRESH_NS = 3_000_000_000
 LOST_NS = 1_000_000_000
-RETURN_NS = 5_000_000_000
+RETURN_NS, FOLLOWED_NS = 5_000_000_000, 2_000_000_000
+"""A fix is back after RETURN_NS. One that goes before, but after FOLLOWED_NS, was followed by the filter: it is lost only
+when it has been gone for RETURN_NS as well."""
 UNUSED_NS = 3_000_000_000  # the filter gives GPS up a little before its receiver does
 ABSENT_NS = 10_000_000_000
 FIXES = range(mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_PPP + 1)  # DGPS, RTK and static as well
@@ -54,13 +58,14 @@ class Receiver:
         """Latitude and longitude in degrees (WGS 84)."""
         self._good_ns: int | None = None  # since when it has been
         self._bad_ns: int | None = None
+        self._lost_ns = LOST_NS
         self._is_healthy = self._had_outage = False
 
     def read(self, message: Message, now_ns: int) -> None:
         """GPS_RAW_INT or GPS2_RAW."""
         self.state(now_ns)  # notices a silence before this message, which is an outage
         if self.is_silent(now_ns):
-            self._good_ns = self._bad_ns = None
+            self._good_ns, self._bad_ns, self._lost_ns = None, None, LOST_NS
         self.heard_ns = now_ns
         accuracy_m = message.h_acc / 1000  # 0 where it is not reported
         is_good = message.fix_type in FIXES and accuracy_m <= (BAD_M if self._is_healthy else GOOD_M)
@@ -70,6 +75,9 @@ class Receiver:
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
             self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
         else:
+            if self._good_ns is not None:
+                was_followed = not self._is_healthy and now_ns - self._good_ns >= FOLLOWED_NS
+                self._lost_ns = RETURN_NS if was_followed else LOST_NS
             self._good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
 
     def is_silent(self, now_ns: int) -> bool:
@@ -81,7 +89,7 @@ class Receiver:
         if self.heard_ns is None:
             return "unknown"
         is_silent = self.is_silent(now_ns)
-        if is_silent or (self._bad_ns is not None and now_ns - self._bad_ns >= LOST_NS):
+        if is_silent or (self._bad_ns is not None and now_ns - self._bad_ns >= self._lost_ns):
             self._is_healthy, self._had_outage = False, True
             return "unknown" if is_silent else "not healthy"
         if self._good_ns is not None and (not self._had_outage or now_ns - self._good_ns >= RETURN_NS):

@@ -183,8 +183,20 @@ def test_gps_that_flickers_every_four_seconds_is_never_healthy_and_bounds_nothin
     assert "healthy" not in states
     assert rig.connection.uncertainty_m is None
     sent = sky.offer(20.0, flicker)
-    # A second after each loss, until it is back.
-    assert sent > 0 if good_s < 3.0 else sent == 0
+    # A second after each loss, until it is back; where it is back for long enough that the filter follows it, never.
+    assert sent > 0 if good_s < 2.0 else sent == 0
+
+
+def test_a_fix_that_was_back_for_three_seconds_is_lost_after_five(rig: Rig) -> None:
+    sky = Sky(rig, NO_FIX)
+    sky.run(3.0)
+    sky.first = FIX_3D
+    sky.run(3.0)
+    sky.first = NO_FIX
+    sky.run(4.0)
+    assert sky.state == "unknown"
+    sky.run(1.5)
+    assert sky.state == "not healthy"
 
 
 def test_one_good_message_after_an_outage_bounds_nothing(rig: Rig) -> None:
