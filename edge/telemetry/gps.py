@@ -22,8 +22,8 @@ from edge.telemetry.codec import Message
 FRESH_NS = 3_000_000_000
 LOST_NS = 1_000_000_000
 RETURN_NS, FOLLOWED_NS = 5_000_000_000, 2_000_000_000
-"""A fix is back after RETURN_NS. One that goes before that, but after FOLLOWED_NS, was followed by the filter: it is only
-lost when it has been gone for RETURN_NS as well."""
+"""A fix is back after RETURN_NS. The filter follows one that was back for FOLLOWED_NS: when that goes again, it is lost
+after RETURN_NS."""
 UNUSED_NS = 3_000_000_000  # the filter gives GPS up a little before its receiver does
 ABSENT_NS = 10_000_000_000
 FIXES = range(mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_PPP + 1)  # DGPS, RTK and static as well
