@@ -33,14 +33,14 @@ test-lowest test-newest: test-%:
 test-boot: $(VENV)/.dev
 	tests/systemd/boot.sh
 
-COURSE_RUNS ?= 50
+CASE_RUNS ?= 50
 
 # From a new seed each time, which is printed; LOOKBACK_SEED=... repeats a run.
 soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults tests/localization
-	$(BIN)/lookback sim fixes --course all --runs $(COURSE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
+	$(BIN)/lookback sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
 	$(BIN)/lookback sim gps -o soak/gps
 
 check: lint test smoke

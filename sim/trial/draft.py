@@ -110,3 +110,8 @@ class Draft:
     def road(self, **changes: int | str) -> Scenario:
         """The road as seen tonight, with changes: another `seed`, the other `direction`."""
         return msgspec.structs.replace(self.home, **changes)
+
+
+def is_command(message: Message, command: int) -> bool:
+    """Whether a message is this command, as COMMAND_LONG or COMMAND_INT."""
+    return bool(getattr(message, "command", None) == command)

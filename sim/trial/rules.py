@@ -50,11 +50,15 @@ class Track:
 
 @dataclass(frozen=True)
 class Sent:
-    """Positions as they arrived: when, and for the moment of each its error and the sigma that it claimed."""
+    """Positions as they arrived: when, and for the moment of each its error and the sigma that it claimed.
+
+    is_stream: whether they share the information of one correlation length, so that each claims less than is known.
+    """
 
     time_s: Array
     error_m: Array
     sigma_m: Array
+    is_stream: bool = False
 
     @property
     def sigmas(self) -> Array:

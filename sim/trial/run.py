@@ -94,7 +94,7 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
 def drafted(name: str, seed: int, length_m: float, world: int) -> Draft:
     """The course of a seed."""
     draft = Draft(np.random.default_rng([seed, 7]), length_m, world)
-    COURSES[name](draft)
+    COURSES[name].lay(draft)
     return draft
 
 
@@ -244,7 +244,7 @@ def _track(draft: Draft, simulation: Simulation) -> Track:
 
 def _sent(draft: Draft, simulation: Simulation) -> Sent:
     rows = np.array(simulation.rows)
-    found = []
+    found, is_stream = [], False
     for item in simulation.autopilot.received:
         position = _position(item.message, draft, simulation.autopilot.origin_m or (0.0, 0.0))
         if position is not None:
@@ -253,7 +253,9 @@ def _sent(draft: Draft, simulation: Simulation) -> Sent:
             true_m = [np.interp(at_s, rows[:, 0], rows[:, column]) for column in (3, 4)]
             error_m = math.hypot(east_m - true_m[0], north_m - true_m[1])
             found.append((simulation.time_s(item.time_s), error_m, sigma_m))
-    return Sent(*np.array(found).reshape(-1, 3).T)
+            is_stream = item.message.get_msgId() != mavlink.MAVLINK_MSG_ID_COMMAND_INT
+    columns: Array = np.array(found).reshape(-1, 3).T
+    return Sent(columns[0], columns[1], columns[2], is_stream)
 
 
 def _position(

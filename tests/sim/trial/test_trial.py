@@ -14,10 +14,10 @@ import pytest
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.trial import command, rules
-from sim.trial.courses import COURSES, about
+from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run, Sent, Track
 from sim.trial.run import drafted, drive, map_scenario
-from sim.trial.table import HEADER, CourseScore, line
+from sim.trial.table import ENOUGH_RUNS, HEADER, CourseScore, line
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
 from sim.vehicle.driver import Driver, Leg
@@ -72,8 +72,9 @@ def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> 
 
 
 def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
-    for name in COURSES:
-        assert about(name)
+    assert {name for case in CASES for name in courses_of(case)} == set(COURSES)
+    for name, one in COURSES.items():
+        assert one.about
         for seed in (1, 2):
             draft = drafted(name, seed, LENGTH_M, WORLD)
             assert draft.way.length_m > 300
@@ -156,7 +157,7 @@ def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
     failed = run_of(error_m=10.0)
     failed = replace(failed, failures=rules.failures(failed, (rules.close, rules.within_sigmas)))
     score = CourseScore("home", (run_of(), failed))
-    assert score.failures == ["close (1)", "500 in 1,000 beyond 3 sigma", "rms 2.4 sigma"]
+    assert score.failures == ["close (1)", "500 in 1,000 beyond 3 sigma", "rms 2.40 sigma"]
     assert score.row().startswith("| home | 1 of 2 | 100 | 6.0 / 10.0 / 10.0 m | 2.4 / 3.3 | 5.0 m, 5.0 m |")
     assert score.row().count("|") == HEADER.splitlines()[0].count("|")
     assert "close: median after 10.0 m" in line("home", failed)
@@ -207,6 +208,7 @@ def test_a_turned_way_is_continuous_and_its_view_turns_with_it() -> None:
     [
         (["--runs", "0"], "at least 1"),
         (["--course", "moon"], "--course list"),
+        (["--case", "Z"], "not one of A, B"),
         (["--length-m", "100"], "not between 500 and 20000"),
     ],
 )
@@ -215,10 +217,25 @@ def test_bad_options_are_refused(options: list[str], message: str) -> None:
         _main(options)
 
 
+def test_the_positions_of_a_stream_claim_less_than_is_known_and_are_not_judged_by_their_rms() -> None:
+    one_by_one = tuple(run_of(error_m=0.5) for _ in range(ENOUGH_RUNS))
+    streams = tuple(replace(run, sent=replace(run.sent, is_stream=True)) for run in one_by_one)
+    assert CourseScore("home", one_by_one).failures == ["rms 0.17 sigma"]
+    assert CourseScore("vision", streams).failures == []
+    assert CourseScore("H", one_by_one + streams).failures == ["rms 0.17 sigma"]
+
+
+def test_each_seed_of_a_case_drives_the_next_of_its_courses() -> None:
+    drives = command.drives_of("B", range(3, 17))
+    assert [seed for _, seed in drives] == list(range(3, 17))
+    assert [name for name, _ in drives[:7]] == [name for name, _ in drives[7:]]
+    assert {name for name, _ in drives} == set(courses_of("B"))
+
+
 def test_the_courses_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert _main(["--course", "list"]) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert [entry.split()[0] for entry in listed] == list(COURSES)
+    assert [entry.split()[0] for entry in listed] == [name for case in CASES for name in courses_of(case)]
 
 
 def _main(options: list[str]) -> int:

@@ -1,0 +1,122 @@
+"""D: GPS that works, comes and goes, is inaccurate, or is spoofed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.telemetry.codec import Message
+from sim.trial import gps_histories
+from sim.trial.courses.registry import course
+from sim.trial.draft import GPS_S, Draft, is_command
+from sim.trial.rules import (
+    back_to_usual,
+    called_before_50_m,
+    called_soon,
+    never_called,
+    never_sent,
+    no_false_place,
+    not_worse,
+    resumes,
+    sends,
+    within_sigmas,
+)
+from sim.vehicle.gps import NO_FIX, GpsReport
+
+GPS_WORKS = {
+    "rtk": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_RTK_FIXED, accuracy_m=0.02),
+    "ppp": GpsReport(fix_type=mavlink.GPS_FIX_TYPE_PPP, accuracy_m=0.02),
+    "second-only": GpsReport(second=True),
+    "lost-request": GpsReport(),
+}
+SPOOFS: dict[str, Callable[[float], gps_histories.History]] = {
+    **{
+        f"drag-{rate:g}-{way}": partial(gps_histories.drag, rate, way)
+        for rate in gps_histories.DRAG_MPS
+        for way in ("along", "left")
+    },
+    "jump": partial(gps_histories.jump, 60.0),
+    "replay": partial(gps_histories.replay, 30.0),
+    "jammed": lambda start_s: gps_histories.jammed(8.0, gps_histories.jump(60.0, start_s), start_s),
+}
+BY_SCRIPT = ("jump", "drag-1-along")
+
+
+@course("D", "gps-{}", *GPS_WORKS)
+def _gps_works(draft: Draft, value: str) -> None:
+    """GPS works (RTK, PPP, the second receiver, a lost request for its messages), so no position may be sent."""
+    draft.gps_at = lambda time_s: GPS_WORKS[value]
+    draft.loses = lambda time_s, message, outgoing: value == "lost-request" and not outgoing and _requests_gps(message)
+    draft.rules = (never_sent,)
+
+
+@course("D", "gps-500-m")
+def _gps_500_m(draft: Draft) -> None:
+    """A 3-D fix that is 500 m accurate, by its own word: GPS must count as lost."""
+    draft.gps_at = lambda time_s: GpsReport(accuracy_m=1.0 if time_s < GPS_S else 500.0)
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("D", "gps-flicker")
+def _gps_flicker(draft: Draft) -> None:
+    """GPS comes and goes every 4 s."""
+    draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or time_s % 8 < 4 else NO_FIX
+
+
+@course("D", "gps-one-message")
+def _gps_one_message(draft: Draft) -> None:
+    """A single good report in the middle of an outage."""
+    at_s = draft.share(0.5) / 8.0
+    draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or at_s <= time_s < at_s + 0.2 else NO_FIX
+    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+
+
+@course("D", "gps-drag-{}", 0.5, 5)
+def _gps_drag(draft: Draft, value: float) -> None:
+    """A spoofed GPS moves away, so many meters a second, for 40 s, and then is jammed."""
+
+    def report(time_s: float) -> GpsReport:
+        off_m = value * min(max(0.0, time_s - GPS_S), 40.0)
+        return GpsReport(east_off_m=off_m) if time_s < GPS_S + 40.0 else NO_FIX
+
+    draft.gps_at = report
+    draft.steers = False
+    draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
+    draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("D", "gps-{}", "multipath", "rtk-2-cm")
+def _gps_honest(draft: Draft, value: str) -> None:
+    """An honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
+    _follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
+    draft.rules = (never_called,)
+
+
+@course("D", "gps-spoofed-{}", *SPOOFS)
+def _gps_spoofed(draft: Draft, value: str) -> None:
+    """GPS is spoofed while a person drives; the places contradict it, and positions are used in its place."""
+    start_s = draft.share(0.55) / 8.0
+    _follow_history(draft, SPOOFS[value](start_s))
+    draft.doubted_gps = "send" if value in BY_SCRIPT else "switch"
+    draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
+
+
+def _follow_history(draft: Draft, history: gps_histories.History) -> None:
+    """GPS as a history says, for a vehicle at 8 m/s; a person drives."""
+    time_s = np.arange(0.0, draft.way.length_m / 4.0, 0.1)
+    true_m = np.array([draft.way.at(min(8.0 * t, draft.way.length_m - 1.0))[:2] for t in time_s])
+    offsets_m = history(time_s, true_m, draft.rng)
+
+    def report(at_s: float) -> GpsReport:
+        east_m, north_m = offsets_m[int(np.clip(at_s / 0.1, 0, len(offsets_m) - 1))]
+        return NO_FIX if np.isnan(east_m) else GpsReport(east_off_m=float(east_m), north_off_m=float(north_m))
+
+    draft.gps_at, draft.steers = report, False
+
+
+def _requests_gps(message: Message) -> bool:
+    asks = is_command(message, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)
+    return asks and int(message.param1) == mavlink.MAVLINK_MSG_ID_GPS_RAW_INT

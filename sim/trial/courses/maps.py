@@ -1,0 +1,86 @@
+"""A and C: maps of a part of the road, and maps that are wrong."""
+
+from __future__ import annotations
+
+from edge.config import GatesConfig
+from edge.localization.claims import SAME_DRIVE
+from sim.trial.courses.registry import course
+from sim.trial.draft import Draft, Stretch
+from sim.trial.rules import (
+    no_false_place,
+    not_worse,
+    resumes,
+    sends,
+    within_sigmas,
+)
+from sim.trial.way import along
+
+FALSE_BY_M = 300.0
+FIRST_LINE_M = 120.0
+"""A line of 80 m, and a few more frames: before that no place is believed, and its drive not confirmed."""
+
+
+@course("A", "one-stretch")
+def _one_stretch(draft: Draft) -> None:
+    """One stretch of 220 m is known, and entered, left and seen from everywhere else."""
+    start_m = draft.rng.integers(22) / 21 * (draft.length_m - 220.0)
+    draft.map = [Stretch(start_m, start_m + 220.0)]
+
+
+@course("C", "false-{}", 140, 260, 400)
+def _false(draft: Draft, value: float) -> None:
+    """Part of the map is 300 m wrong, and GPS fails before it is reached."""
+    start_m = draft.share(0.3)
+    end_m = min(start_m + value, draft.length_m - 60)
+    draft.map = [
+        Stretch(0.0, start_m),
+        Stretch(start_m, end_m, off_m=draft.side(FALSE_BY_M)),
+        Stretch(end_m, draft.length_m),
+    ]
+    draft.unsent = [(draft.length_m - end_m, draft.length_m - start_m + 240)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+
+
+@course("C", "false-{}-no-gps", 140, 260, 400)
+def _false_no_gps(draft: Draft, value: float) -> None:
+    """The same without GPS from boot: nothing but the wrong stretch is known for the first half of the way."""
+    _false(draft, value)
+    draft.map = [Stretch(0.0, draft.share(0.15)), draft.map[1]]
+    draft.has_gps = False
+    draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("C", "no-gps")
+def _no_gps(draft: Draft) -> None:
+    """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right.
+
+    For roads of over 700 m.
+    """
+    draft.has_gps = draft.steers = False
+    draft.unsent = [(0.0, SAME_DRIVE * GatesConfig().confirm_m + FIRST_LINE_M)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("C", "shifted-40")
+def _shifted(draft: Draft) -> None:
+    """The whole map is 40 m wrong."""
+    draft.map = [Stretch(0.0, draft.length_m, off_m=draft.side(40.0))]
+    draft.rules = (within_sigmas, not_worse)
+
+
+@course("C", "two-drives-40")
+def _two_drives(draft: Draft) -> None:
+    """Two drives over the road disagree by 40 m, and nobody says which of them is right."""
+    draft.map = [Stretch(0.0, draft.length_m), Stretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
+    draft.rules = (within_sigmas, not_worse)
+
+
+@course("C", "two-laps")
+def _two_laps(draft: Draft) -> None:
+    """Laps of 120 m whose places are 300 m wrong, without GPS from boot: a lap must not confirm another."""
+    start_m = draft.length_m / 2
+    lap = along(draft.home, start_m + 119, start_m).bent()
+    draft.drive(lap.then(lap).then(lap).then(lap))
+    draft.map = [Stretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
+    draft.has_gps, draft.steers = False, False
+    draft.rules = (within_sigmas, no_false_place)

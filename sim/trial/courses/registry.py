@@ -1,0 +1,54 @@
+"""Courses by name and by case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sim.trial.draft import Draft
+
+CASES = {
+    "A": "one mapped stretch",
+    "B": "turn-off, U-turn, reversing, stop, ferry, tow",
+    "C": "maps that are wrong, and no GPS from boot",
+    "D": "GPS that is lost, comes and goes, or is spoofed",
+    "E": "lost messages, silence, restarts",
+    "F": "odometer, heading, map and clock",
+    "G": "home, steering itself",
+    "H": "PX4, and streams",
+}
+
+
+@dataclass(frozen=True)
+class Course:
+    """A drive that something may go wrong on; lay: changes the usual draft. about: a line for people."""
+
+    case: str
+    lay: Callable[[Draft], None]
+    about: str
+
+
+COURSES: dict[str, Course] = {}
+
+
+def course(case: str, name: str, *values: object) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add a course to a case, or one for each value; `name` has the value's place. Its docstring says what it is."""
+
+    def add(function: Callable[..., None]) -> Callable[..., None]:
+        about = " ".join((function.__doc__ or "").split())
+        for value in values:
+
+            def lay(draft: Draft, value: object = value) -> None:
+                function(draft, value)
+
+            COURSES[name.format(value)] = Course(case, lay, about)
+        if not values:
+            COURSES[name] = Course(case, function, about)
+        return function
+
+    return add
+
+
+def courses_of(case: str) -> list[str]:
+    """The names of a case's courses."""
+    return [name for name, one in COURSES.items() if one.case == case]

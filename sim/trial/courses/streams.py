@@ -1,0 +1,58 @@
+"""H: PX4 with and without a velocity of its own, and streams of positions."""
+
+from __future__ import annotations
+
+from sim.trial.courses.registry import course
+from sim.trial.draft import Draft
+from sim.trial.rules import (
+    first_in_time,
+    no_false_place,
+    not_worse,
+    sends,
+    warns,
+    within_sigmas,
+)
+from sim.vehicle.estimator import OdometryErrors
+from sim.vehicle.gps import NO_FIX, GpsReport
+
+
+@course("H", "px4-no-velocity-aid{}", "", "-43003")
+def _px4_no_aid(draft: Draft, value: str) -> None:
+    """Nothing measures PX4's velocity, which runs away; our positions must not follow it."""
+    draft.firmware, draft.steers = "px4", False
+    draft.emit = "external_position" if value else "auto"
+    draft.errors = OdometryErrors("none", acceleration_mps2=draft.rng.uniform(0.1, 0.2))
+    draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("H", "px4-aided{}", "", "-43003")
+def _px4_aided(draft: Draft, value: str) -> None:
+    """PX4 with a velocity sensor whose scale is 3 % wrong."""
+    draft.firmware = "px4"
+    draft.emit = "external_position" if value else "auto"
+    draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("H", "vision")
+def _vision(draft: Draft) -> None:
+    """ArduPilot with VISION_POSITION_ESTIMATE, whose stream turns the filter's heading."""
+    draft.emit = "vision_position"
+
+
+@course("H", "stream-unused")
+def _stream_unused(draft: Draft) -> None:
+    """PX4 whose parameters for positions are missing: the pilot must be told that nobody uses them."""
+    draft.firmware = "px4-without-agp"
+    draft.errors = OdometryErrors("velocity sensor", 1.03)
+    draft.rules = (within_sigmas, no_false_place, warns)
+
+
+@course("H", "px4-failsafe")
+def _px4_failsafe(draft: Draft) -> None:
+    """PX4 gives up 6 s after the loss of GPS; on a mapped road the first position must come before."""
+    draft.firmware, draft.steers = "px4", False
+    draft.errors = OdometryErrors("velocity sensor", 1.03)
+    lost_s = draft.share(0.7) / 8.0
+    draft.gps_at = lambda time_s: GpsReport() if time_s < lost_s else NO_FIX
+    draft.rules = (within_sigmas, no_false_place, first_in_time)
