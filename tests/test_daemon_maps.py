@@ -1,4 +1,4 @@
-"""`lookback run` and its map: checked before anything is told, and searched around the autopilot's position."""
+"""`lookback run` and its map: checked before anything is published, and searched around the autopilot's position."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def states(folder: Path) -> set[str]:
     return {record.state for record in records_of(folder / "events.jsonl", StateChanged)}
 
 
-def test_damage_that_is_found_later_ends_the_program_before_anything_is_told(street: Path, tmp_path: Path) -> None:
+def test_damage_that_is_found_later_ends_the_program_before_anything_is_published(street: Path, tmp_path: Path) -> None:
     shutil.copytree(street / "map", tmp_path / "map")
     data = bytearray((tmp_path / "map" / DESCRIPTORS).read_bytes())
     data[-1] ^= 1

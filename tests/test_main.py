@@ -41,9 +41,9 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_map_info_and_verify(street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["map", "info", str(street_map)]) == 0
-    told = capsys.readouterr().out
-    assert "30, 30 of them with a position" in told
-    assert "every 2 m" in told
+    printed = capsys.readouterr().out
+    assert "30, 30 of them with a position" in printed
+    assert "every 2 m" in printed
     assert main(["map", "verify", str(street_map)]) == 0
     assert "checksums match" in capsys.readouterr().out
 
@@ -71,8 +71,8 @@ def test_missing_and_truncated_map(
     assert "no such map" in refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "nowhere"))
     shutil.copytree(street_map, tmp_path / "cut.map")
     os.truncate(tmp_path / "cut.map/descriptors.i8", 1000)
-    told = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "cut.map"))
-    assert "descriptors.i8: 1000 bytes where the header says 245760" in told
+    printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "cut.map"))
+    assert "descriptors.i8: 1000 bytes where the header says 245760" in printed
 
 
 def test_a_map_of_another_model_or_other_regions(
@@ -80,9 +80,9 @@ def test_a_map_of_another_model_or_other_regions(
 ) -> None:
     config = tmp_path / "whole.toml"
     config.write_text('[descriptor]\nregions = "whole"\n')
-    told = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
-    assert "made with regions left-right of width 0.4" in told
-    assert "[descriptor] is whole" in told
+    printed = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
+    assert "made with regions left-right of width 0.4" in printed
+    assert "[descriptor] is whole" in printed
 
     from edge.config import SamplingConfig
     from edge.descriptor.normalize import normalize
@@ -98,16 +98,18 @@ def test_a_map_of_another_model_or_other_regions(
 
             builder.add(raw.astype("f4"), Place(row=index))
         builder.finish(normalize, "test")
-    told = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
-    assert "made with model other-network (ffffffffffff, fc6)" in told
+    printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
+    assert "made with model other-network (ffffffffffff, fc6)" in printed
 
 
 def test_a_model_that_is_none(
     traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "noise.onnx").write_bytes(os.urandom(1000))
-    told = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--model", str(tmp_path / "noise.onnx"))
-    assert "noise.onnx" in told
+    printed = refused(
+        capsys, "replay", str(traverse), "--map", str(street_map), "--model", str(tmp_path / "noise.onnx")
+    )
+    assert "noise.onnx" in printed
 
 
 def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,8 +130,8 @@ def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.C
 
 def test_distance_that_a_feed_does_not_have(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     feed = str(shared / "feeds/track_lap_a")
-    told = refused(capsys, "map", "build", feed, "-o", str(tmp_path / "m"), "--spacing-m", "2")
-    assert "no distance_m and no positions" in told
+    printed = refused(capsys, "map", "build", feed, "-o", str(tmp_path / "m"), "--spacing-m", "2")
+    assert "no distance_m and no positions" in printed
     assert list(tmp_path.iterdir()) == []
 
 

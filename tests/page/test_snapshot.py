@@ -1,4 +1,4 @@
-"""What the daemon hands to the live page; that it is told costs next to nothing."""
+"""What the daemon publishes for the live page; publishing it costs next to nothing."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def test_no_line_where_the_map_is_shorter_than_the_sequence() -> None:
     assert (searched_lines(search)[0] == NO_LINE).all()
 
 
-def test_each_direction_and_order_is_told_apart() -> None:
+def test_each_direction_and_order_is_distinguished() -> None:
     places, length = 50, 10
     slopes = slopes_around_diagonal(0.2, 21)
     for direction, order in ALL_PLANES:

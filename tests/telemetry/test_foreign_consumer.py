@@ -273,7 +273,7 @@ def position_sent(setting: Setting, name: str) -> list[dict[str, Any]]:
 
 
 def test_an_origin_is_understood(setting: Setting) -> None:
-    """It is set only after the autopilot has been asked for its own, and told none for five seconds."""
+    """It is set only after the autopilot has been asked for its own, and has reported none for five seconds."""
     ours, foreigner = setting.ours, setting.foreigner
     setting.until(lambda: foreigner.subscribed() and ours.state == "up")
     setting.until(lambda: foreigner.read("SET_GPS_GLOBAL_ORIGIN"))

@@ -1,4 +1,4 @@
-"""Several links: the autopilot's, and others that are only told; and a router that joins them with a ground station."""
+"""Several links: the autopilot's, others that only get reports, and a router that joins them with a ground station."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def station() -> Iterator[GroundStation]:
     station.socket.close()
 
 
-def test_a_further_link_is_told_events_and_never_a_position(open_rig: OpenRig, station: GroundStation) -> None:
+def test_a_further_link_gets_events_and_never_a_position(open_rig: OpenRig, station: GroundStation) -> None:
     links = (LinkConfig(f"udp:127.0.0.1:{station.port}"),)
     rig = open_rig(emit="external_position", gps=False, system_id=7, config={"links": links})
     rig.run(4.0, station.listen)

@@ -40,14 +40,14 @@ def test_a_key_is_32_bytes_or_their_digits(tmp_path: Path, text: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "mode", "told"),
+    ("text", "mode", "reason"),
     [(KEY, 0o640, "other users can read this key; chmod 600"), (b"short", 0o600, "not a key of 32 bytes")],
 )
-def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, told: str) -> None:
+def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, reason: str) -> None:
     file = tmp_path / "key"
     file.write_bytes(text)
     file.chmod(mode)
-    with pytest.raises(ConfigError, match=rf"^\[telemetry\] signing_key: {file}: {told}"):
+    with pytest.raises(ConfigError, match=rf"^\[telemetry\] signing_key: {file}: {reason}"):
         load_key(str(file))
 
 
@@ -150,7 +150,7 @@ def test_after_an_end_the_next_frame_is_heard_and_none_before_it(tmp_path: Path)
 
 
 @pytest.mark.parametrize("damage", [b"\xffnonsense", b"{}x", b"12"])
-def test_a_damaged_file_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: bytes) -> None:
+def test_a_damaged_file_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: bytes) -> None:
     (tmp_path / "ours").write_bytes(damage)
     assert codec(tmp_path, "ours").decode(codec(tmp_path, "theirs").encode(BEAT))
     assert f"{tmp_path / 'ours'}: ignored" in caplog.text

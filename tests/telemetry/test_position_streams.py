@@ -1,0 +1,146 @@
+"""Streams of positions, the sources that they need, and whether the autopilot uses them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.config import GatesConfig
+from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
+from edge.telemetry import stream_check
+from tests.telemetry.positions import OFTEN, offer_for
+
+Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
+OpenRig: TypeAlias = Callable[..., Any]
+
+
+def test_px4_gets_five_positions_a_second_and_follows(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="auto", gates=GatesConfig(), firmware="px4", drift_percent=5.0)
+    rig.run(5.0)
+    rig.autopilot.gps = False
+    rig.run(30.0)
+    assert rig.autopilot.estimate.error_m > 7
+    before = len(rig.received("GLOBAL_POSITION_SENSOR"))
+    offer_for(rig, 10.0)
+    messages = rig.received("GLOBAL_POSITION_SENSOR")[before:]
+    assert len(messages) == pytest.approx(50, abs=3)
+    assert len(rig.autopilot.inputs.fused) >= 45
+    assert not rig.received("COMMAND_INT")
+    assert len(rig.journalled(FixSent)) <= 11, "one a second is recorded"
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) -> None:
+    """An autopilot without the parameters for it reads the message and does nothing."""
+    rig = open_rig(emit="global_position_sensor", gates=OFTEN, firmware="px4-1.17" if ignored else "px4")
+    rig.run(5.0)
+    rig.autopilot.gps = False
+    rig.run(40.0)  # its own position is uncertain by now
+
+    def offer() -> bool:
+        if rig.connection.position_due() is not None:
+            rig.connection.send_position(rig.fix(age_s=0.0, lat_deg=rig.fix(age_s=0.0).lat_deg + 25 / 111_000))
+        return False
+
+    rig.run(15.0, offer)
+    texts = [message.text for message in rig.received("STATUSTEXT") if "fixes sent, position" in message.text]
+    assert len(texts) == ignored
+    (checked,) = rig.journalled(FixChecked)
+    assert checked.moved is not ignored
+
+
+@pytest.mark.parametrize(
+    ("control", "sensor_id", "why"), [(0, 0, "EKF2_AGP0_CTRL is 0"), (1, 2, "EKF2_AGP0_ID is 2"), (1, 1, "")]
+)
+def test_parameters_that_ignore_positions_are_named_with_the_first_one(
+    open_rig: OpenRig, control: int, sensor_id: int, why: str
+) -> None:
+    rig = open_rig(emit="auto", gates=OFTEN, firmware="px4")
+    values = {"EKF2_EV_CTRL": 4.0, stream_check.CONTROL: float(control), stream_check.ID: float(sensor_id)}
+    rig.autopilot.parameters = {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}
+    rig.run(8.0)
+    rig.autopilot.gps = False
+    rig.run(8.0)
+    offer_for(rig, 3.0)
+    said = [message.text for message in rig.received("STATUSTEXT") if "unused" in message.text]
+    assert said == ([f"Lookback: positions unused: {why}"] if why else [])
+
+
+@pytest.mark.parametrize(("firmware", "emit"), [("ardupilot", "external_position"), ("px4", "global_position_sensor")])
+def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmware: str, emit: str) -> None:
+    """GPS has just gone, and the map is known to 28 m in each direction; a filter that weighs it may have it."""
+    rig = open_rig(emit=emit, gates=GatesConfig(risk=1.0), firmware=firmware)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(10.0)
+    uncertain = {"age_s": 0.0, "sigma_along_m": 28.3, "sigma_across_m": 28.3}
+    assert rig.connection.send_position(rig.fix(**uncertain)) == (firmware == "px4")
+    reasons = [record.reason for record in rig.journalled(FixWithheld)]
+    assert reasons == ["less accurate than the autopilot"] * (firmware == "ardupilot")
+    rig.run(120.0)  # by now it is uncertain by more than that
+    own = rig.connection.position()
+    assert rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
+
+
+def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="vision_position", gates=GatesConfig(), drift_percent=5.0)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(20.0)
+    offer_for(rig, 6.0)
+    assert rig.autopilot.inputs.source_set == 2
+    assert len(rig.autopilot.inputs.fused) >= 25
+    assert len(rig.received("VISION_POSITION_ESTIMATE")) == pytest.approx(30, abs=3)
+    rig.autopilot.gps = True
+    rig.run(8.0)
+    assert rig.autopilot.inputs.source_set == 1
+
+
+def test_a_vision_stream_that_begins_far_off_says_that_it_jumps(open_rig: OpenRig) -> None:
+    gates = GatesConfig(max_move_m=10_000.0, risk=1.0)
+    rig = open_rig(emit="vision_position", gates=gates)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    offer_for(rig, 6.0)
+    rig.run(5.0)
+    offer_for(rig, 4.0, lat_deg=-27.47)
+    counters = [message.reset_counter for message in rig.received("VISION_POSITION_ESTIMATE")]
+    assert len(set(counters)) == 2
+    assert counters == sorted(counters)
+    assert rig.autopilot.resets
+
+
+def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: OpenRig) -> None:
+    origin = (-27.4772, 153.0283, 20.0)
+    rig = open_rig(emit="external_position", gps=False, has_origin=False, config={"origin": origin})
+    rig.run(4.0)
+    assert rig.connection.vehicle.position(rig.now_ns) is None, "zeros are nowhere"
+    assert rig.connection.vehicle.origin is None
+    rig.run(8.0)
+    (message,) = rig.received("SET_GPS_GLOBAL_ORIGIN")
+    assert (message.latitude, message.longitude, message.altitude) == (-274772000, 1530283000, 20000)
+    assert rig.connection.vehicle.origin is not None
+    assert rig.connection.send_position(rig.fix())
+    rig.run(1.0)
+    assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
+    assert rig.autopilot.resets[-1].error_after_m < 1.0
+
+
+def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
+    rig = open_rig(config={"origin": (1.0, 2.0, 3.0)})
+    rig.run(12.0)
+    assert rig.connection.vehicle.origin is not None
+    assert rig.connection.vehicle.origin.lat_deg == pytest.approx(-27.4772)
+    assert not rig.received("SET_GPS_GLOBAL_ORIGIN")
+
+
+def test_sources_are_not_chosen_for_a_position_that_cannot_be_sent(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="vision_position", gates=OFTEN, gps=False, has_origin=False)
+    rig.run(4.0)
+    assert not rig.connection.send_position(rig.fix(age_s=0.0))
+    rig.run(0.5)
+    assert rig.autopilot.inputs.source_set == 1
+    assert not rig.received("VISION_POSITION_ESTIMATE")
