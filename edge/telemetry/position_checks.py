@@ -12,8 +12,10 @@ from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.vehicle import Vehicle
 
 REMEMBER_NS = 1_000_000_000
-LESS_ACCURATE = 2.0
-"""An autopilot that is so many times as certain as a position would lose by a reset to it; others are weighed."""
+TIMES, ACCURATE_M = 2.0, 10.0
+"""An autopilot that is so many times as certain as a position would lose by a reset to it; other messages are weighed.
+A position that is less accurate than ACCURATE_M must be so many times as certain as the autopilot, whose uncertainty by
+the distance driven is a bound, not what is expected."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
@@ -66,8 +68,9 @@ class PositionChecks:
         )
         refused = self._integrity.refusal(fix, situation, period_s, message.max_age_s)
         known_m = situation.uncertainty_m
-        if refused is None and message.acknowledged and known_m is not None and fix.sigma_m > LESS_ACCURATE * known_m:
-            return Refusal("less accurate than the autopilot")
+        if refused is None and message.acknowledged and known_m is not None:
+            most_m = max(min(TIMES * known_m, ACCURATE_M), known_m / TIMES)
+            return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
         return refused
 
     def bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:
