@@ -54,15 +54,13 @@ class RegionLines:
 
     passed: what the line of both together passed at its mean row. seen: the same where the vehicle's place across the
     road counts, further on. parallax: meters by which the line of the right region lies further along than that of the
-    left one for each meter to the left of the map's drive. lane_m: where the vehicle's lane is, in such meters.
-    beyond_m: (n,) along the road, beyond the line of both together. left, right: (n,) how likely the line of that
-    region lies there.
+    left one for each meter to the left of the map's drive. beyond_m: (n,) along the road, beyond the line of both
+    together. left, right: (n,) how likely the line of that region lies there.
     """
 
     passed: Passed
     seen: Passed
     parallax: float
-    lane_m: float
     beyond_m: Vector
     left: Vector
     right: Vector

@@ -13,7 +13,6 @@ within a correlation length of each other about one observation.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,10 +36,6 @@ LEARNS = 0.95
 DOUBTED, DOUBT_M = 0.5, 2.0
 """Below which support the line of a region contradicts what is expected, and by how much less certain the position
 becomes then, in each direction, before the line is judged again."""
-BEYOND_M, BEYOND_SHARE = 3.0, 1.0
-"""How far beyond its lane, away from the map's drive, a vehicle shows the calibrated parallax, and one sigma of what
-its regions show of the rest, as a share of it. In 45 simulated drives regions alone were wrong across the road by 0.8
-to 1.5 m (rms) from 12 m on the map's side of the lane to 3 m beyond it, by 5 m at 7 m, and by 7 m at 9 m."""
 LEAST_SUPPORT = 0.05
 """How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 AGREE_SIGMAS = 3.0
@@ -199,7 +194,6 @@ class RouteEstimate:
         """
         repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
         self.since_regions_m = 0.0
-        self._doubt_beyond_lane(lines)
         for likelihood, error, further in _each(lines):
             expected = self._expectation(lines, likelihood, error, further)
             if expected.support < DOUBTED:
@@ -214,20 +208,6 @@ class RouteEstimate:
                 # Lines less than a correlation length apart share most of what they are wrong by.
                 excess = repeats * max(0.0, variance - REGION_M**2)
                 self._update(expected.row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
-
-    def _doubt_beyond_lane(self, lines: RegionLines) -> None:
-        """Less certain lines, where the vehicle may have been far beyond its lane: wrong as by another place across."""
-        left = left_of(lines.seen.along)
-        row = self._row(left, lines.seen.since_m, OF_ROAD)
-        left_m = float(left @ (self._before(lines.seen.since_m) - lines.seen.place_m)) - lines.lane_m
-        beyond_m = math.copysign(1.0, lines.lane_m) * left_m + float(np.sqrt(row @ self.covariance @ row))
-        if beyond_m > BEYOND_M:
-            across = np.zeros(len(row))
-            across[[LEFT, RIGHT]] = [further for _, _, further in _each(lines)]
-            length = float(np.linalg.norm(across))
-            wanted = REGION_M**2 + (BEYOND_SHARE * length * (beyond_m - BEYOND_M)) ** 2
-            known = float(across @ self.covariance @ across) / length**2
-            self.covariance += max(0.0, wanted - known) / length**2 * np.outer(across, across)
 
     def _expectation(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> _Expectation:
         """Of the line of one region, before it corrects anything."""

@@ -172,7 +172,7 @@ class Sightings:
         if left is None or right is None:
             return None
         at, seen_at = (Passed(*(values[-1] for values in one)) for one in (passed, seen))
-        return RegionLines(at, seen_at, self._rig.parallax, self._left_m(match), spacing_m * BEYOND_PLACES, left, right)
+        return RegionLines(at, seen_at, self._rig.parallax, spacing_m * BEYOND_PLACES, left, right)
 
     def _passed_at(self, match: PlaceMatch, line: LineMiddle, ages: Vector) -> Passed | None:
         """What a line passed at some ages in frames (n,), each (n, 2); on straight lines between KNOTS of them."""

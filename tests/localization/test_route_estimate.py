@@ -89,13 +89,13 @@ def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
 
-def lines(*at_m: float, here: float = 0.0, lane_m: float = 0.0) -> RegionLines:
+def lines(*at_m: float, here: float = 0.0) -> RegionLines:
     """Lines of both regions at so many meters beyond that of both together, which lies at `here`; NaN: nowhere."""
     beyond_m = np.linspace(-32.0, 32.0, 129)
     anywhere = np.full(129, 1 / 129)
     each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
     passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(2))
-    return RegionLines(passed, passed, 2.0, lane_m, beyond_m, *each)
+    return RegionLines(passed, passed, 2.0, beyond_m, *each)
 
 
 def _bell(away_m: Vector) -> Vector:
@@ -118,21 +118,6 @@ def test_a_region_alone_says_only_what_both_are_together() -> None:
     assert along_and_left @ estimate.position_m == pytest.approx(3.0, abs=0.7)
     assert np.sqrt(along_and_left @ estimate.covariance[:2, :2] @ along_and_left) < 2.4
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
-
-
-@pytest.mark.parametrize("lane_m", [3.0, -3.0])
-def test_regions_say_little_where_the_vehicle_may_be_far_beyond_its_lane(lane_m: float) -> None:
-    """They show a vehicle in its lane. It is expected there; perhaps there; 6 m beyond, away from the map's drive."""
-    in_lane, beyond = np.array([-lane_m, 0.0]), np.array([-3 * lane_m, 0.0])
-    for expected, known_m, least_m, most_m in (
-        (in_lane, 1.5, 0.0, 1.0),
-        (in_lane, 6.0, 2.0, 3.0),
-        (beyond, 1.0, 0.9, 1.0),
-    ):
-        estimate = RouteEstimate(expected, known_m**2 * np.eye(2), ERRORS)
-        estimate.correct_by_regions(lines(-lane_m, lane_m, lane_m=lane_m))
-        assert least_m < np.sqrt(estimate.covariance[0, 0]) < most_m
-        assert estimate.position_m == pytest.approx(expected, abs=0.7)
 
 
 def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_and_many_move_it() -> None:
