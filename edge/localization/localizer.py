@@ -56,7 +56,7 @@ class Localizer:
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, missed)
         if verdict.state == "wrong" and not was_wrong:
-            self._filter.forget_gps()
+            self._filter.reject_gps()
         return verdict
 
     def bind(self, position: VehiclePosition, gps_sigma_m: float) -> None:
