@@ -178,7 +178,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_move_m: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
     confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0
-    doubted_gps: Literal["tell", "switch", "send"] = "tell"
+    doubted_gps: Literal["report", "switch", "send"] = "report"
     gps_false_call: Annotated[float, Meta(gt=0, le=0.1)] = 1e-3
     gps_missed: Annotated[float, Meta(gt=0, le=0.5)] = 0.01
 

@@ -73,7 +73,7 @@ def check_mapping(config: Config) -> Iterator[Diagnostic]:
     else:
         yield good("mapping", f"{folder}: {free_mb / 1e3:.1f} GB are free")
     if Path(config.map.path).resolve() != folder.resolve():
-        words = "[mapping] folder is not [map] path: a finished map is searched only where the daemon is told so"
+        words = "[mapping] folder is not [map] path: a finished map is searched only where the configuration names it"
         yield note("mapping", words, "name the same folder in both, unless you want this")
 
 

@@ -1,4 +1,4 @@
-"""Every record of the journal: one versioned union, told apart by its key `event`.
+"""Every record of the journal: one versioned union, distinguished by its key `event`.
 
 This module is all there is to know about the journal's format; `python -m tests.docs.journal_page` makes
 docs/journal.md from it. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change

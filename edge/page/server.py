@@ -225,7 +225,7 @@ def _stamp_ns(snapshot: Snapshot) -> int | None:
 
 
 class _Server(uvicorn.Server):
-    """Sleeps until somebody asks or it is told to stop; uvicorn's own looks ten times a second whether it should."""
+    """Sleeps until somebody asks or it is to stop; uvicorn's own looks ten times a second whether it should."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -238,7 +238,7 @@ class _Server(uvicorn.Server):
 
 
 class _OnlyForUs:
-    """Refuses requests that name this computer by a foreign name, and tells browsers to keep the page to itself."""
+    """Refuses requests that name this computer by a foreign name, and asks browsers to keep the page to itself."""
 
     def __init__(self, app: ASGIApp, hosts: tuple[str, ...]) -> None:
         self._app = app
@@ -320,7 +320,7 @@ def _server_config(app: ASGIApp, patience_s: float) -> uvicorn.Config:
 
 
 def _content_policy(html: str) -> str:
-    """Nothing from elsewhere, and no script or style but the page's own, told by their checksums."""
+    """Nothing from elsewhere, and no script or style but the page's own, known by their checksums."""
 
     def digest(tag: str) -> str:
         text = re.findall(rf"<{tag}>(.*?)</{tag}>", html, re.DOTALL)[0]

@@ -127,7 +127,7 @@ def match_at(
         order=order,
         slope=search.slope(plane, place),
         distance=cost / lines.length / COST_ONE,
-        # With nothing whole outside the window there is nothing to be told apart from, so nothing is claimed.
+        # With nothing whole outside the window there is nothing to compare with, so nothing is claimed.
         uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
         sharpness=sharpness(along, at, lines.length),
         row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, lines.length)).mean()),

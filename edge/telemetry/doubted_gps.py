@@ -31,7 +31,7 @@ class DoubtedGps:
         record: Callable[[Record], object],
         send_text: Callable[[str], object],
     ) -> None:
-        self._acts, self._vehicle = gates.doubted_gps != "tell", vehicle
+        self._acts, self._vehicle = gates.doubted_gps != "report", vehicle
         self._record, self._send_text = record, send_text
         self.verdict: GpsVerdict | None = None
         self.is_wrong = False

@@ -72,7 +72,7 @@ def suitable_message(autopilot: int | None, version: tuple[int, int] | None) -> 
     """What `auto` chooses, and why; None while the version is not known, and for firmware that accepts no position."""
     name = NAMES.get(autopilot, f"autopilot {autopilot}") if autopilot is not None else "no autopilot"
     if version is None:
-        return None, f"{name} has not told its version"
+        return None, f"{name} has not reported its version"
     spelled = f"{name} {version[0]}.{version[1]}"
     for support in SUITABLE:
         if support.autopilot == autopilot and version >= support.version:

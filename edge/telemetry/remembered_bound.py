@@ -1,6 +1,6 @@
 """How far the autopilot's position can be wrong, remembered over a restart of this program and over a silent link.
 
-What bounded the position (GPS or a fix) still does while the autopilot has not rebooted, which its boot time tells.
+What bounded the position (GPS or a fix) still does while the autopilot has not rebooted, which its boot time shows.
 Meanwhile the vehicle may have driven unheard: at most as fast as before or now, or as its own position has moved.
 The file is replaced without a flush to the disk: it has to outlive this program, not this computer's power.
 """

@@ -1,7 +1,7 @@
 """What measures the vehicle's velocity when GPS is gone, by the autopilot's parameters.
 
 Without such an aid an estimator loses its position within seconds, and a position that we send comes back as its
-velocity: the two agree with each other and not with the truth. The estimator's flags do not tell, since they return
+velocity: the two agree with each other and not with the truth. The estimator's flags do not show it, since they return
 while our position is fused.
 """
 

@@ -7,5 +7,5 @@ training  loss, schedule, averaged weights, checkpoints
 measure   what a trained network is worth on held-out pictures, and the ranges of its layers for int8
 command   the options
 
-The network is told categories apart, and two views of one picture from other pictures by fc6 as NSD sees it.
+The network learns to distinguish categories, and by fc6 as NSD normalizes it two views of one picture from others.
 """

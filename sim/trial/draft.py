@@ -76,7 +76,7 @@ class Draft:
     silence_s: tuple[float, float] | None = None
     killed_s: float | None = None
     restarted_s: float | None = None
-    doubted_gps: Literal["tell", "switch", "send"] = "tell"
+    doubted_gps: Literal["report", "switch", "send"] = "report"
     lon_shift_deg: float = 0.0
     booted_before_s: float = 0.0
     unsent: list[tuple[float, float]] = field(default_factory=list)

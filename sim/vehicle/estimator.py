@@ -184,7 +184,7 @@ class Estimator:
         self._heading_rad += float(change[HEADING])
 
     def _restart(self, sigma_m: float) -> None:
-        """The covariance while GPS is fused: the velocity is known, and the heading as well as a compass tells it."""
+        """The covariance while GPS is fused: the velocity is known, and the heading as well as a compass does."""
         self._covariance = np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01, self._noise.heading_rad**2])
         if self._errors.source != "none":
             self._covariance[V_EAST, V_EAST] = self._covariance[V_NORTH, V_NORTH] = 0.0

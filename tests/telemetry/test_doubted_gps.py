@@ -52,7 +52,7 @@ def texts(rig: Rig) -> list[str]:
 
 
 def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) -> None:
-    rig = spoofed(open_rig, "tell")
+    rig = spoofed(open_rig, "report")
     for _ in range(10):
         rig.connection.judge_gps(WRONG)
         rig.run(1.0)
@@ -69,7 +69,7 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
 
 
 def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) -> None:
-    rig = spoofed(open_rig, "tell")
+    rig = spoofed(open_rig, "report")
     rig.connection.judge_gps(GpsVerdict())
     rig.run(2.0)
     assert values(rig, "gps_doubt")[-1] == -1.0
@@ -80,7 +80,7 @@ def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) ->
 
 
 def test_by_default_nothing_else_happens(open_rig: OpenRig) -> None:
-    rig = spoofed(open_rig, "tell")
+    rig = spoofed(open_rig, "report")
     rig.connection.judge_gps(WRONG)
     offer(rig, 10.0)
     assert rig.autopilot.inputs.source_set == 1

@@ -42,7 +42,7 @@ def _vision(draft: Draft) -> None:
 
 @course("H", "stream-unused")
 def _stream_unused(draft: Draft) -> None:
-    """PX4 whose parameters for positions are missing: the pilot must be told that nobody uses them."""
+    """PX4 whose parameters for positions are missing: a warning must say that nobody uses them."""
     draft.firmware = "px4-without-agp"
     draft.errors = OdometryErrors("velocity sensor", 1.03)
     draft.rules = (within_sigmas, no_false_place, warns)
