@@ -37,13 +37,6 @@ FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
-LONGER = 0.075
-"""Share by which the newest lines may be longer than what was driven, or shorter, while the odometer is not known."""
-KNOWN, KNOWN_WELL = 0.025, 0.015
-"""Standard deviation to which an estimate must know the odometer's scale, so that the length of lines says nothing
-more, and so that it outweighs what they said. In 20 simulated drives with wheels that are wrong by 3 %, ten lines
-together were longer or shorter by up to 9 %, and the scale was known as well after 50 to 72 matches; with 15 %, they
-were longer by 8 to 12 % in 16 of 17 drives, and it never was."""
 SHOWN = 3.0
 """What `RouteEstimate.support` must be of a match that is not believed."""
 RIVAL_MATCHES = 3
@@ -67,7 +60,6 @@ class RouteFilter:
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
         self._rival: Track | None = None
-        self._is_odometer_doubted = False  # by its lines, as long as no estimate knows its scale well
         self._since_gps: RouteEstimate | None = None
         self._since_lost: RouteEstimate | None = None
         """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
@@ -76,7 +68,6 @@ class RouteFilter:
         """The autopilot's position is bounded by GPS: the newest frame was there, to one standard deviation."""
         if self._at is None:
             return
-        self._is_odometer_doubted = False
         apart_s = (self._last_ns - position.stamp_ns) / 1e9
         moved_m = apart_s * np.array([position.east_mps, position.north_mps])
         position_m = self._sightings.local(position) + moved_m
@@ -154,21 +145,11 @@ class RouteFilter:
         track, rival = self._track, self._rival
         if track is None:
             return False
-        is_wrong = abs(self._of_odometer(track).scale) > ODD_SIGMAS * self._config.drift_percent / 100
-        is_disputed = rival is not None and rival.matches >= RIVAL_MATCHES
-        return is_wrong or self._is_odometer_doubted or not track.is_confirmed or is_disputed
-
-    def _of_odometer(self, track: Track) -> RouteEstimate:
-        """The estimate that knows best: what the last track found of the odometer holds until this one knows it."""
-        return min((track.estimate, self._since_lost or track.estimate), key=lambda one: one.scale_sigma)
-
-    def _check_odometer(self, track: Track) -> None:
-        """Lines that are all longer than what was driven, or all shorter, count until an estimate knows better."""
-        scale_sigma = self._of_odometer(track).scale_sigma
-        if scale_sigma <= KNOWN_WELL:
-            self._is_odometer_doubted = False
-        elif scale_sigma > KNOWN and abs(track.lines_longer) > LONGER:
-            self._is_odometer_doubted = True
+        # What the last track found of the odometer holds until this one knows it as well.
+        estimates = (track.estimate, self._since_lost or track.estimate)
+        scale = min(estimates, key=lambda one: one.scale_sigma).scale
+        is_odd = abs(scale) > ODD_SIGMAS * self._config.drift_percent / 100
+        return is_odd or not track.is_confirmed or (rival is not None and rival.matches >= RIVAL_MATCHES)
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
@@ -209,7 +190,6 @@ class RouteFilter:
         else:
             track = self._dispute(sighting, stamp_ns)
         if track is not None:
-            self._check_odometer(track)
             self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
 
     def _dispute(self, sighting: Sighting, stamp_ns: int) -> Track | None:

@@ -49,8 +49,7 @@ class OnDrive(NamedTuple):
 class Sighting:
     """A match in local meters: where the vehicle was at the middle of its line, and its displacement since then.
 
-    along: unit vector (2,) of travel there. along_m: of the vehicle now, along the drive. longer: share by which the
-    line is longer than the vehicle's displacement, by all that is known of its odometer. shows_parallax: whether lines
+    along: unit vector (2,) of travel there. along_m: of the vehicle now, along the drive. shows_parallax: whether lines
     of this kind have one that was calibrated: where they say nothing, the vehicle may be off its lane. regions: the
     lines of its two regions; None where the match has none.
     """
@@ -62,7 +61,6 @@ class Sighting:
     since_m: Vector
     along_m: float
     sigma_m: float
-    longer: float
     errors: MatchErrors
     map_sigma_m: float
     shows_parallax: bool
@@ -111,9 +109,9 @@ class Sightings:
         begin, middle, end = (self._on_drive(match, along_m) for along_m in (line.begins_m, line.along_m, line.ends_m))
         if begin is None or middle is None or end is None:
             return None
-        line_m, moved_m = end.place_m - begin.place_m, _truly(self._since(2 * line.back), estimate)
+        moved_m = self._since(2 * line.back)
         drift = self._drift if estimate is None else estimate.scale_sigma
-        if not moved_alike(line_m, moved_m, 2 * drift):
+        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), 2 * drift):
             return None
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
@@ -125,7 +123,6 @@ class Sightings:
             since_m=since_m,
             along_m=line.along_m + sign * (float(np.hypot(*since_m)) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
-            longer=float(np.hypot(*line_m) / max(1.0, np.hypot(*moved_m))) - 1,
             errors=self._errors(match),
             map_sigma_m=middle.map_sigma_m,
             shows_parallax=match.order == "same" and self._rig.parallax > 0,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,16 +14,12 @@ from edge.localization.sighting import Sighting
 OFF_LANE = 2.0
 """Times by which the road counts as wider where a parallax could say where the vehicle is across."""
 
-LINES = 10
-"""Matches whose lines say together how wrong the odometer is: a single line is longer or shorter by up to a tenth."""
-
 
 @dataclass
 class Track:
     """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match.
 
-    longer: by what share each of the newest lines was longer than the vehicle's displacement. contradicts_reckoning:
-    whether the first match was not where reckoning had the vehicle, as well as it knew.
+    contradicts_reckoning: whether the first match was not where reckoning had the vehicle, as well as it knew.
     """
 
     estimate: RouteEstimate
@@ -33,18 +28,12 @@ class Track:
     matches: int = 0
     since_m: float = 0.0
     driven_m: float = 0.0
-    longer: deque[float] = field(default_factory=lambda: deque(maxlen=LINES))
     contradicts_reckoning: bool = False
 
     @property
     def is_confirmed(self) -> bool:
         """Whether it began where reckoning had the vehicle, or matches have agreed with it for a correlation length."""
         return not self.contradicts_reckoning or self.driven_m - self.since_m >= CORRELATION_M
-
-    @property
-    def lines_longer(self) -> float:
-        """Share by which the newest lines together were longer than what was driven; 0 while there are too few."""
-        return sum(self.longer) / LINES if len(self.longer) == LINES else 0.0
 
     def move(self, displacement_m: Vector) -> None:
         """Move on by a displacement (2,) of the autopilot's velocity."""
@@ -93,6 +82,5 @@ class Track:
             self.estimate.correct(sighting.place_m, sighting.along, sighting.since_m, sighting.sigma_m)
         if sighting.regions is not None:
             self.estimate.correct_by_regions(sighting.regions)
-        self.longer.append(sighting.longer)
         self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0
         self.matches += 1

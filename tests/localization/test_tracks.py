@@ -125,37 +125,6 @@ def test_a_wrong_scale_is_found_and_remembered(open_filter: Callable[..., RouteF
     assert later.disputed
 
 
-@pytest.mark.parametrize("reads", [0.88, 1.0, 1.14])
-def test_lines_that_differ_from_what_was_driven_dispute_the_position_before_the_scale_is_found(
-    open_filter: Callable[..., RouteFilter], reads: float
-) -> None:
-    """An odometer reads 12 % too little, rightly, or 14 % too much. Before ten lines, nobody can know."""
-    drive = Drive(open_filter(), 10)
-    drive.displacement = lambda: Displacement(1, 0.0, reads * drive.frames * SPACING_M)  # type: ignore[method-assign]
-    drive.go(LENGTH, lambda _: None)
-    fixes = []
-    for _ in range(12):
-        drive.go(1)
-        fixes.append(drive.filter.at_exposure())
-    found = [fix for fix in fixes if fix is not None]
-    assert [fix.disputed for fix in found] == [False] * 9 + [reads != 1.0] * 3
-    assert max(fix.velocity_error for fix in found) < 0.075, "by the estimate alone it is not wrong yet"
-
-
-def test_long_lines_count_no_longer_where_the_odometer_is_known(open_filter: Callable[..., RouteFilter]) -> None:
-    """Twelve lines that pass more places than they should, as where a vehicle leaves its lane; then right ones."""
-    drive = Drive(open_filter(), 10)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(12, lambda place: match(place, slope=1.1))
-    wrong = drive.filter.at_exposure()
-    drive.go(150)
-    right = drive.filter.at_exposure()
-    drive.go(12, lambda place: match(place, slope=1.1))
-    later = drive.filter.at_exposure()
-    assert wrong is not None and right is not None and later is not None
-    assert [wrong.disputed, right.disputed, later.disputed] == [True, False, False]
-
-
 def test_one_false_match_changes_nothing(open_filter: Callable[..., RouteFilter]) -> None:
     drive = warm(open_filter())
     drive.go(1, lambda _: match(300))
