@@ -37,6 +37,9 @@ FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
+KNOWN_SCALE = 0.015
+"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
+place. Where it is more, the line may fit its oldest rows rather than its middle."""
 SHOWN = 3.0
 """What `RouteEstimate.support` must be of a match that is not believed."""
 RIVAL_MATCHES = 3
@@ -243,6 +246,7 @@ class RouteFilter:
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
+        covariance += _line_error_m(estimate, newest) ** 2 * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(
             stamp_ns=stamp_ns,
@@ -264,6 +268,15 @@ class RouteFilter:
             disputed=self._is_disputed,
             map=UNSET if match.map is None else match.map,
         )
+
+
+def _line_error_m(estimate: RouteEstimate, sighting: Sighting) -> float:
+    """What the estimate does not know of the middle of a line: its errors by the odometer's scale are twice as large.
+
+    The displacement since the middle is in the covariance once, and half of the line has the same error.
+    """
+    scale_var = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
+    return math.sqrt((2**2 - 1**2) * scale_var) * float(np.hypot(*sighting.since_m))
 
 
 def _vector(displacement: Displacement) -> Vector:

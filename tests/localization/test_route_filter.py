@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -182,3 +183,13 @@ def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., Rout
     few, many = (warm(open_filter(), frames=frames).filter.at_exposure() for frames in (1, 30))
     assert few is not None and many is not None
     assert 3.0 <= many.sigma_along_m < few.sigma_along_m < 1.5 * many.sigma_along_m
+
+
+def test_a_position_is_less_certain_by_what_the_odometer_may_be_wrong_over_a_whole_line(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    """A line of 38 m; one vehicle's odometer is wrong by 5 %, the other's by no more than what is always allowed."""
+    rig = RigConfig(sigma_along_m=0.5)
+    unknown, known = (warm(open_filter(rig, drift_percent=one), frames=1).filter.at_exposure() for one in (5.0, 1.5))
+    assert unknown is not None and known is not None
+    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 0.05 * 38.0), rel=0.15)
