@@ -271,9 +271,9 @@ class RouteFilter:
 
 
 def _line_error_m(estimate: RouteEstimate, sighting: Sighting) -> float:
-    """What the estimate does not know of the middle of a line: its errors by the odometer's scale are twice as large.
+    """One sigma along the road that the covariance lacks: an odometer that is wrong moves the middle of a line as well.
 
-    The displacement since the middle is in the covariance once, and half of the line has the same error.
+    The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
     scale_var = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
     return math.sqrt((2**2 - 1**2) * scale_var) * float(np.hypot(*sighting.since_m))
