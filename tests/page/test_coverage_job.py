@@ -20,7 +20,7 @@ from edge.page.map_view import MapView
 from edge.page.server import StatusPage
 from tests.coverage.roads import road, walk
 
-LONGEST_S = 120.0
+LONGEST_S = 300.0
 
 
 def ask(page: StatusPage, query: str) -> tuple[int, Any]:
