@@ -246,7 +246,7 @@ class RouteFilter:
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
-        covariance += _line_error_m(estimate, newest) ** 2 * np.outer(along, along)
+        covariance += _line_variance(estimate, newest) * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(
             stamp_ns=stamp_ns,
@@ -270,13 +270,13 @@ class RouteFilter:
         )
 
 
-def _line_error_m(estimate: RouteEstimate, sighting: Sighting) -> float:
-    """One sigma along the road that the covariance lacks: an odometer that is wrong moves the middle of a line as well.
+def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
+    """Square meters along the road that the covariance lacks: an odometer that is wrong moves a line's middle as well.
 
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
-    scale_var = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
-    return math.sqrt((2**2 - 1**2) * scale_var) * float(np.hypot(*sighting.since_m))
+    scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
+    return (2**2 - 1**2) * scale_variance * float(sighting.since_m @ sighting.since_m)
 
 
 def _vector(displacement: Displacement) -> Vector:
