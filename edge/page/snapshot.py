@@ -38,9 +38,9 @@ class HistoryFrame(msgspec.Struct, frozen=True):
 class Status(msgspec.Struct, frozen=True):
     """Everything about the daemon that is words and numbers.
 
-    stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s identifies the run of the daemon. newest: the
-    newest used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames
-    per second over the recent ones. category: of the last event. stages_ms: medians. history: oldest first.
+    stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s identifies the run of the daemon. newest: the newest
+    used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames per
+    second over the recent ones. category: of the last event. stages_ms: medians. history: oldest first.
     """
 
     stamp_ns: int
