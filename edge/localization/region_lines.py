@@ -41,7 +41,11 @@ BEYOND_PLACES = np.linspace(-REACH, REACH, 2 * REACH * FINE + 1)
 
 
 class Passed(NamedTuple):
-    """A point of a drive of the map, meters (2,), the direction of travel there, and how the vehicle moved since."""
+    """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
+
+    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (2,) how the vehicle moved since, by the
+    autopilot's velocity.
+    """
 
     place_m: Vector
     along: Vector

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import SIDES, RegionLines, Vector
+from edge.localization.region_lines import SIDES, Passed, RegionLines, Vector
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
@@ -103,10 +103,13 @@ class RouteEstimate:
         """Driven since the last correction by regions."""
 
     @classmethod
-    def on_road(cls, place_m: Vector, along: Vector, road_sigma_m: float, errors: VelocityErrors) -> RouteEstimate:
-        """Begin on a road: along the unit vector `along` nothing is known before the first `correct`."""
-        left = left_of(along)
-        return cls(place_m, UNKNOWN_M**2 * np.outer(along, along) + road_sigma_m**2 * np.outer(left, left), errors)
+    def on_road(cls, passed: Passed, road_sigma_m: float, errors: VelocityErrors) -> RouteEstimate:
+        """Begin on a road that was passed: nothing is known along it before the first `correct`."""
+        along, left = passed.along, left_of(passed.along)
+        covariance = UNKNOWN_M**2 * np.outer(along, along) + road_sigma_m**2 * np.outer(left, left)
+        estimate = cls(passed.place_m, covariance, errors)
+        estimate.predict(passed.since_m)
+        return estimate
 
     def copy(self) -> RouteEstimate:
         """An estimate of its own."""
@@ -158,23 +161,20 @@ class RouteEstimate:
         self.mean[4:] = self.covariance[4:, :] = self.covariance[:, 4:] = 0.0
         self.covariance[4:, 4:] = np.diag(self._variances[2:])
 
-    def innovation(self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float) -> tuple[float, float]:
-        """By how many meters along a match differs from what was expected, and that difference's deviation.
+    def innovation(self, passed: Passed, sigma_m: float) -> tuple[float, float]:
+        """By how many meters along a match differs from what was expected, and that difference's deviation."""
+        return self._innovation(passed, passed.along, self._row(passed.along, passed.since_m, OF_LINE), sigma_m)
 
-        The vehicle was at `place_m` (2,) along the unit vector `along` before it moved by `since_m`.
-        """
-        return self._innovation(place_m, along, self._row(along, since_m, OF_LINE), since_m, sigma_m)
-
-    def is_on_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> bool:
+    def is_on_road(self, passed: Passed, road_sigma_m: float) -> bool:
         """Whether the vehicle may be on the road of a match; far beside it, what its regions show means nothing."""
-        left = left_of(along)
-        off_m, sigma_m = self._innovation(place_m, left, self._row(left, since_m, OF_ROAD), since_m, road_sigma_m)
+        left = left_of(passed.along)
+        off_m, sigma_m = self._innovation(passed, left, self._row(left, passed.since_m, OF_ROAD), road_sigma_m)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
-    def correct(self, place_m: Vector, along: Vector, since_m: Vector, sigma_m: float) -> None:
+    def correct(self, passed: Passed, sigma_m: float) -> None:
         """Correct by the along part of a match; sigma_m: of what is independent in each match."""
-        row = self._row(along, since_m, OF_LINE)
-        off_m, _ = self._innovation(place_m, along, row, since_m, sigma_m)
+        row = self._row(passed.along, passed.since_m, OF_LINE)
+        off_m, _ = self._innovation(passed, passed.along, row, sigma_m)
         self._update(row, off_m, sigma_m**2)
 
     def support(self, lines: RegionLines) -> float:
@@ -214,30 +214,27 @@ class RouteEstimate:
         passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
         row = self._row(passed.along, passed.since_m, OF_ROAD) + further * self._row(left, seen.since_m, OF_ROAD)
         row[error] = 1.0
-        along_m = passed.along @ (self._before(passed.since_m) - passed.place_m)
-        left_m = left @ (self._before(seen.since_m) - seen.place_m)
+        along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
         at_m, variance = float(along_m + further * left_m + self.mean[error]), float(row @ self.covariance @ row)
         weights = likelihood * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
         reach_m = lines.beyond_m[-1] - lines.beyond_m[0]
         support = float(weights.sum() / np.sqrt(2 * np.pi * variance) * reach_m)
         return _Expectation(at_m, variance, row, weights, support)
 
-    def _innovation(
-        self, place_m: Vector, direction: Vector, row: Vector, since_m: Vector, sigma_m: float
-    ) -> tuple[float, float]:
-        off_m = float(direction @ (place_m - self._before(since_m)) - row[4:] @ self.mean[4:])
+    def _innovation(self, passed: Passed, direction: Vector, row: Vector, sigma_m: float) -> tuple[float, float]:
+        off_m = float(-direction @ self._off_m(passed) - row[4:] @ self.mean[4:])
         return off_m, float(np.sqrt(row @ self.covariance @ row + sigma_m**2))
 
-    def keep_on_road(self, place_m: Vector, along: Vector, since_m: Vector, road_sigma_m: float) -> None:
+    def keep_on_road(self, passed: Passed, road_sigma_m: float) -> None:
         """The vehicle is on the road, so its position across is never less certain than the road is wide.
 
         As a measurement just as good as makes the variance that of the road: where it is less already, none.
         """
-        left = left_of(along)
-        row = self._row(left, since_m, OF_ROAD)
+        left = left_of(passed.along)
+        row = self._row(left, passed.since_m, OF_ROAD)
         variance = float(row @ self.covariance @ row)
         if variance > road_sigma_m**2:
-            off_m = float(left @ (place_m - self._before(since_m)))
+            off_m = float(-left @ self._off_m(passed))
             self._update(row, off_m, 1 / (1 / road_sigma_m**2 - 1 / variance), position_only=True)
 
     def bound(self, position_m: Vector, sigma_m: float) -> None:
@@ -255,9 +252,10 @@ class RouteEstimate:
                 off_m = float(direction @ (position_m - self.position_m))
                 self._update(row, off_m, 1 / (1 / sigma_m**2 - 1 / variance))
 
-    def _before(self, since_m: Vector) -> Vector:
-        before: Vector = self.mean[:2] - self.truly(since_m)
-        return before
+    def _off_m(self, passed: Passed) -> Vector:
+        """How far from a point the vehicle was when it passed it, (2,)."""
+        off_m: Vector = self.mean[:2] - self.truly(passed.since_m) - passed.place_m
+        return off_m
 
     def _slopes(self, displacement_m: Vector) -> NDArray[np.float64]:
         """Of `truly` against heading error and scale error, (2, 2)."""

@@ -133,8 +133,8 @@ class RouteFilter:
         estimate = self._since_lost if track is None else track.estimate
         if estimate is None or sighting.regions is None:
             return
-        road = sighting.place_m, sighting.along, sighting.since_m
-        if estimate.is_on_road(*road, self._rig.sigma_across_m) and estimate.support(sighting.regions) >= SHOWN:
+        is_on_road = estimate.is_on_road(sighting.passed, self._rig.sigma_across_m)
+        if is_on_road and estimate.support(sighting.regions) >= SHOWN:
             estimate.correct_by_regions(sighting.regions)
 
     def at_exposure(self) -> PlaceFix | None:
@@ -210,8 +210,7 @@ class RouteFilter:
     def _begin(self, sighting: Sighting, stamp_ns: int) -> Track:
         road_sigma_m = self._rig.sigma_across_m
         errors = self._velocity_errors(sighting.errors)
-        estimate = RouteEstimate.on_road(sighting.place_m, sighting.along, road_sigma_m, errors)
-        estimate.predict(sighting.since_m)
+        estimate = RouteEstimate.on_road(sighting.passed, road_sigma_m, errors)
         tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
         for track in tracks:
             track.estimate.begin_drive(sighting.errors)
@@ -276,7 +275,8 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
     scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
-    return (2**2 - 1**2) * scale_variance * float(sighting.since_m @ sighting.since_m)
+    since_m = sighting.passed.since_m
+    return (2**2 - 1**2) * scale_variance * float(since_m @ since_m)
 
 
 def _vector(displacement: Displacement) -> Vector:

@@ -47,18 +47,16 @@ class OnDrive(NamedTuple):
 
 @dataclass(frozen=True)
 class Sighting:
-    """A match in local meters: where the vehicle was at the middle of its line, and its displacement since then.
+    """A match in local meters.
 
-    along: unit vector (2,) of travel there. along_m: of the vehicle now, along the drive. shows_parallax: whether lines
-    of this kind have one that was calibrated: where they say nothing, the vehicle may be off its lane. regions: the
-    lines of its two regions; None where the match has none.
+    passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along the drive.
+    shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the vehicle may be
+    off its lane. regions: the lines of its two regions; None where the match has none.
     """
 
     match: PlaceMatch
     segment: int
-    place_m: Vector
-    along: Vector
-    since_m: Vector
+    passed: Passed
     along_m: float
     sigma_m: float
     errors: MatchErrors
@@ -118,9 +116,7 @@ class Sightings:
         return Sighting(
             match=match,
             segment=line.segment,
-            place_m=middle.place_m + self._left_m(match) * left_of(middle.along),
-            along=middle.along,
-            since_m=since_m,
+            passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m)) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
             errors=self._errors(match),

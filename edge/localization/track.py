@@ -44,18 +44,13 @@ class Track:
 
     def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
-        road = sighting.place_m, sighting.along, sighting.since_m
-        return self.estimate.is_on_road(*road, road_sigma_m) and self._agrees_along(sighting)
+        return self.estimate.is_on_road(sighting.passed, road_sigma_m) and self._agrees_along(sighting)
 
     def _agrees_along(self, sighting: Sighting) -> bool:
         if sighting.regions is not None and not self._begins_drive(sighting):
             return self.estimate.support(sighting.regions) >= LEAST_SUPPORT
-        off_m, sigma_m = self.estimate.innovation(
-            sighting.place_m,
-            sighting.along,
-            sighting.since_m,
-            math.hypot(sighting.sigma_m, self._new_drive_m(sighting)),
-        )
+        sigma_m = math.hypot(sighting.sigma_m, self._new_drive_m(sighting))
+        off_m, sigma_m = self.estimate.innovation(sighting.passed, sigma_m)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def _new_drive_m(self, sighting: Sighting) -> float:
@@ -74,12 +69,12 @@ class Track:
             self.estimate.begin_drive(sighting.errors)
         # Where a parallax could be, none is a sign that the vehicle is off its lane.
         road_sigma_m *= OFF_LANE if sighting.shows_parallax else 1.0
-        self.estimate.keep_on_road(sighting.place_m, sighting.along, sighting.since_m, road_sigma_m)
+        self.estimate.keep_on_road(sighting.passed, road_sigma_m)
         # The line of both regions together may be that of one of them, where a vehicle is far beside the map's drive:
         # it only says where to begin, and where the regions have said nothing for long.
         said_lately = sighting.shows_parallax and self.estimate.since_regions_m < CORRELATION_M
         if not self.matches or (sighting.regions is None and not said_lately):
-            self.estimate.correct(sighting.place_m, sighting.along, sighting.since_m, sighting.sigma_m)
+            self.estimate.correct(sighting.passed, sighting.sigma_m)
         if sighting.regions is not None:
             self.estimate.correct_by_regions(sighting.regions)
         self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0

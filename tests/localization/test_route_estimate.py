@@ -46,11 +46,10 @@ def drive(seed: int, places: int = 400) -> tuple[RouteEstimate, NDArray[np.float
         since = reckoned[at] - reckoned[middle]
         if estimate is None:
             left = np.array([-along[middle][1], along[middle][0]])
-            estimate = RouteEstimate.on_road(seen + across_m * left, along[middle], 2.0, ERRORS)
-            estimate.predict(since)
+            estimate = RouteEstimate.on_road(Passed(seen + across_m * left, along[middle], since), 2.0, ERRORS)
         else:
             estimate.predict(reckoned[at] - reckoned[at - 1])
-        estimate.correct(seen, along[middle], since, JITTER_M)
+        estimate.correct(Passed(seen, along[middle], since), JITTER_M)
     assert estimate is not None
     return estimate, estimate.mean[:4] - [*points[-1], heading_rad, scale]
 
@@ -65,26 +64,26 @@ def test_the_covariance_is_that_of_the_errors() -> None:
 
 def test_matches_of_one_correlation_length_are_about_one_observation() -> None:
     along, points = winding(40)
-    estimate = RouteEstimate.on_road(points[0], along[0], 2.0, ERRORS)
+    estimate = RouteEstimate.on_road(Passed(points[0], along[0], np.zeros(2)), 2.0, ERRORS)
     sigmas_m = []
     for at in range(30):
         estimate.predict(2 * along[at] if at else np.zeros(2))
-        estimate.correct(points[at], along[at], np.zeros(2), JITTER_M)
+        estimate.correct(Passed(points[at], along[at], np.zeros(2)), JITTER_M)
         sigmas_m.append(np.sqrt(along[at] @ estimate.covariance[:2, :2] @ along[at]))
     assert MATCH_M <= sigmas_m[-1] <= sigmas_m[0] <= 1.3 * sigmas_m[-1]
 
 
 def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
-    along, place = np.array([0.0, 1.0]), np.zeros(2)
-    estimate = RouteEstimate.on_road(place, along, 1.0, ERRORS)
-    estimate.correct(place, along, np.zeros(2), JITTER_M)
+    passed = Passed(np.zeros(2), np.array([0.0, 1.0]), np.zeros(2))
+    estimate = RouteEstimate.on_road(passed, 1.0, ERRORS)
+    estimate.correct(passed, JITTER_M)
     for _ in range(100):
-        estimate.keep_on_road(place, along, np.zeros(2), 3.0)
+        estimate.keep_on_road(passed, 3.0)
     assert estimate.covariance[0, 0] == pytest.approx(1.0), "it was better known before"
     for _ in range(100):
         estimate.predict(np.array([0.0, 5.0]))
-        place = place + np.array([0.0, 5.0])
-        estimate.keep_on_road(place, along, np.zeros(2), 3.0)
+        passed = passed._replace(place_m=passed.place_m + np.array([0.0, 5.0]))
+        estimate.keep_on_road(passed, 3.0)
     assert estimate.covariance[0, 0] == pytest.approx(9.0)
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
