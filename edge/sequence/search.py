@@ -129,7 +129,7 @@ class SequenceSearch:
         ]
         self._places = bounds[-1][1]
         self._laps = [*laps, *[None] * (len(segments) - len(laps))]
-        self._known = self._known_places(segments, bounds)
+        self._cost_at = self._costs_of_planes(self._known_places(segments, bounds), segments[-1][1])
         self._room = np.stack([_room(bounds)[direction] for direction, _ in self.planes])
         # Only at these, (planes, near) each, do some slopes have a whole line and others not.
         self._near_start = np.nonzero((self._room < reach) & (not open_ends))
@@ -247,7 +247,7 @@ class SequenceSearch:
         if self._near_start[0].size:
             best[self._near_start] = self._whole_near_start()
         in_order = (self._mirror(*of) for of in zip(self.planes, best, strict=True))
-        by_plane = tuple(row[self._at] if self._margin else row for row in in_order)
+        by_plane = tuple(row.take(self._at) for row in in_order)
         if self._impossible is not None:
             for row, impossible in zip(by_plane, self._impossible, strict=True):
                 row[impossible] = NO_LINE
@@ -278,7 +278,7 @@ class SequenceSearch:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
         slots = [frame % self.length for frame in range(self._frame - self._rows + 1, self._frame + 1)]
         rows = self._mirror(plane, self._ring[slots, self.planes.index(plane)])
-        return np.ascontiguousarray(rows[:, self._at])
+        return rows.take(self._at, axis=1)
 
     def slope(self, plane: int, place: int) -> float:
         """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
@@ -299,12 +299,15 @@ class SequenceSearch:
             known[first + np.flatnonzero(inside)] = padded[inside]
         return known
 
+    def _costs_of_planes(self, known: NDArray[np.intp], places: int) -> NDArray[np.intp]:
+        """Where each plane's costs (planes, padded N) are among those of all orders, each with one more at its end."""
+        of_planes = [self._mirror(plane, known) + ORDERS.index(plane[1]) * (places + 1) for plane in self.planes]
+        return np.stack(of_planes)
+
     def _by_plane(self, costs: NDArray[np.int32]) -> NDArray[np.int32]:
         """One cost row (orders, N) as each plane needs it: (planes, padded N), mirrored for the way back."""
-        if self._margin:
-            unknown = np.full((len(costs), 1), COST_ONE, dtype=np.int32)
-            costs = np.concatenate([costs, unknown], axis=1)[:, self._known]
-        return np.stack([self._mirror(plane, costs[ORDERS.index(plane[1])]) for plane in self.planes])
+        unknown = np.full((len(costs), 1), COST_ONE, dtype=np.int32)
+        return np.concatenate([costs, unknown], axis=1).take(self._cost_at)
 
     @staticmethod
     def _mirror(plane: Alignment, row: NDArray[Any]) -> NDArray[Any]:

@@ -79,7 +79,7 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
         "matching": lambda: matching_rows.measure(machine, places, rounds),
         "dimensions": lambda: dimension_rows.measure(usual, rounds),
         "search": lambda: search_rows.measure(places, rounds),
-        "frames": lambda: frame_rows.measure(machine, folder, usual, args.frames or (60 if args.quick else 300)),
+        "frames": lambda: frame_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "maps": lambda: map_rows.measure(folder, maps, rounds, model),
         "page": lambda: page_rows.measure(folder, usual, args.page_s, 1 if args.quick else 5, model),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,11 @@ from edge.descriptor.network import Network
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import open_map_set
 from edge.sequence.place_search import MEASURED_SLOPES
-from sim.bench.machine import Machine
-from sim.bench.network_rows import FC6_BYTES, MACS, smooth_picture
+from sim.bench.machine import read_all
+from sim.bench.network_rows import floor_of, smooth_picture
 from sim.bench.rows import Row, Section, Target
 from sim.bench.simulated_map import write_simulated_map
-from sim.bench.timing import Times
+from sim.bench.timing import Times, time_ms
 
 SIZE_PX = (640, 480)
 LENGTH = 40
@@ -62,45 +62,54 @@ def run_frames(
             yield laps.frames[-1]
 
 
-def measure(machine: Machine, folder: Path, places: int, frames: int) -> Section:
-    """A row for each stage of the frames, and for all of them together; a stage without a floor is its own."""
+def floors_of(places: int, dimensions: int) -> dict[str, Callable[[], object]]:
+    """The stages that have a floor, and what takes as long as it: the bytes and products that no other way saves."""
+    descriptors = np.ones(places * 2 * dimensions, dtype=np.int8)
+    sums = np.zeros((MEASURED_SLOPES, 2, places), dtype=np.int32)
+    return {
+        "network": floor_of(2),
+        "matching": lambda: read_all(descriptors),
+        "search": lambda: np.add(sums, 1, out=sums),  # every running sum of 2 planes is read and written once
+    }
+
+
+def measure(folder: Path, places: int, frames: int) -> Section:
+    """A row for each stage of the frames, and for all of them together; a stage without a floor is its own.
+
+    The floors run after each frame, so that a computer that is slower for a while is so for both.
+    """
     network, path = Network.load(), folder / f"frames_{places}.map"
     write_simulated_map(path, places, model_key(network))
-    measured = list(run_frames(path, places, frames, network, RigConfig()))
+    racers = floors_of(places, network.info.dimensions)
+    measured: list[dict[str, float]] = []
+    floors: dict[str, list[float]] = {stage: [] for stage in racers}
+    for frame in run_frames(path, places, frames, network, RigConfig()):
+        measured.append(frame)
+        for stage, racer in racers.items():
+            floors[stage].append(time_ms(racer))
     in_lane = list(run_frames(path, places, frames, network, LANE))
-    whole = Times(tuple(sum(frame.values()) for frame in measured))
-    alone = Times(tuple(frame["network"] for frame in measured))
-    floors = {
-        "network": machine.floor_ms(FC6_BYTES, 2 * MACS),
-        "matching": machine.floor_ms(places * 2 * network.info.dimensions),
-        # Every running sum read and written once: 2 planes, int32.
-        "search": machine.floor_ms(2 * MEASURED_SLOPES * 2 * places * 4),
-    }
     rows = []
+    least = np.zeros(frames)
     for stage in measured[-1]:
         times = Times(tuple(frame.get(stage, 0.0) for frame in measured))
-        floor_ms = floors.get(stage)
-        of_floor = (f"its floor, {floor_ms:.2f} ms", times.median_ms / floor_ms) if floor_ms else ("", None)
+        floor = Times(tuple(floors[stage])) if stage in floors else None
+        least += (floor or times).runs_ms
+        of_floor = (f"its floor, {floor.median_ms:.2f} ms", times.ratio(floor)) if floor else ("", None)
         rows.append(Row(stage, times, *of_floor))
+    whole = Times(tuple(sum(frame.values()) for frame in measured))
+    sum_of_floors = Times(tuple(least.tolist()))
     slow, slowest = (statistics.quantiles(whole.runs_ms, n=parts)[-1] for parts in (20, 100))
-    tail = slowest / whole.median_ms
-    least_ms = sum(floors.get(row.what, row.times.median_ms) for row in rows if row.times)
-    over_floors = whole.median_ms / least_ms
-    rows.append(
-        Row(
-            "whole frame",
-            whole,
-            "its network",
-            whole.median_ms / alone.median_ms,
-            f"{over_floors:.2f} times its floors, {least_ms:.1f} ms; 95 % of frames within {slow:.1f} ms, 99 % within"
-            f" {slowest:.1f} ms; the slow ones match rows of the ring that are normalized again",
-        )
+    tail, over_floors = slowest / whole.median_ms, whole.ratio(sum_of_floors)
+    over = whole.ratio(Times(tuple(frame["network"] for frame in measured)))
+    note = (
+        f"{over_floors:.2f} times its floors, {sum_of_floors.median_ms:.1f} ms; 95 % of frames within {slow:.1f} ms,"
+        f" 99 % within {slowest:.1f} ms; the slow ones match rows of the ring that are normalized again"
     )
+    rows.append(Row("whole frame", whole, "its network", over, note))
     lane = Times(tuple(sum(frame.values()) for frame in in_lane))
     rows.append(
         Row("whole frame, in a lane beside the map's drive", lane, "whole frame", lane.median_ms / whole.median_ms)
     )
-    over = whole.median_ms / alone.median_ms
     what = f"whole frame, {places:,} places, regions on"
     targets = [
         Target(what, "2x the network or less", f"{over:.2f}x", over <= 2),

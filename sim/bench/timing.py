@@ -41,6 +41,13 @@ class Times:
         return statistics.median(ours / theirs for ours, theirs in zip(self.runs_ms, to.runs_ms, strict=True))
 
 
+def time_ms(racer: Callable[[], object], clock: Clock = thread_ns) -> float:
+    """Run a function once: milliseconds."""
+    start_ns = clock()
+    racer()
+    return (clock() - start_ns) / 1e6
+
+
 def race(racers: Mapping[str, Callable[[], object]], rounds: int, clock: Clock = thread_ns) -> dict[str, Times]:
     """Run every function once to warm up, then all of them alternately, `rounds` times."""
     for racer in racers.values():
@@ -48,9 +55,7 @@ def race(racers: Mapping[str, Callable[[], object]], rounds: int, clock: Clock =
     runs: dict[str, list[float]] = {name: [] for name in racers}
     for _ in range(rounds):
         for name, racer in racers.items():
-            start = clock()
-            racer()
-            runs[name].append((clock() - start) / 1e6)
+            runs[name].append(time_ms(racer, clock))
     return {name: Times(tuple(times)) for name, times in runs.items()}
 
 

@@ -91,7 +91,7 @@ def test_search_and_its_rivals_find_the_same_lines() -> None:
 def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
     sections = [
         search_rows.measure([200], 2),
-        frame_rows.measure(MACHINE, tmp_path, 200, 3),
+        frame_rows.measure(tmp_path, 200, 3),
         map_rows.measure(tmp_path, [300], 2, KEY),
         mapping_rows.measure(tmp_path, 200, 20),
     ]
