@@ -76,7 +76,7 @@ def floors_of(places: int, dimensions: int) -> dict[str, Callable[[], object]]:
 def measure(folder: Path, places: int, frames: int) -> Section:
     """A row for each stage of the frames, and for all of them together; a stage without a floor is its own.
 
-    The floors run after each frame, so that a computer that is slower for a while is so for both.
+    The floors run after each frame: where the computer is slower for a while, both are, and no frame counts as slow.
     """
     network, path = Network.load(), folder / f"frames_{places}.map"
     write_simulated_map(path, places, model_key(network))
@@ -99,7 +99,9 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     whole = Times(tuple(sum(frame.values()) for frame in measured))
     sum_of_floors = Times(tuple(least.tolist()))
     slow, slowest = (statistics.quantiles(whole.runs_ms, n=parts)[-1] for parts in (20, 100))
-    tail, over_floors = slowest / whole.median_ms, whole.ratio(sum_of_floors)
+    each_over_floors = np.array(whole.runs_ms) / least
+    over_floors = float(np.median(each_over_floors))
+    tail = float(np.quantile(each_over_floors, 0.99)) / over_floors
     over = whole.ratio(Times(tuple(frame["network"] for frame in measured)))
     note = (
         f"{over_floors:.2f} times its floors, {sum_of_floors.median_ms:.1f} ms; 95 % of frames within {slow:.1f} ms,"
@@ -114,6 +116,6 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     targets = [
         Target(what, "2x the network or less", f"{over:.2f}x", over <= 2),
         Target(f"{what}, against the sum of its floors", "1.3x or less", f"{over_floors:.2f}x", over_floors <= 1.3),
-        Target(f"{what}: 99 % of the frames, against the median", "1.5x or less", f"{tail:.2f}x", tail <= 1.5),
+        Target(f"{what}: 99 % of frames over floors, against the median", "1.5x or less", f"{tail:.2f}x", tail <= 1.5),
     ]
     return Section(f"Whole frame of {SIZE_PX[0]}x{SIZE_PX[1]}, {places:,} places", rows, targets)
