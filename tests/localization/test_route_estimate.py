@@ -119,6 +119,20 @@ def test_a_region_alone_says_only_what_both_are_together() -> None:
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
 
 
+def test_the_farther_beside_the_map_s_drive_the_less_certain_is_a_position_by_regions() -> None:
+    sigmas_m = []
+    for left_m in (0.0, 3.0, 8.0):
+        estimate = RouteEstimate(np.array([-left_m, 0.0]), np.eye(2), ERRORS)
+        for at in range(1, 10):
+            estimate.predict(np.array([0.0, 20.0]))
+            # The left line lies further back, the right one further ahead, by the parallax of 2 m for each meter.
+            estimate.correct_by_regions(lines(-left_m, left_m, here=20.0 * at))
+        sigmas_m.append(float(np.sqrt(estimate.covariance[0, 0])))
+    on_drive, in_lane, beyond = sigmas_m
+    assert on_drive <= in_lane <= 1.2 * on_drive
+    assert beyond >= 1.5 * in_lane
+
+
 def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_and_many_move_it() -> None:
     estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
     assert estimate.support(lines(0.0, 0.0)) > 1.0
