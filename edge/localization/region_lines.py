@@ -2,7 +2,9 @@
 
 A region that is far beside the map's drive resembles it little, and the best single place would often be a wrong one:
 so what is answered is how likely each place is. Each row of a line is compared where its vehicle was by its own
-reckoning, since a vehicle that leaves its lane within a line would else be where it resembled the map most. On five
+reckoning, since a vehicle that leaves its lane within a line would else be where it resembled the map most. Where the
+odometer's scale is not known well, that is done at every scale that it may have, and each counts as far as it is likely
+and the rows then fit: at a wrong scale, a line fits its oldest rows rather than all, and lags behind. On five
 roads in four lights, with what was known before as accurate as 1 to 3 m, positions across by these likelihoods were as
 far off as they said, from 4 m on the map's side of the lane to 6 m on the other.
 """
@@ -33,6 +35,9 @@ LEAST_ROWS = 0.6
 
 CLEAR, CLEAR_PLACES = 0.7, 1.5
 """How likely the places around the best one must be for it to be clear, and how many places to each side those are."""
+
+CERTAIN = np.ones(1)
+"""Of a motion that is known."""
 
 SIDES = -0.5, 0.5
 """Of the left and of the right region: the share of the parallax by which its line lies further along."""
@@ -70,23 +75,28 @@ class RegionLines:
     right: Vector
 
 
-def likelihood(costs: NDArray[np.float64], moved_places: NDArray[np.float64]) -> Vector | None:
+def likelihood(
+    costs: NDArray[np.float64], moved_places: NDArray[np.float64], priors: NDArray[np.float64] = CERTAIN
+) -> Vector | None:
     """How likely the line of a region lies at each of BEYOND_PLACES, sum 1; None where too much is beyond the map.
 
-    costs: (n, S) of each row, moved by a number of places around 0. moved_places: (n,) by how many places each row lies
-    beyond the line, more than the line as a whole does, by the vehicle's reckoning.
+    costs: (n, S) of each row, moved by a number of places around 0. moved_places: (k, n) by how many places each row
+    lies beyond the line, more than the line as a whole does, for k motions that the vehicle may have made. priors: (k,)
+    how likely each motion is.
     """
     fine = _between_places(costs)
     start = (fine.shape[1] - len(BEYOND_PLACES)) // 2
     steps = np.rint(moved_places * FINE).astype(np.intp).clip(-start, start)
-    at = start + steps[:, np.newaxis] + np.arange(len(BEYOND_PLACES))
-    rows = np.take_along_axis(fine, at, axis=1)
-    is_known = ~np.isnan(rows).any(axis=1)
+    at = start + steps[..., np.newaxis] + np.arange(len(BEYOND_PLACES))
+    rows = fine[np.arange(len(fine))[:, np.newaxis], at]
+    is_known = ~np.isnan(rows).any(axis=-1)
     if is_known.mean() < LEAST_ROWS:
         return None
-    line = rows[is_known].mean(axis=0)
-    likely = np.exp((line.min() - line) * is_known.sum() / EVIDENCE)
-    found: Vector = (1 - WRONG) * likely / likely.sum() + WRONG / len(line)
+    sums = np.where(is_known[..., np.newaxis], rows, 0.0).sum(axis=1)
+    counts = np.maximum(1, is_known.sum(axis=-1, keepdims=True))
+    lines = sums / counts
+    likely = priors @ np.exp((lines.min() - lines) * counts / EVIDENCE)
+    found: Vector = (1 - WRONG) * likely / likely.sum() + WRONG / len(likely)
     return found
 
 
@@ -97,7 +107,7 @@ def lag_places(parallax: Parallax) -> float:
     """
     at = []
     for costs in parallax.costs:
-        likely = likelihood(costs, np.zeros(len(costs)))
+        likely = likelihood(costs, np.zeros((1, len(costs))))
         if likely is None:
             return float("nan")
         near = np.abs(BEYOND_PLACES - BEYOND_PLACES[likely.argmax()]) <= CLEAR_PLACES

@@ -2,7 +2,7 @@
 
     state      (8,): meters east, meters north, heading error in radians, scale error, and errors of the matches: one
                along the road that stays for a drive, and three that change within CORRELATION_M, of lines of both
-               regions together, and of those of the left and of the right one alone
+               regions together, and of those of the left and of the right one alone, as on the map's drive
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity
     correction along the road by the line of a match, or along and across it by the lines of its two regions; without
                those, the position across is never less certain than the road is wide, see `keep_on_road`
@@ -27,11 +27,12 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
-REGION_M, REGION_JITTER_M, BESIDE = 1.2, 0.5, 0.4
-"""Standard deviations of the line of one region along the road: the least of what changes within CORRELATION_M, that of
-what is independent in each match, and what changes for each meter that the vehicle is beside the map's drive, since a
-region resembles it the less. On simulated drives by night that stayed so far beside it, the best place of one region
-was off by 2.2 m (one sigma) up to 4 m beside it, by 2.5 m at 5 m, 3.1 m at 7 m, 4.4 m at 9 m and 5.4 m at 12 m."""
+REGION_M, REGION_JITTER_M, BESIDE = 1.2, 0.5, 0.35
+"""Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, of what is
+independent in each match, and, where that is more, of what changes for each meter that the vehicle is beside the map's
+drive, since a region resembles it the less. On simulated drives by night that stayed so far beside it, the best place
+of one region was off by 2.2 m (one sigma) up to 4 m beside it, 2.5 m at 5 m, 3.1 m at 7 m, 4.4 m at 9 m, 5.4 m at 12 m.
+"""
 LEARNS = 0.95
 """Of the variance that was expected: a line that would leave more than this says nothing."""
 DOUBTED, DOUBT_M = 0.5, 2.0
@@ -195,7 +196,6 @@ class RouteEstimate:
         """
         repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
         self.since_regions_m = 0.0
-        self._variances[[LEFT - 2, RIGHT - 2]] = max(REGION_M**2, BESIDE**2 * self._beside_m2(lines.seen))
         for likelihood, error, further in _each(lines):
             expected = self._expectation(lines, likelihood, error, further)
             if expected.support < DOUBTED:
@@ -211,19 +211,16 @@ class RouteEstimate:
                 excess = repeats * max(0.0, variance - REGION_M**2)
                 self._update(expected.row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
 
-    def _beside_m2(self, passed: Passed) -> float:
-        """The square that is expected of how far the vehicle was beside the map's drive."""
-        left = left_of(passed.along)
-        row = self._row(left, passed.since_m, OF_ROAD)
-        return float(left @ self._off_m(passed)) ** 2 + float(row @ self.covariance @ row)
-
     def _expectation(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> _Expectation:
         """Of the line of one region, before it corrects anything."""
         passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
-        row = self._row(passed.along, passed.since_m, OF_ROAD) + further * self._row(left, seen.since_m, OF_ROAD)
-        row[error] = 1.0
+        across = self._row(left, seen.since_m, OF_ROAD)
         along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
-        at_m, variance = float(along_m + further * left_m + self.mean[error]), float(row @ self.covariance @ row)
+        row = self._row(passed.along, passed.since_m, OF_ROAD) + further * across
+        # Of a position that is not known well, the vehicle may be farther beside the drive than it seems.
+        row[error] = max(1.0, BESIDE / REGION_M * float(np.sqrt(left_m**2 + across @ self.covariance @ across)))
+        at_m = float(along_m + further * left_m + row[error] * self.mean[error])
+        variance = float(row @ self.covariance @ row)
         weights = likelihood * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
         reach_m = lines.beyond_m[-1] - lines.beyond_m[0]
         support = float(weights.sum() / np.sqrt(2 * np.pi * variance) * reach_m)

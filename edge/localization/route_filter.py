@@ -26,7 +26,7 @@ from edge.localization.dead_reckoning import Displacement
 from edge.localization.place_fix import map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors
-from edge.localization.sighting import Sighting, Sightings
+from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
@@ -37,9 +37,6 @@ FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
-KNOWN_SCALE = 0.015
-"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
-place. Where it is more, the line may fit its oldest rows rather than its middle."""
 SHOWN = 3.0
 """What `RouteEstimate.support` must be of a match that is not believed."""
 RIVAL_MATCHES = 3

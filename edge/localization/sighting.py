@@ -22,7 +22,7 @@ from edge.localization.place_fix import (
     moved_alike,
     position_on_route,
 )
-from edge.localization.region_lines import BEYOND_PLACES, SIDES, Passed, RegionLines, Vector, likelihood
+from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, likelihood
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
@@ -33,6 +33,12 @@ by a degree sees what one would that is 0.2 m further to that side. Of 0, 8, 12 
 home stayed on their lane best."""
 KNOTS = 9
 """Points of a line on the ground, between which it is straight."""
+KNOWN_SCALE = 0.015
+"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
+place."""
+SCALES = np.linspace(-3.0, 3.0, 7)
+SCALE_PRIORS = np.exp(-(SCALES**2) / 2)
+"""Where it is more: the scales, in standard deviations, at which the rows are compared, and how likely each is."""
 STRAIGHT = 2
 """The newest frames by which a vehicle goes on."""
 
@@ -108,8 +114,8 @@ class Sightings:
         if begin is None or middle is None or end is None:
             return None
         moved_m = self._since(2 * line.back)
-        drift = self._drift if estimate is None else estimate.scale_sigma
-        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), 2 * drift):
+        scale_sigma = self._drift if estimate is None else estimate.scale_sigma
+        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), 2 * scale_sigma):
             return None
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
@@ -122,7 +128,7 @@ class Sightings:
             errors=self._errors(match),
             map_sigma_m=middle.map_sigma_m,
             shows_parallax=match.order == "same" and self._rig.parallax > 0,
-            regions=self._regions(match, line, estimate),
+            regions=self._regions(match, line, estimate, scale_sigma),
         )
 
     def _errors(self, match: PlaceMatch) -> MatchErrors:
@@ -142,7 +148,9 @@ class Sightings:
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         return OnDrive(self.local(found), along, map_error_m(found))
 
-    def _regions(self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None) -> RegionLines | None:
+    def _regions(
+        self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None, scale_sigma: float
+    ) -> RegionLines | None:
         """The lines of both regions on the ground; what they say of the position across counts `SEES_M` further on."""
         parallax = match.parallax
         if parallax is None or not self._rig.parallax:
@@ -160,10 +168,14 @@ class Sightings:
         off_m, seen_off_m = (here_m - _truly(one.since_m, estimate) - one.place_m for one in (passed, seen))
         along_m = np.einsum("nd,nd->n", passed.along, off_m)
         left_m = np.einsum("nd,nd->n", left_of(seen.along), seen_off_m)
+        is_known = scale_sigma <= KNOWN_SCALE
+        scales, priors = (np.zeros(1), CERTAIN) if is_known else (scale_sigma * SCALES, SCALE_PRIORS)
+        driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
         likely = []
         for costs, side in zip(parallax.costs, SIDES, strict=True):
             lies_m = along_m + side * self._rig.parallax * left_m
-            likely.append(likelihood(costs, (lies_m[:-1] - lies_m[-1]) / spacing_m))
+            moved_m = lies_m - scales[:, np.newaxis] * driven_m
+            likely.append(likelihood(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))
         left, right = likely
         if left is None or right is None:
             return None

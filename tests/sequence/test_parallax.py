@@ -47,7 +47,7 @@ def test_each_region_says_where_its_line_lies_in_the_direction_of_travel(lag: fl
     found = line(valleys(middle - lag / 2, middle + lag / 2, sign), sign)
     assert lag_places(found) == pytest.approx(lag, abs=0.35)
     for costs, beyond in zip(found.costs, (middle - lag / 2, middle + lag / 2), strict=True):
-        likely = likelihood(costs, np.zeros(ROWS))
+        likely = likelihood(costs, np.zeros((1, ROWS)))
         assert likely is not None
         assert likely.sum() == pytest.approx(1.0)
         assert BEYOND_PLACES[likely.argmax()] == pytest.approx(beyond, abs=0.3)
@@ -56,21 +56,34 @@ def test_each_region_says_where_its_line_lies_in_the_direction_of_travel(lag: fl
 def test_rows_are_compared_where_the_vehicle_was() -> None:
     """Of a vehicle that leaves its lane, each row lies elsewhere; where that is known, all show the same place."""
     found = line(valleys(3.0, 3.0, 1, depth=0.1, drifts=-0.3), 1)
-    straight, moved = (likelihood(found.costs[0], places) for places in (np.zeros(ROWS), -0.3 * AGES))
+    straight, moved = (likelihood(found.costs[0], places[np.newaxis]) for places in (np.zeros(ROWS), -0.3 * AGES))
     assert straight is not None and moved is not None
     assert moved.max() > 2 * straight.max()
     assert BEYOND_PLACES[moved.argmax()] == pytest.approx(3.0, abs=0.3)
 
 
+def test_rows_are_compared_at_every_scale_that_the_odometer_may_have() -> None:
+    """Of an odometer that is wrong by 0.3 places a row, the rows agree where the line truly is, unlikely as that is."""
+    found = line(valleys(3.0, 3.0, 1, depth=0.2, drifts=-0.3), 1)
+    back = AGES - AGES.mean()
+    motions, priors = np.array([-0.3 * back, 0.0 * back, 0.3 * back]), np.array([0.05, 1.0, 0.05])
+    of_known, of_any = likelihood(found.costs[0], motions[1:2]), likelihood(found.costs[0], motions, priors)
+    assert of_known is not None and of_any is not None
+    truth = 3.0 - 0.3 * AGES.mean()
+    is_there = np.abs(BEYOND_PLACES - truth) <= 0.75
+    assert of_known[is_there].sum() < 0.5
+    assert of_any[is_there].sum() > 0.7
+
+
 def test_costs_without_a_contrast_may_be_anywhere() -> None:
-    found = likelihood(line(valleys(1.0, -1.0, 1, depth=0.0), 1).costs[0], np.zeros(ROWS))
+    found = likelihood(line(valleys(1.0, -1.0, 1, depth=0.0), 1).costs[0], np.zeros((1, ROWS)))
     assert found == pytest.approx(1 / len(BEYOND_PLACES))
     assert np.isnan(lag_places(line(valleys(1.0, -1.0, 1, depth=0.0), 1)))
 
 
 def test_two_places_that_are_as_good_are_both_likely_and_their_lag_is_not_clear() -> None:
     both = line(np.minimum(valleys(6.0, 6.0, 1), valleys(-6.0, -6.0, 1)), 1)
-    found = likelihood(both.costs[0], np.zeros(ROWS))
+    found = likelihood(both.costs[0], np.zeros((1, ROWS)))
     assert found is not None
     assert found[BEYOND_PLACES < 0].sum() == pytest.approx(0.5, abs=0.01)
     assert np.isnan(lag_places(both))
@@ -79,7 +92,7 @@ def test_two_places_that_are_as_good_are_both_likely_and_their_lag_is_not_clear(
 def test_beyond_the_map_a_line_is_not_looked_for() -> None:
     found = line(valleys(1.0, -1.0, 1), 1, first=50)
     assert np.isnan(found.costs[0, -1]).sum() > REACH
-    assert likelihood(found.costs[0], np.zeros(ROWS)) is None
+    assert likelihood(found.costs[0], np.zeros((1, ROWS))) is None
 
 
 @pytest.mark.parametrize("sign", [1, -1])
