@@ -57,7 +57,8 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         f"Machine: {machine.name}.",
         f"One core of it reads memory at {machine.bytes_per_ms / 1e6:.1f} GB/s and multiplies int8 in cache at"
         f" {machine.macs_per_ms / 1e6:.0f} G multiply-accumulates a second; both were measured in this run. A floor is"
-        " the least time that a stage's bytes and products take at these rates.",
+        " the least time that a stage's bytes and products take at these rates; those of a whole frame run after each"
+        " frame.",
         "",
         "Each row was run alternately with the one it is compared with, in one process and on one thread. Times are"
         " least / median / most, in milliseconds of that thread's CPU time unless a row says otherwise. A ratio is the"
