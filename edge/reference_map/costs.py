@@ -33,6 +33,11 @@ COST_ONE = 1 << 14
 BLOCK = 1 << 14
 """Costs made at a time: so many float64 stay in a core's own cache between one operation and the next."""
 
+IN_CACHE = 1 << 13
+"""Dimensions of a row that stay in a core's first cache while the places go through it: where they do not, tiles of
+several places, each of which reads the row once, are faster (0.75 times as long at 32,768 dimensions, 0.85 at 16,384).
+"""
+
 NOTHING = 1e-36
 """A row with no larger value is all zero: 127 over less would overflow float32."""
 
@@ -162,7 +167,7 @@ def _blocks(ranges: Sequence[tuple[int, int]], size: int) -> Iterator[tuple[int,
 
 def _dots(plane: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.float64]:
     """Exact dot products (n, N) of rows (n, D) with places (N, D), as float64."""
-    if len(rows) == 1:
+    if len(rows) == 1 and rows.shape[1] <= IN_CACHE:
         # One place after another is as fast as the memory; tiles of several places at once are not.
         return np.asarray(numkong.cdist(plane, np.ascontiguousarray(rows), "dot")).reshape(1, -1)
     packed = numkong.dots_pack(np.ascontiguousarray(rows), "int8")

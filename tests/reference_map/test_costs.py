@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numkong
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
+from edge.reference_map.costs import COST_ONE, IN_CACHE, CostMatcher, encode, squared_norms
 
 DIGEST = "8d1c6d3d2cc5a06982c23e998a182b55261b74f1970d4788e23598190e7ba2c8"
 
@@ -66,6 +66,7 @@ cases = given(
 
 @settings(max_examples=40, deadline=None)
 @cases
+@example(seed=0, places=9, rows=1, regions=2, dimensions=2 * IN_CACHE)
 def test_costs_are_those_of_both_orders(seed: int, places: int, rows: int, regions: int, dimensions: int) -> None:
     rng = np.random.default_rng(seed)
     reference = rng.normal(size=(places, regions, dimensions)).astype(np.float32)
