@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -98,7 +97,7 @@ def measure(folder: Path, places: int, frames: int) -> Section:
         rows.append(Row(stage, times, *of_floor))
     whole = Times(tuple(sum(frame.values()) for frame in measured))
     sum_of_floors = Times(tuple(least.tolist()))
-    slow, slowest = (statistics.quantiles(whole.runs_ms, n=parts)[-1] for parts in (20, 100))
+    slow, slowest = np.quantile(whole.runs_ms, (0.95, 0.99))
     each_over_floors = np.array(whole.runs_ms) / least
     over_floors = float(np.median(each_over_floors))
     tail = float(np.quantile(each_over_floors, 0.99)) / over_floors
