@@ -45,6 +45,17 @@ BEYOND_PLACES = np.linspace(-REACH, REACH, 2 * REACH * FINE + 1)
 """Where the likelihood of a line is known, in places (n,) beyond the line of both regions."""
 
 
+class RegionLine(NamedTuple):
+    """The line of one region: where it may lie, and how clearly it stands out.
+
+    likely: (n,) how likely it lies at each of BEYOND_PLACES, sum 1. contrast: share by which its lowest mean cost is
+    below the median one, 0 to 1.
+    """
+
+    likely: Vector
+    contrast: float
+
+
 class Passed(NamedTuple):
     """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
 
@@ -63,22 +74,21 @@ class RegionLines:
 
     passed: what the line of both together passed at its mean row. seen: the same where the vehicle's place across the
     road counts, further on. parallax: meters by which the line of the right region lies further along than that of the
-    left one for each meter to the left of the map's drive. beyond_m: (n,) along the road, beyond the line of both
-    together. left, right: (n,) how likely the line of that region lies there.
+    left one for each meter to the left of the map's drive. beyond_m: (n,) BEYOND_PLACES in meters.
     """
 
     passed: Passed
     seen: Passed
     parallax: float
     beyond_m: Vector
-    left: Vector
-    right: Vector
+    left: RegionLine
+    right: RegionLine
 
 
-def likelihood(
+def region_line(
     costs: NDArray[np.float64], moved_places: NDArray[np.float64], priors: NDArray[np.float64] = CERTAIN
-) -> Vector | None:
-    """How likely the line of a region lies at each of BEYOND_PLACES, sum 1; None where too much is beyond the map.
+) -> RegionLine | None:
+    """The line of a region; None where too much is beyond the map.
 
     costs: (n, S) of each row, moved by a number of places around 0. moved_places: (k, n) by how many places each row
     lies beyond the line, more than the line as a whole does, for k motions that the vehicle may have made. priors: (k,)
@@ -96,8 +106,10 @@ def likelihood(
     counts = np.maximum(1, is_known.sum(axis=-1, keepdims=True))
     lines = sums / counts
     likely = priors @ np.exp((lines.min() - lines) * counts / EVIDENCE)
-    found: Vector = (1 - WRONG) * likely / likely.sum() + WRONG / len(likely)
-    return found
+    best = lines[lines.min(axis=-1).argmin()]
+    median = float(np.median(best))
+    contrast = 1 - float(best.min()) / median if median > 0 else 0.0
+    return RegionLine((1 - WRONG) * likely / likely.sum() + WRONG / len(likely), contrast)
 
 
 def lag_places(parallax: Parallax) -> float:
@@ -107,9 +119,10 @@ def lag_places(parallax: Parallax) -> float:
     """
     at = []
     for costs in parallax.costs:
-        likely = likelihood(costs, np.zeros((1, len(costs))))
-        if likely is None:
+        line = region_line(costs, np.zeros((1, len(costs))))
+        if line is None:
             return float("nan")
+        likely = line.likely
         near = np.abs(BEYOND_PLACES - BEYOND_PLACES[likely.argmax()]) <= CLEAR_PLACES
         if likely[near].sum() < CLEAR:
             return float("nan")

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import SIDES, Passed, RegionLines, Vector
+from edge.localization.region_lines import SIDES, Passed, RegionLine, RegionLines, Vector
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
@@ -27,12 +27,17 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
-REGION_M, REGION_JITTER_M, BESIDE = 1.2, 0.5, 0.35
-"""Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, of what is
-independent in each match, and, where that is more, of what changes for each meter that the vehicle is beside the map's
-drive, since a region resembles it the less. On simulated drives by night that stayed so far beside it, the best place
-of one region was off by 2.2 m (one sigma) up to 4 m beside it, 2.5 m at 5 m, 3.1 m at 7 m, 4.4 m at 9 m, 5.4 m at 12 m.
+REGION_M, REGION_JITTER_M = 1.0, 0.5
+"""Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, and of what is
+independent in each match."""
+CLEAR = 0.22
+"""Contrast of such a line below which it is the less certain, the lower that is. On simulated drives by day, by night
+and in rain, 0 to 12 m beside the map's drive, the best place of one region was off by 1.1 to 1.3 m (one sigma) over the
+square root of the contrast. The distance from the drive said less of the error, and little besides. Without about 2.2 m
+of it, which are not of the line alone and are in what else is estimated, it is nearly inverse to the contrast.
 """
+LEAST_CONTRAST = 0.01
+"""At a lower one a line says nothing anyway."""
 LEARNS = 0.95
 """Of the variance that was expected: a line that would leave more than this says nothing."""
 DOUBTED, DOUBT_M = 0.5, 2.0
@@ -182,8 +187,8 @@ class RouteEstimate:
     def support(self, lines: RegionLines) -> float:
         """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
         support = 1.0
-        for likelihood, error, further in _each(lines):
-            support *= self._expectation(lines, likelihood, error, further).support
+        for line, error, further in _each(lines):
+            support *= self._expectation(lines, line, error, further).support
         return support
 
     def correct_by_regions(self, lines: RegionLines) -> None:
@@ -196,11 +201,11 @@ class RouteEstimate:
         """
         repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
         self.since_regions_m = 0.0
-        for likelihood, error, further in _each(lines):
-            expected = self._expectation(lines, likelihood, error, further)
+        for line, error, further in _each(lines):
+            expected = self._expectation(lines, line, error, further)
             if expected.support < DOUBTED:
                 self.covariance[:2, :2] += DOUBT_M**2 * np.eye(2)
-                expected = self._expectation(lines, likelihood, error, further)
+                expected = self._expectation(lines, line, error, further)
             weights, before = expected.weights / expected.weights.sum(), expected.variance
             mean_m = float(weights @ lines.beyond_m)
             after = float(weights @ (lines.beyond_m - mean_m) ** 2)
@@ -211,17 +216,16 @@ class RouteEstimate:
                 excess = repeats * max(0.0, variance - REGION_M**2)
                 self._update(expected.row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
 
-    def _expectation(self, lines: RegionLines, likelihood: Vector, error: int, further: float) -> _Expectation:
+    def _expectation(self, lines: RegionLines, line: RegionLine, error: int, further: float) -> _Expectation:
         """Of the line of one region, before it corrects anything."""
         passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
         across = self._row(left, seen.since_m, OF_ROAD)
         along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
         row = self._row(passed.along, passed.since_m, OF_ROAD) + further * across
-        # Of a position that is not known well, the vehicle may be farther beside the drive than it seems.
-        row[error] = max(1.0, BESIDE / REGION_M * float(np.sqrt(left_m**2 + across @ self.covariance @ across)))
+        row[error] = max(1.0, CLEAR / max(line.contrast, LEAST_CONTRAST))
         at_m = float(along_m + further * left_m + row[error] * self.mean[error])
         variance = float(row @ self.covariance @ row)
-        weights = likelihood * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
+        weights = line.likely * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
         reach_m = lines.beyond_m[-1] - lines.beyond_m[0]
         support = float(weights.sum() / np.sqrt(2 * np.pi * variance) * reach_m)
         return _Expectation(at_m, variance, row, weights, support)
@@ -281,8 +285,8 @@ class RouteEstimate:
         self.covariance = kept @ self.covariance @ kept.T + variance * np.outer(gain, gain)
 
 
-def _each(lines: RegionLines) -> tuple[tuple[Vector, int, float], ...]:
-    """Of both regions: how likely the line lies where, its error in the state, and its meters further for each left."""
+def _each(lines: RegionLines) -> tuple[tuple[RegionLine, int, float], ...]:
+    """Of both regions: the line, its error in the state, and its meters further for each left."""
     left, right = (side * lines.parallax for side in SIDES)
     return (lines.left, LEFT, left), (lines.right, RIGHT, right)
 

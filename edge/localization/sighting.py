@@ -22,7 +22,7 @@ from edge.localization.place_fix import (
     moved_alike,
     position_on_route,
 )
-from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, likelihood
+from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, region_line
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
@@ -171,12 +171,12 @@ class Sightings:
         is_known = scale_sigma <= KNOWN_SCALE
         scales, priors = (np.zeros(1), CERTAIN) if is_known else (scale_sigma * SCALES, SCALE_PRIORS)
         driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
-        likely = []
+        found = []
         for costs, side in zip(parallax.costs, SIDES, strict=True):
             lies_m = along_m + side * self._rig.parallax * left_m
             moved_m = lies_m - scales[:, np.newaxis] * driven_m
-            likely.append(likelihood(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))
-        left, right = likely
+            found.append(region_line(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))
+        left, right = found
         if left is None or right is None:
             return None
         at, seen_at = (Passed(*(values[-1] for values in one)) for one in (passed, seen))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import Passed, RegionLines, Vector
+from edge.localization.region_lines import Passed, RegionLine, RegionLines, Vector
 from edge.localization.route_estimate import (
     CORRELATION_M,
     LEAST_SUPPORT,
@@ -88,13 +88,13 @@ def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
 
-def lines(*at_m: float, here: float = 0.0) -> RegionLines:
+def lines(*at_m: float, here: float = 0.0, contrast: float = 0.4) -> RegionLines:
     """Lines of both regions at so many meters beyond that of both together, which lies at `here`; NaN: nowhere."""
     beyond_m = np.linspace(-32.0, 32.0, 129)
     anywhere = np.full(129, 1 / 129)
     each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
     passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(2))
-    return RegionLines(passed, passed, 2.0, beyond_m, *each)
+    return RegionLines(passed, passed, 2.0, beyond_m, *(RegionLine(likely, contrast) for likely in each))
 
 
 def _bell(away_m: Vector) -> Vector:
@@ -119,18 +119,28 @@ def test_a_region_alone_says_only_what_both_are_together() -> None:
     assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
 
 
-def test_the_farther_beside_the_map_s_drive_the_less_certain_is_a_position_by_regions() -> None:
+def test_the_less_a_region_s_line_stands_out_the_less_certain_is_a_position_by_it() -> None:
     sigmas_m = []
-    for left_m in (0.0, 3.0, 8.0):
-        estimate = RouteEstimate(np.array([-left_m, 0.0]), np.eye(2), ERRORS)
-        for at in range(1, 10):
-            estimate.predict(np.array([0.0, 20.0]))
-            # The left line lies further back, the right one further ahead, by the parallax of 2 m for each meter.
-            estimate.correct_by_regions(lines(-left_m, left_m, here=20.0 * at))
+    for contrast in (0.4, 0.25, 0.05, 0.0):
+        estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
+        estimate.correct_by_regions(lines(0.0, 0.0, contrast=contrast))
         sigmas_m.append(float(np.sqrt(estimate.covariance[0, 0])))
-    on_drive, in_lane, beyond = sigmas_m
-    assert on_drive <= in_lane <= 1.2 * on_drive
-    assert beyond >= 1.5 * in_lane
+    clear, as_clear, faint, none = sigmas_m
+    assert clear == as_clear < 0.5 * faint < 0.5 * none
+    assert none == pytest.approx(3.0, rel=0.05)
+
+
+def test_a_vehicle_far_beside_its_lane_to_which_faint_lines_show_the_lane_stays_uncertain() -> None:
+    """As on a simulated drive: 7 m beyond the lane, 5 lines within 70 m show the lane, with a contrast of 0.06."""
+    sigmas = []
+    for contrast in (0.06, 0.4):
+        estimate = RouteEstimate(np.array([4.0, 0.0]), 33.0 * np.eye(2), ERRORS)
+        for at in range(1, 6):
+            estimate.predict(np.array([0.0, 17.0]))
+            estimate.correct_by_regions(lines(0.0, 0.0, here=17.0 * at, contrast=contrast))
+        sigmas.append((7.0 - float(estimate.position_m[0])) / float(np.sqrt(estimate.covariance[0, 0])))
+    faint, clear = sigmas
+    assert faint < 3.0 and clear > 6.0, "by what the lines show alone, it would be in its lane"
 
 
 def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_and_many_move_it() -> None:
@@ -157,7 +167,7 @@ def test_a_line_that_contradicts_what_is_expected_is_judged_anew_where_that_is_l
 
 def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
     wide = lines(0.0, 0.0)
-    wide = replace(wide, left=_bell(wide.beyond_m / 4), right=_bell(wide.beyond_m / 4))
+    wide = replace(wide, **{side: RegionLine(_bell(wide.beyond_m / 4), 0.4) for side in ("left", "right")})
     sigmas_m = []
     for apart_m in (2.0, 200.0):
         estimate = RouteEstimate(np.zeros(2), 25.0 * np.eye(2), ERRORS)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import BEYOND_PLACES, lag_places, likelihood
+from edge.localization.region_lines import BEYOND_PLACES, lag_places, region_line
 from edge.sequence import Parallax
 from edge.sequence.parallax import REACH, along_line
 
@@ -47,19 +47,21 @@ def test_each_region_says_where_its_line_lies_in_the_direction_of_travel(lag: fl
     found = line(valleys(middle - lag / 2, middle + lag / 2, sign), sign)
     assert lag_places(found) == pytest.approx(lag, abs=0.35)
     for costs, beyond in zip(found.costs, (middle - lag / 2, middle + lag / 2), strict=True):
-        likely = likelihood(costs, np.zeros((1, ROWS)))
-        assert likely is not None
-        assert likely.sum() == pytest.approx(1.0)
-        assert BEYOND_PLACES[likely.argmax()] == pytest.approx(beyond, abs=0.3)
+        of_region = region_line(costs, np.zeros((1, ROWS)))
+        assert of_region is not None
+        assert of_region.likely.sum() == pytest.approx(1.0)
+        assert BEYOND_PLACES[of_region.likely.argmax()] == pytest.approx(beyond, abs=0.3)
+        assert of_region.contrast == pytest.approx(0.48, abs=0.03)
 
 
 def test_rows_are_compared_where_the_vehicle_was() -> None:
     """Of a vehicle that leaves its lane, each row lies elsewhere; where that is known, all show the same place."""
     found = line(valleys(3.0, 3.0, 1, depth=0.1, drifts=-0.3), 1)
-    straight, moved = (likelihood(found.costs[0], places[np.newaxis]) for places in (np.zeros(ROWS), -0.3 * AGES))
+    straight, moved = (region_line(found.costs[0], places[np.newaxis]) for places in (np.zeros(ROWS), -0.3 * AGES))
     assert straight is not None and moved is not None
-    assert moved.max() > 2 * straight.max()
-    assert BEYOND_PLACES[moved.argmax()] == pytest.approx(3.0, abs=0.3)
+    assert moved.likely.max() > 2 * straight.likely.max()
+    assert moved.contrast > straight.contrast
+    assert BEYOND_PLACES[moved.likely.argmax()] == pytest.approx(3.0, abs=0.3)
 
 
 def test_rows_are_compared_at_every_scale_that_the_odometer_may_have() -> None:
@@ -67,32 +69,36 @@ def test_rows_are_compared_at_every_scale_that_the_odometer_may_have() -> None:
     found = line(valleys(3.0, 3.0, 1, depth=0.2, drifts=-0.3), 1)
     back = AGES - AGES.mean()
     motions, priors = np.array([-0.3 * back, 0.0 * back, 0.3 * back]), np.array([0.05, 1.0, 0.05])
-    of_known, of_any = likelihood(found.costs[0], motions[1:2]), likelihood(found.costs[0], motions, priors)
+    of_known, of_any = region_line(found.costs[0], motions[1:2]), region_line(found.costs[0], motions, priors)
     assert of_known is not None and of_any is not None
     truth = 3.0 - 0.3 * AGES.mean()
     is_there = np.abs(BEYOND_PLACES - truth) <= 0.75
-    assert of_known[is_there].sum() < 0.5
-    assert of_any[is_there].sum() > 0.7
+    assert of_known.likely[is_there].sum() < 0.5
+    assert of_any.likely[is_there].sum() > 0.7
 
 
 def test_costs_without_a_contrast_may_be_anywhere() -> None:
-    found = likelihood(line(valleys(1.0, -1.0, 1, depth=0.0), 1).costs[0], np.zeros((1, ROWS)))
-    assert found == pytest.approx(1 / len(BEYOND_PLACES))
+    flat = line(valleys(1.0, -1.0, 1, depth=0.0), 1).costs[0]
+    alike = region_line(np.zeros_like(flat), np.zeros((1, ROWS)))
+    found = region_line(flat, np.zeros((1, ROWS)))
+    assert found is not None and alike is not None
+    assert found.contrast == alike.contrast == 0.0
+    assert found.likely == pytest.approx(1 / len(BEYOND_PLACES))
     assert np.isnan(lag_places(line(valleys(1.0, -1.0, 1, depth=0.0), 1)))
 
 
 def test_two_places_that_are_as_good_are_both_likely_and_their_lag_is_not_clear() -> None:
     both = line(np.minimum(valleys(6.0, 6.0, 1), valleys(-6.0, -6.0, 1)), 1)
-    found = likelihood(both.costs[0], np.zeros((1, ROWS)))
+    found = region_line(both.costs[0], np.zeros((1, ROWS)))
     assert found is not None
-    assert found[BEYOND_PLACES < 0].sum() == pytest.approx(0.5, abs=0.01)
+    assert found.likely[BEYOND_PLACES < 0].sum() == pytest.approx(0.5, abs=0.01)
     assert np.isnan(lag_places(both))
 
 
 def test_beyond_the_map_a_line_is_not_looked_for() -> None:
     found = line(valleys(1.0, -1.0, 1), 1, first=50)
     assert np.isnan(found.costs[0, -1]).sum() > REACH
-    assert likelihood(found.costs[0], np.zeros((1, ROWS))) is None
+    assert region_line(found.costs[0], np.zeros((1, ROWS))) is None
 
 
 @pytest.mark.parametrize("sign", [1, -1])
