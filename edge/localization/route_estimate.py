@@ -27,10 +27,10 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
-REGION_M, REGION_JITTER_M = 1.0, 0.5
+REGION_M, REGION_JITTER_M = 1.05, 0.5
 """Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, and of what is
 independent in each match."""
-CLEAR = 0.22
+CLEAR = 0.21
 """Contrast of such a line below which it is the less certain, the lower that is. On simulated drives by day, by night
 and in rain, 0 to 12 m beside the map's drive, the best place of one region was off by 1.1 to 1.3 m (one sigma) over the
 square root of the contrast. The distance from the drive said less of the error, and little besides. Without about 2.2 m
