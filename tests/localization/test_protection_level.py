@@ -104,12 +104,15 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(hours: float,
     driven, found = drives(hours, tmp_path)
     episodes = sum(exceeded(bounded) for bounded in found)
     every = np.array([one for bounded in found for one in bounded])
-    finite = every[np.isfinite(every[:, 5])]
-    print(f"{driven:.0f} h, {len(every)} positions, {len(finite) / len(every):.0%} bounded; exceeded {episodes} times")
+    is_finite = np.isfinite(every[:, 5])
+    print(f"{driven:.0f} h, {len(every)} positions, {is_finite.mean():.0%} bounded; exceeded {episodes} times")
     assert episodes <= max(driven * GatesConfig().risk_per_hour, 0.5)
-    assert len(finite) > 0.3 * len(every)
-    for error, level in ((1, 5), (2, 6)):
-        assert np.median(finite[:, level]) <= 4 * np.quantile(finite[:, error], 0.95)
+    assert is_finite.mean() > 0.3
+    # Apart, since levels with parallax are half of those without: a median of both may be of either.
+    shows = np.array([course(seed).parallax for seed, bounded in enumerate(found) for _ in bounded])
+    for finite, most in ((every[is_finite & ~shows], 4), (every[is_finite & shows], 5)):
+        for error, level in ((1, 5), (2, 6)):
+            assert np.median(finite[:, level]) <= most * np.quantile(finite[:, error], 0.95)
 
 
 def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tuple[float, float]:
