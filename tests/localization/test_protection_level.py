@@ -28,6 +28,8 @@ from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course,
 ROAD_M, STRETCH_M = 3000.0, 500.0
 UNMAPPED, RESEMBLES, OFF = 0.1, 0.1, 0.15
 OFF_HOW = "turn -90", "turn 180", "stop 45", "reverse 2"
+BATCH = 32
+"""Drives at a time, whatever the number of processors: the same drives are counted on each computer."""
 FIX = PlaceFix(
     stamp_ns=0, place=3, lat_deg=-27.0, lon_deg=153.0, heading_deg=90.0, sigma_along_m=2.0, sigma_across_m=1.0,
     direction="forward", order="same", uniqueness=1.2,
@@ -87,10 +89,9 @@ def exceeded(bounded: list[Bounded]) -> int:
 def drives(hours: float, folder: Path) -> tuple[float, list[list[Bounded]]]:
     """Drives of so many hours together, on all processors."""
     driven, found = 0.0, []
-    workers = len(os.sched_getaffinity(0))
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        for first in count(0, 16 * workers):
-            seeds = range(first, first + 16 * workers)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+        for first in count(0, BATCH):
+            seeds = range(first, first + BATCH)
             for one_h, bounded in pool.map(drive, seeds, [folder] * len(seeds)):
                 driven += one_h
                 found.append(bounded)
