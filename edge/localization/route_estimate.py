@@ -2,7 +2,7 @@
 
     state      (8,): meters east, meters north, heading error in radians, scale error, and errors of the matches: one
                along the road that stays for a drive, and three that change within CORRELATION_M, of lines of both
-               regions together, and of those of the left and of the right one alone, as on the map's drive
+               regions together, and of those of the left and of the right one alone, where they stand out clearly
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity
     correction along the road by the line of a match, or along and across it by the lines of its two regions; without
                those, the position across is never less certain than the road is wide, see `keep_on_road`
@@ -30,7 +30,7 @@ STAYS = 0.25
 REGION_M, REGION_JITTER_M = 1.05, 0.5
 """Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, and of what is
 independent in each match."""
-CLEAR = 0.21
+CLEAR_CONTRAST = 0.21
 """Contrast of such a line below which it is the less certain, the lower that is. On simulated drives by day, by night
 and in rain, 0 to 12 m beside the map's drive, the best place of one region was off by 1.1 to 1.3 m (one sigma) over the
 square root of the contrast. The distance from the drive said less of the error, and little besides. Without about 2.2 m
@@ -222,7 +222,7 @@ class RouteEstimate:
         across = self._row(left, seen.since_m, OF_ROAD)
         along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
         row = self._row(passed.along, passed.since_m, OF_ROAD) + further * across
-        row[error] = max(1.0, CLEAR / max(line.contrast, LEAST_CONTRAST))
+        row[error] = max(1.0, CLEAR_CONTRAST / max(line.contrast, LEAST_CONTRAST))
         at_m = float(along_m + further * left_m + row[error] * self.mean[error])
         variance = float(row @ self.covariance @ row)
         weights = line.likely * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
