@@ -1,7 +1,8 @@
 """What the live page costs the daemon: CPU time of `lookback run` with no page, unwatched, and looked at.
 
-The three run in turns on the same recording. The looker asks for what the page asks for and as often, by the constants
-in the page itself. CPU time is of the process, over the middle of the run: neither start nor end.
+Unwatched and looked at are two halves of one run, since two runs of the same differ by more than the page costs; every
+other run begins with the other half. The looker asks for what the page asks for and as often, by the constants in the
+page itself. CPU time is of the process, over the middle of the run: neither start nor end.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import psutil
 
@@ -33,14 +33,14 @@ PERIODS_MS = (50, 200)
 LIMIT = 0.05
 SETTLED_S = 4.0
 START_S = 60.0  # at most, on a busy computer
-KINDS = ("no page", "nobody looks", "somebody looks")
 
 
-@dataclass(frozen=True)
-class Run:
-    """Seconds of CPU a second of the daemon's process, and how often it was looked at meanwhile."""
+class Runs(NamedTuple):
+    """Seconds of CPU a second of the daemon's process, and how often it was looked at in the last of the three."""
 
-    share: float
+    no_page: float
+    unwatched: float
+    looked_at: float
     looks: int
 
 
@@ -57,17 +57,19 @@ def measure(
     write_simulated_map(folder / "page.map", places, model)
     rows, shares = [], []
     for period_ms in periods_ms:
-        write_pictures(folder / f"page_{period_ms}", round((START_S + measured_s) * 1000 / period_ms), period_ms)
-        runs = [{kind: _run(folder, period_ms, kind, settled_s, measured_s) for kind in KINDS} for _ in range(rounds)]
-        nobody, somebody = (
-            statistics.median(run[kind].share / run[KINDS[0]].share for run in runs) - 1 for kind in KINDS[1:]
-        )
-        shares.append(somebody)
-        shares_ms = [f"{kind} {1e3 * statistics.median(run[kind].share for run in runs):.0f}" for kind in KINDS]
-        looks = statistics.median(run[KINDS[-1]].looks for run in runs)
-        note = f"{', '.join(shares_ms)} ms of CPU a second; {looks:g} looks in {measured_s:g} s"
+        pictures = round((START_S + 2 * measured_s) * 1000 / period_ms)
+        write_pictures(folder / f"page_{period_ms}", pictures, period_ms)
+        runs = [_runs(folder, period_ms, settled_s, measured_s, looked_at_first=bool(i % 2)) for i in range(rounds)]
+        shares.append(statistics.median(one.looked_at / one.unwatched for one in runs) - 1)
+        unwatched = statistics.median(one.unwatched / one.no_page for one in runs) - 1
+        parts_ms = [1e3 * statistics.median(values) for values in zip(*(one[:3] for one in runs), strict=True)]
+        looks = statistics.median(one.looks for one in runs)
+        note = "no page {:.0f}, nobody looks {:.0f}, somebody looks {:.0f} ms of CPU a second".format(*parts_ms)
+        note += f"; {looks:g} looks in {measured_s:g} s"
         what = f"{1000 // period_ms} used frames a second"
-        rows.append(Row(f"{what}: {somebody:+.1%} while somebody looks, {nobody:+.1%} while nobody does", note=note))
+        rows.append(
+            Row(f"{what}: {shares[-1]:+.1%} while somebody looks, {unwatched:+.1%} while nobody does", note=note)
+        )
     value = ", ".join(f"{share:+.1%}" for share in shares)
     rates = " and ".join(str(1000 // period_ms) for period_ms in periods_ms)
     what = f"the live page, looked at, {rates} used frames a second"
@@ -75,25 +77,44 @@ def measure(
     return Section(f"The live page of `lookback run`, {places:,} places", rows, [target])
 
 
-def _run(folder: Path, period_ms: int, kind: str, settled_s: float, measured_s: float) -> Run:
-    port = 0 if kind == KINDS[0] else _free_port()
+def _runs(folder: Path, period_ms: int, settled_s: float, measured_s: float, *, looked_at_first: bool) -> Runs:
+    """One run without the page, and one with it, of two halves."""
+    with _daemon(folder, period_ms, port=0) as watched:
+        time.sleep(settled_s)
+        no_page = _share(watched, measured_s)
+    port = _free_port()
+    shares: dict[bool, float] = {}
+    looks: list[float] = []
+    with _daemon(folder, period_ms, port) as watched:
+        for is_looked_at in (looked_at_first, not looked_at_first):
+            with _looker(port, looks) if is_looked_at else contextlib.nullcontext():
+                time.sleep(settled_s)
+                begun_s = time.monotonic()
+                shares[is_looked_at] = _share(watched, measured_s)
+                looks = [look_s for look_s in looks if look_s >= begun_s]
+    return Runs(no_page, shares[False], shares[True], len(looks))
+
+
+@contextlib.contextmanager
+def _daemon(folder: Path, period_ms: int, port: int) -> Iterator[psutil.Process]:
+    """A daemon that has started; FeedError if it ends within the context."""
     (folder / JOURNAL).unlink(missing_ok=True)
     process = start_daemon(folder, folder / f"page_{period_ms}", folder / "page.map", period_ms, port)
-    watched = psutil.Process(process.pid)
-    looks: list[float] = []
     try:
         _wait_for_start(folder, process)
-        with _looker(port, looks) if kind == KINDS[-1] else contextlib.nullcontext():
-            time.sleep(settled_s)
-            before_s, begun_s = _cpu_s(watched), time.monotonic()
-            time.sleep(measured_s)
-            share = (_cpu_s(watched) - before_s) / (time.monotonic() - begun_s)
-            return Run(share, sum(look_s >= begun_s for look_s in looks))
+        yield psutil.Process(process.pid)
     except psutil.Error:
         raise FeedError(f"lookback run ended: {process.communicate()[1].strip()[-300:]}") from None
     finally:
         process.terminate()
         process.communicate()
+
+
+def _share(watched: psutil.Process, measured_s: float) -> float:
+    """Seconds of CPU a second from now on."""
+    before_s, begun_s = _cpu_s(watched), time.monotonic()
+    time.sleep(measured_s)
+    return (_cpu_s(watched) - before_s) / (time.monotonic() - begun_s)
 
 
 def _wait_for_start(folder: Path, process: subprocess.Popen[str]) -> None:
