@@ -11,7 +11,7 @@ may be.
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import DeadReckoning, Displacement
+from edge.localization.dead_reckoning import DeadReckoning, Displacement, ReportedMotion
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
     GPS_SIGMA_M,
@@ -39,6 +39,7 @@ __all__ = [
     "ProtectionLevel",
     "Reckoning",
     "Refusal",
+    "ReportedMotion",
     "Situation",
     "Uncertainty",
     "distance_from",

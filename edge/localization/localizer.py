@@ -12,7 +12,7 @@ import math
 from edge.config import Config, RigConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
-from edge.localization.dead_reckoning import Displacement
+from edge.localization.dead_reckoning import Displacement, VelocityError
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
 from edge.localization.place_fix import frame_used, line_middle, map_error_m, match_position, untracked_fix
 from edge.localization.route_filter import RouteFilter
@@ -28,6 +28,7 @@ class Localizer:
         self._route = Route(maps)
         self._filter = RouteFilter(self._route, config)
         self._referee = GpsReferee(config.gates.gps_false_call, config.gates.gps_missed)
+        self.velocity_error = VelocityError(config.sequence.length)
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
 
@@ -38,6 +39,7 @@ class Localizer:
     def reset(self) -> None:
         """Begin anew: no position is published that rests on frames from before. What is known of GPS stays."""
         self._filter.reset()
+        self.velocity_error.clear()
         self.newest = None
 
     def update(
@@ -47,6 +49,17 @@ class Localizer:
         self._filter.update(match, stamp_ns, displacement, missed)
         if match is not None and match.accepted:
             self.newest = match
+
+    def find_velocity_error(self, match: PlaceMatch | None, stamp_ns: int, odometer_m: float) -> None:
+        """By the answer to a frame at which the vehicle moved; odometer_m: by its velocity without that error."""
+        is_believed = match is not None and match.accepted
+        line = line_middle(match, self._route, self._config.sequence.length) if match and is_believed else None
+        if match is None or line is None:
+            self.velocity_error.use_line(stamp_ns, odometer_m, None, math.nan, math.nan)
+        else:
+            sign = 1 if match.direction == "forward" else -1
+            middle_m, length_m = sign * line.along_m, line.length_m
+            self.velocity_error.use_line(stamp_ns, odometer_m, (line.segment, sign), middle_m, length_m)
 
     def judge_gps(self, match: PlaceMatch | None, gps: GpsFix | None, missed: int = 0) -> GpsVerdict:
         """Compare GPS with the place of a frame at which the vehicle moved; gps: at its exposure."""

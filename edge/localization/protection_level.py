@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
-from edge.geodesy import VehiclePosition, east_north_of
+from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
@@ -63,6 +63,12 @@ class Reckoned:
         """From the fix."""
         return math.hypot(self.east_m, self.north_m)
 
+    def position(self, fix: PlaceFix) -> VehiclePosition:
+        """At the moment of the fix that it is relative to; standing, since it is of that moment alone."""
+        assert fix.lat_deg is not None and fix.lon_deg is not None
+        lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, self.east_m, self.north_m)
+        return VehiclePosition(fix.stamp_ns, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0)
+
 
 class Reckoning:
     """The last position that GPS bounded, moved on by the autopilot's velocity."""
@@ -91,7 +97,7 @@ class Reckoning:
         east_m, north_m = east_north_of(position.lat_deg, position.lon_deg, (fix.lat_deg, fix.lon_deg))
         east_m += displacement.east_m - then.east_m
         north_m += displacement.north_m - then.north_m
-        drift = max(self._drift, fix.velocity_error)
+        drift = max(self._drift, fix.velocity_error, displacement.drift)
         sigma_m = math.hypot(sigma_m, drift * max(0.0, driven_m - then_driven_m))
         return Reckoned(east_m, north_m, sigma_m)
 

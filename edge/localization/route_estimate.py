@@ -25,6 +25,8 @@ CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
 HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
+UNMEASURED_M = 150.0
+"""The same of the scale error of a velocity that nothing measures, less the error that was found."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
 REGION_M, REGION_JITTER_M = 1.05, 0.5
@@ -149,18 +151,22 @@ class RouteEstimate:
         """Displacements (..., 2) by the autopilot's velocity without the errors that were found."""
         return (1 + float(self.mean[3])) * _turned(displacement_m, float(self.mean[2]))
 
-    def predict(self, displacement_m: Vector) -> None:
-        """Move on by a displacement (2,)."""
+    def predict(self, displacement_m: Vector, drift: float = 0.0) -> None:
+        """Move on by a displacement (2,); drift: its scale error where nothing measures it, which soon is another."""
         driven_m = float(np.hypot(*displacement_m))
         self.since_regions_m += driven_m
         self.mean[:2] += self.truly(displacement_m)
-        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, DRIVE_M, *[CORRELATION_M] * 3]))
+        variances, scale_m = self._variances, SCALE_M
+        if drift:
+            variances, scale_m = self._variances.copy(), UNMEASURED_M
+            variances[1] = drift**2
+        kept = np.exp(-driven_m / np.array([HEADING_M, scale_m, DRIVE_M, *[CORRELATION_M] * 3]))
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:4] = self._slopes(displacement_m)
         self.mean[2:] *= kept
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
-        self.covariance += np.diag([*wander, *(self._variances * (1 - kept**2))])
+        self.covariance += np.diag([*wander, *(variances * (1 - kept**2))])
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""

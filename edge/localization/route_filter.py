@@ -148,7 +148,8 @@ class RouteFilter:
         # What the last track found of the odometer holds until this one knows it as well.
         estimates = (track.estimate, self._since_lost or track.estimate)
         scale = min(estimates, key=lambda one: one.scale_sigma).scale
-        is_odd = abs(scale) > ODD_SIGMAS * self._config.drift_percent / 100
+        drift = max(self._config.drift_percent / 100, 0.0 if self._at is None else self._at.drift)
+        is_odd = abs(scale) > ODD_SIGMAS * drift
         return is_odd or not track.is_confirmed or (rival is not None and rival.matches >= RIVAL_MATCHES)
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
@@ -161,7 +162,7 @@ class RouteFilter:
         if self._is_lost(track, stamp_ns, driven_m):
             return None
         estimate = track.estimate.copy()
-        estimate.predict(since_m)
+        estimate.predict(since_m, displacement.drift)
         return self._fix(track, estimate, stamp_ns, track.since_m + driven_m)
 
     def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
@@ -175,9 +176,9 @@ class RouteFilter:
             moved_m = now_m - _vector(self._at)
             for track in (self._track, self._rival):
                 if track is not None:
-                    track.move(moved_m)
+                    track.move(moved_m, displacement.drift)
             for estimate in self._reckoned:
-                estimate.predict(moved_m)
+                estimate.predict(moved_m, displacement.drift)
         self._at = displacement
 
     def _use(self, sighting: Sighting, stamp_ns: int) -> None:

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource, VehiclePosition
 from edge.journal.records import LinkChanged, Record
-from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix
+from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix, ReportedMotion
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests, Plan
@@ -117,8 +117,17 @@ class AutopilotConnection:
         return self.vehicle.speed_mps(self._clock_ns())
 
     def distance_m(self, stamp_ns: int) -> float | None:
-        """Meters driven up to a moment, None where there is no odometer."""
-        return self.vehicle.distance_m(stamp_ns)
+        """Meters driven up to a moment, None where nothing measures them."""
+        motion = self.motion(stamp_ns)
+        return motion.distance_m if motion.is_measured else None
+
+    def motion(self, stamp_ns: int) -> ReportedMotion:
+        """What the autopilot reports of its motion at a moment."""
+        return self.vehicle.motion(stamp_ns, self._clock_ns())
+
+    def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float) -> None:
+        """What its velocity is wrong by, and the standard deviation of that ahead; of use while nothing measures it."""
+        self.vehicle.use_velocity_error(error_mps, sigma_mps, self._clock_ns())
 
     @property
     def distance_gaps(self) -> int:
@@ -171,6 +180,7 @@ class AutopilotConnection:
             if not was_open:
                 self._protocol.opened(now_ns)
                 self._set_state("waiting", str(self._port.connection))
+            self.vehicle.is_aided = self._is_velocity_aided(now_ns)
             self._receive(now_ns)
             self._send_due(now_ns)
         self._notice_loss()
@@ -293,6 +303,11 @@ class AutopilotConnection:
         self._send(self._protocol.answer(message, now_ns))
         if is_answer:
             self._positions.read_acknowledgement(message.command, message.result, now_ns)
+
+    def _is_velocity_aided(self, now_ns: int) -> bool:
+        """Whether something besides our positions measures the autopilot's velocity, or may, as far as is known."""
+        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._positions.doubted_gps.is_ignored
+        return is_by_gps or velocity_aid(self.vehicle, self._positions.set_without_gps) != NO_AID
 
     def _check_velocity_aid(self) -> None:
         aid = velocity_aid(self.vehicle, self._positions.set_without_gps)

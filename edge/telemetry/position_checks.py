@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from edge.config import GatesConfig
@@ -15,7 +16,8 @@ REMEMBER_NS = 1_000_000_000
 TIMES, ACCURATE_M = 2.0, 10.0
 """An autopilot that is so many times as certain as a position would lose by a reset to it; other messages are weighed.
 A position that is less accurate than ACCURATE_M must be so many times as certain as the autopilot, whose uncertainty by
-the distance driven is a bound, not what is expected."""
+the distance driven is a bound, not what is expected. Where nothing measures its velocity, none that is less accurate is
+sent: what was found of that velocity is then as uncertain."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
@@ -47,6 +49,8 @@ class PositionChecks:
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
         vehicle = self._vehicle
+        if not vehicle.is_aided:
+            return None
         return self._uncertainty.at(vehicle.driven_m(now_ns), vehicle.accuracy_m(now_ns), self._velocity_error)
 
     def refusal(
@@ -55,26 +59,36 @@ class PositionChecks:
         """Why the fix may not be sent by that message; None if it may. last_sent_ns: of the last fix."""
         vehicle, self._velocity_error = self._vehicle, fix.velocity_error
         displacement = vehicle.displacement(fix.stamp_ns)
+        reckoned = self._reckoning.at(fix, displacement, vehicle.driven_m(now_ns))
+        own, sigma_m = self._doubted_gps.corrected(vehicle.position(now_ns)), self.uncertainty_m(now_ns)
+        if not vehicle.is_aided:  # its own position has run away, or is ours
+            own, sigma_m = (None, None) if reckoned is None else (reckoned.position(fix), reckoned.sigma_m)
         situation = Situation(
             now_ns,
             "not healthy" if self._doubted_gps.is_ignored else vehicle.gps.state(now_ns),
             vehicle.speed_mps(now_ns),
-            self._doubted_gps.corrected(vehicle.position(now_ns)),
-            self.uncertainty_m(now_ns),
+            own,
+            sigma_m,
             self._uncertainty.by_gps,
             last_sent_ns,
             displacement,
-            self._reckoning.at(fix, displacement, vehicle.driven_m(now_ns)),
+            reckoned,
         )
         refused = self._integrity.refusal(fix, situation, period_s, message.max_age_s)
         known_m = situation.uncertainty_m
-        if refused is None and message.acknowledged and known_m is not None:
+        if refused is not None:
+            return refused
+        most_m = math.inf
+        if not vehicle.is_aided:
+            most_m = ACCURATE_M
+        elif message.acknowledged and known_m is not None:
             most_m = max(min(TIMES * known_m, ACCURATE_M), known_m / TIMES)
-            return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
-        return refused
+        return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
 
     def bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:
-        """The autopilot's position is as good as that now."""
+        """The autopilot's position is as good as that now; of one that nothing aids, only while GPS says so."""
+        if not (by_gps or self._vehicle.is_aided):
+            return
         vehicle, driven_m = self._vehicle, self._vehicle.driven_m(now_ns)
         self._uncertainty.bind(sigma_m, driven_m, by_gps=by_gps)
         self._integrity.bound(by_gps=by_gps)
@@ -94,7 +108,8 @@ class PositionChecks:
         if now_ns < self._remember_due_ns:
             return
         self._remember_due_ns = now_ns + REMEMBER_NS
-        ours_m = self._uncertainty.at(self._vehicle.driven_m(now_ns), None)
+        is_aided = self._vehicle.is_aided
+        ours_m = self._uncertainty.at(self._vehicle.driven_m(now_ns), None) if is_aided else None
         if ours_m is not None:
             self._remembered.keep(ours_m, self._vehicle, now_ns, by_fixes=self._vehicle.has_our_position)
         elif (remembered := self._remembered.recall(self._vehicle, now_ns)) is not None:

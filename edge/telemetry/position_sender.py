@@ -46,7 +46,6 @@ from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage,
 from edge.telemetry.position_use import PositionUse
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
-from edge.telemetry.velocity_aid import as_certain_as_aided, velocity_aid
 
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
@@ -159,7 +158,6 @@ class PositionSender:
         """The messages that carry the fix, if it is due and every gate lets it pass."""
         if self.due(now_ns) is None or self.message is None or fix.stamp_ns == self._sent_stamp_ns:
             return []  # the last exposure was sent already
-        fix = as_certain_as_aided(fix, velocity_aid(self._vehicle, self.set_without_gps))
         refused = self._refusal(fix, now_ns, self.message)
         if refused is not None:
             self._withhold(fix, refused, now_ns)

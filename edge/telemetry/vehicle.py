@@ -9,12 +9,12 @@ import logging
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Displacement
+from edge.localization import DeadReckoning, Displacement, ReportedMotion
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.gps import Gps
@@ -23,6 +23,11 @@ LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
+LEAST_DRIFT, MOST_DRIFT, SLOW_MPS = 0.05, 0.5, 2.0
+"""Shares of a distance by which it may be wrong where nothing measures the velocity: the least, and that from which on
+the motion is not known; at a speed below SLOW_MPS, as at that."""
+SPEED_FRESH_NS = 5_000_000_000
+"""How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
 POSITIONS_APART_S = 0.5
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
@@ -79,6 +84,13 @@ class Vehicle:
         self.gps = Gps()
         self._accuracy: tuple[int, float] | None = None
         self._wheels: tuple[int, float] | None = None
+        self._wheel_speed: tuple[int, float] | None = None
+        self._error: tuple[int, tuple[float, float]] | None = None
+        self._error_sigma_mps = 0.0
+        self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
+        self.is_aided = True
+        """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
+        moves ahead at the speed of its wheels, or at that velocity less the error that was found from places."""
         self.has_our_position = False
         """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
         self._handlers: dict[int, Callable[[Message, int], None]] = {
@@ -148,6 +160,18 @@ class Vehicle:
         """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._motion.distance_m(stamp_ns)
 
+    def motion(self, stamp_ns: int, now_ns: int) -> ReportedMotion:
+        """What was reported of the motion, at the moment of a frame."""
+        is_measured = self._is_speed_measured(now_ns)
+        return ReportedMotion(self.distance_m(stamp_ns), is_measured, self._velocity_mps, self._heading_rad)
+
+    def _is_speed_measured(self, now_ns: int) -> bool:
+        return self.is_aided or _newest(self._wheel_speed, now_ns) is not None
+
+    def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float, now_ns: int) -> None:
+        """What the velocity is wrong by, and one standard deviation of that ahead; of use while nothing measures it."""
+        self._error, self._error_sigma_mps = (now_ns, error_mps), sigma_mps
+
     @property
     def distance_gaps(self) -> int:
         """How often the reports of speed paused for so long that the distance driven meanwhile is not known."""
@@ -159,7 +183,11 @@ class Vehicle:
 
     def displacement(self, stamp_ns: int) -> Displacement | None:
         """Meters east and north at the moment of a frame, by the autopilot's own velocity."""
-        return self._motion.displacement(stamp_ns)
+        moved = self._motion.displacement(stamp_ns)
+        if moved is None or self._is_speed_measured(stamp_ns):
+            return moved
+        drift = self._error_sigma_mps / max(self._motion.speed_mps(stamp_ns) or 0.0, SLOW_MPS)
+        return replace(moved, drift=max(drift, LEAST_DRIFT)) if drift <= MOST_DRIFT else None
 
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""
@@ -201,7 +229,8 @@ class Vehicle:
         self._motion.begin_leg()
         self._newest_boot_ms = -1
         self.gps = Gps()
-        self._accuracy = self._wheels = self._position = None
+        self._accuracy = self._wheels = self._wheel_speed = self._error = self._position = None
+        self.is_aided = True
         self.origin = self.version = None
 
     def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
@@ -222,7 +251,7 @@ class Vehicle:
             return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
-        self._motion.add_speed(stamp_ns, signed_speed(message.vy / 100, message.vx / 100, heading_deg), source=1)
+        self._add_speed(stamp_ns, signed_speed(message.vy / 100, message.vx / 100, heading_deg), source=1)
         before = self._position
         self._position = VehiclePosition(
             stamp_ns,
@@ -234,7 +263,7 @@ class Vehicle:
             message.vx / 100,
             message.vy / 100,
         )
-        self._motion.add_velocity(stamp_ns, *self._east_north_mps(before, self._position))
+        self._add_velocity(stamp_ns, *self._east_north_mps(before, self._position), heading_deg)
 
     def _east_north_mps(self, before: VehiclePosition | None, now: VehiclePosition) -> tuple[float, float]:
         """Velocity by two positions, while no position of ours has moved them; else, and over jumps, as reported.
@@ -254,13 +283,13 @@ class Vehicle:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
-        self._motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
+        self._add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
         if self._position is None or stamp_ns - self._position.stamp_ns > POSITIONS_APART_S * 1e9:
-            self._motion.add_velocity(stamp_ns, message.vy, message.vx)
+            self._add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.
-        self._motion.add_speed(now_ns, signed_speed(message.vy, message.vx, 0.0), source=2)
+        self._add_speed(now_ns, signed_speed(message.vy, message.vx, 0.0), source=2)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
@@ -268,10 +297,33 @@ class Vehicle:
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
-            self._motion.add_speed(stamp_ns, (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9, source=3)
+            self._wheel_speed = stamp_ns, (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9
+            self._motion.add_speed(*self._wheel_speed, source=3)
 
     def _read_vfr_hud(self, message: Message, now_ns: int) -> None:
-        self._motion.add_speed(now_ns, message.groundspeed, source=4)
+        self._add_speed(now_ns, message.groundspeed, source=4)
+
+    def _add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
+        """A speed by the autopilot's estimate, which counts only where something aids that."""
+        if self.is_aided:
+            self._motion.add_speed(stamp_ns, speed_mps, source)
+
+    def _add_velocity(self, stamp_ns: int, east_mps: float, north_mps: float, heading_deg: float | None) -> None:
+        """A velocity by the autopilot's estimate; where nothing aids that, only what is known of it ahead counts."""
+        self._velocity_mps = east_mps, north_mps
+        if heading_deg is not None:
+            self._heading_rad = math.radians(heading_deg)
+        if not self.is_aided:
+            sin, cos = math.sin(self._heading_rad), math.cos(self._heading_rad)
+            speed_mps = _newest(self._wheel_speed, stamp_ns)
+            if speed_mps is None and self._error is not None and stamp_ns - self._error[0] <= SPEED_FRESH_NS:
+                east_error_mps, north_error_mps = self._error[1]
+                speed_mps = (east_mps - east_error_mps) * sin + (north_mps - north_error_mps) * cos
+                self._motion.add_speed(stamp_ns, speed_mps, source=1)
+            if speed_mps is None or heading_deg is None:
+                return
+            east_mps, north_mps = speed_mps * sin, speed_mps * cos
+        self._motion.add_velocity(stamp_ns, east_mps, north_mps)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
         self.gps.read_filter(message.flags, self.autopilot, now_ns)
@@ -313,6 +365,11 @@ class Vehicle:
             self._clock.add_stamp(message.ts1, now_ns)
         elif message.ts1 == self._timesync_sent_ns:
             self._clock.add_answer(message.ts1, message.tc1, now_ns)
+
+
+def _newest(speed: tuple[int, float] | None, now_ns: int) -> float | None:
+    """A speed of some moment in m/s, None where it is too old."""
+    return None if speed is None or now_ns - speed[0] > SPEED_FRESH_NS else speed[1]
 
 
 def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:

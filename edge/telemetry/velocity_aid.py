@@ -7,12 +7,8 @@ while our position is fused.
 
 from __future__ import annotations
 
-import math
-
-from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.localization import PlaceFix
 from edge.telemetry.vehicle import Vehicle
 
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
@@ -24,18 +20,6 @@ ON_WINGS = {mavlink.MAV_TYPE_FIXED_WING, *range(mavlink.MAV_TYPE_VTOL_DUOROTOR, 
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 EV_VELOCITY = 1 << 2  # of EKF2_EV_CTRL
-
-UNAIDED_M = 5.5
-"""What a position may be wrong by, since it is moved on by a velocity that nothing measures: a line of 80 m must only
-have moved as that velocity says within 3 m and 10 %, of which this is half."""
-
-
-def as_certain_as_aided(fix: PlaceFix, aid: str | None) -> PlaceFix:
-    """A position with the standard deviations that it has for an autopilot with such a velocity aid."""
-    if aid != NO_AID:
-        return fix
-    along_m, across_m = math.hypot(fix.sigma_along_m, UNAIDED_M), math.hypot(fix.sigma_across_m, UNAIDED_M)
-    return replace(fix, sigma_along_m=along_m, sigma_across_m=across_m)
 
 
 def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:

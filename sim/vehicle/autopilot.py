@@ -273,7 +273,7 @@ class SimulatedAutopilot:
             heading_deg=self.estimate.heading_deg,
             origin_m=self._origin_m,
             velocity_mps=self.estimate.velocity_mps,
-            driven_m=self.estimate.driven_m,
+            driven_m=self.estimate.driven_m if self._errors.source == "wheels" else None,
             aided=self._errors.source != "none" or self._uses_gps,
             lon_shift_deg=self._lon_shift_deg,
             base_mode=self.base_mode,

@@ -28,8 +28,8 @@ class Snapshot:
 
     pose: the truth, for GPS only. uses_gps: whether the filter fuses it. east_m, north_m, sigma_m, heading_deg: the
     filter's estimate in the simulation's frame. origin_m: the filter's local origin there, None while it has none.
-    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders. aided: whether anything
-    measures its velocity. base_mode: flags of MAV_MODE_FLAG.
+    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders, None where it has none. aided:
+    whether anything measures its velocity. base_mode: flags of MAV_MODE_FLAG.
     """
 
     firmware: Firmware
@@ -43,7 +43,7 @@ class Snapshot:
     heading_deg: float
     origin_m: tuple[float, float] | None
     velocity_mps: tuple[float, float]
-    driven_m: float
+    driven_m: float | None
     aided: bool
     lon_shift_deg: float
     base_mode: int
@@ -143,7 +143,9 @@ def _system_time(state: Snapshot) -> Message:
     return mavlink.MAVLink_system_time_message(0, state.boot_ms)
 
 
-def _wheel_distance(state: Snapshot) -> Message:
+def _wheel_distance(state: Snapshot) -> Message | None:
+    if state.driven_m is None:
+        return None
     return mavlink.MAVLink_wheel_distance_message(state.boot_ns // 1000, 2, [state.driven_m] * 2 + [0.0] * 14)
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from edge.localization import DeadReckoning
-from edge.localization.dead_reckoning import TURN_FRAMES, Displacement, TurnAround
+from edge.localization.dead_reckoning import TURN_FRAMES, Displacement, TurnAround, VelocityError
 
 S = 1_000_000_000
 GOOD, POOR = 0, 2
@@ -148,3 +148,98 @@ def test_another_leg_is_no_turn() -> None:
     for leg, sign in ((1, 1), (2, -1)):
         assert not any(turning.add(Displacement(leg, 0.0, sign * 2.0 * frame)) for frame in range(TURN_FRAMES - 1))
     assert not turning.add(None)
+
+
+class Unaided:
+    """A vehicle at 8 m/s whose reported velocity is ever faster, by `grows_mps2`, and which uses a frame each 2 m."""
+
+    def __init__(self, grows_mps2: float = 0.15) -> None:
+        self.error, self.grows_mps2 = VelocityError(length=40), grows_mps2
+        self.time_s = self.along_m = self.odometer_m = self.wrong_mps = 0.0
+
+    def drive(self, seconds: float, *, heading_rad: float = 0.0, believed: bool = True, drive: object = 1) -> None:
+        """Along a drive of the map, in that heading."""
+        for _ in range(round(seconds * 4)):
+            self.time_s += 0.25
+            self.wrong_mps += 0.25 * self.grows_mps2
+            self.along_m += 0.25 * 8.0
+            self.odometer_m += 0.25 * (8.0 + self.wrong_mps - self.error.error_mps[1])
+            self.error.predict(round(self.time_s * S), 0.0, (0.0, 8.0 + self.wrong_mps))
+            middle_m, length_m = (self.along_m - 19.5 * 2.0, 78.0) if believed else (math.nan, math.nan)
+            self.error.use_line(round(self.time_s * S), self.odometer_m, drive, middle_m, length_m)
+
+    def stand(self, seconds: float) -> None:
+        for _ in range(round(seconds * 4)):
+            self.time_s += 0.25
+            self.wrong_mps += 0.25 * self.grows_mps2
+            self.error.predict(round(self.time_s * S), 0.0, (0.0, self.wrong_mps))
+            self.error.use_halt(round(self.time_s * S), (0.0, self.wrong_mps))
+
+    @property
+    def off_mps(self) -> float:
+        return self.error.error_mps[1] - self.wrong_mps
+
+
+def test_lines_say_what_a_velocity_is_wrong_by() -> None:
+    vehicle = Unaided()
+    vehicle.drive(30.0)
+    assert vehicle.wrong_mps == pytest.approx(4.5)
+    assert abs(vehicle.off_mps) < min(0.5, 2 * vehicle.error.sigma_mps)
+    vehicle.drive(60.0)
+    assert abs(vehicle.off_mps) < 0.2
+
+
+def test_without_lines_it_is_ever_less_certain() -> None:
+    vehicle = Unaided()
+    vehicle.drive(30.0, believed=False)
+    assert vehicle.error.error_mps == (0.0, 0.0)
+    assert abs(vehicle.off_mps) < 2 * vehicle.error.sigma_mps
+    assert vehicle.error.sigma_mps > 4.0
+
+
+def test_once_it_is_known_it_goes_on_without_lines_for_a_while() -> None:
+    vehicle = Unaided()
+    vehicle.drive(60.0)
+    vehicle.drive(20.0, believed=False)
+    assert abs(vehicle.off_mps) < min(1.0, 2 * vehicle.error.sigma_mps)
+
+
+def test_a_halt_says_all_of_it_but_two_frames_that_are_alike_do_not() -> None:
+    vehicle = Unaided()
+    vehicle.drive(15.0, believed=False)
+    before = vehicle.error.error_mps
+    vehicle.stand(0.5)
+    assert vehicle.error.error_mps == pytest.approx(before)
+    vehicle.stand(3.0)
+    assert vehicle.error.sigma_mps < 0.2
+    assert abs(vehicle.off_mps) < 0.2
+
+
+def test_what_the_velocity_is_to_the_left_is_error() -> None:
+    """It drives north, and its filter goes ever faster to the northwest."""
+    error = VelocityError(length=40)
+    for quarter in range(240):
+        wrong_mps = 0.1 * quarter / 4
+        error.predict(quarter * S // 4, 0.0, (-wrong_mps, 8.0 + wrong_mps))
+    east_mps, north_mps = error.error_mps
+    assert east_mps == pytest.approx(-6.0, abs=0.3)
+    assert north_mps == pytest.approx(0.0, abs=0.3), "which only lines can say"
+
+
+def test_a_line_on_another_drive_is_no_jump_of_the_odometer() -> None:
+    vehicle = Unaided(grows_mps2=0.0)
+    vehicle.drive(40.0)
+    vehicle.along_m += 500.0
+    vehicle.drive(10.0, drive=2)
+    assert abs(vehicle.off_mps) < 0.3
+    vehicle.along_m -= 70.0
+    vehicle.drive(10.0, drive=2)
+    assert abs(vehicle.off_mps) < 0.3, "nor is one far away on the same"
+
+
+def test_while_something_measures_the_velocity_nothing_is_wrong_with_it() -> None:
+    vehicle = Unaided()
+    vehicle.drive(60.0)
+    vehicle.error.begin()
+    assert vehicle.error.error_mps == (0.0, 0.0)
+    assert vehicle.error.sigma_mps == pytest.approx(0.1)

@@ -11,9 +11,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
+from edge.localization import distance_from
 from edge.telemetry.encoders import UNBOUNDED_M
-from edge.telemetry.velocity_aid import UNAIDED_M
 from sim.vehicle.autopilot import SILENT
+from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.positions import OFTEN, fixes_received, offer_for
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
@@ -158,17 +159,62 @@ def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open
     assert protection_sent(rig) == {"pl_along": UNBOUNDED_M, "pl_across": UNBOUNDED_M}
 
 
-@pytest.mark.parametrize(("vision", "certain"), [(4.0, True), (0.0, False)])
-def test_a_position_is_less_certain_where_nothing_measures_the_velocity(
-    open_rig: OpenRig, vision: float, certain: bool
-) -> None:
-    rig = open_rig(emit="external_position", gates=OFTEN, firmware="px4", gps=False)
+def correct(rig: Rig) -> None:
+    """The error of the velocity is found: of a vehicle that drives east-northeast at 8 m/s, all of the rest."""
+    east_mps, north_mps = rig.connection.motion(rig.now_ns).velocity_mps
+    heading_rad = math.radians(60.0)
+    error_mps = east_mps - 8.0 * math.sin(heading_rad), north_mps - 8.0 * math.cos(heading_rad)
+    rig.connection.use_velocity_error(error_mps, 0.5)
+
+
+def unaided(open_rig: OpenRig, vision: float = 0.0) -> Rig:
+    """PX4 12 s after it has lost GPS, with its EKF2_EV_CTRL: where that is 0, its velocity runs away."""
+    errors = OdometryErrors("none", acceleration_mps2=3.0)
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5), firmware="px4", errors=errors)
     rig.autopilot.parameters = {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
+    rig.run(9.0)
+    rig.autopilot.gps = False
+    rig.run(12.0, lambda: correct(rig))
+    own = rig.connection.position()
+    assert distance_from(own, rig.fix()) > 80.0
+    return rig
+
+
+def test_what_runs_away_does_not_speak_against_a_position(open_rig: OpenRig) -> None:
+    """It is compared with where the vehicle is by GPS, and by the velocity without the error that was found."""
+    rig = unaided(open_rig)
+    correct(rig)
+    assert rig.connection.uncertainty_m is None
+    assert offer_for(rig, 1.0)
+    rig.run(1.0)
+    assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
+    assert rig.connection.uncertainty_m is None, "our own position, which that velocity carries away, bounds nothing"
+
+
+def test_a_position_is_not_sent_that_is_far_from_where_the_vehicle_is_without_that_error(
+    open_rig: OpenRig,
+) -> None:
+    rig = unaided(open_rig)
+    correct(rig)
+    assert (
+        offer_for(rig, 3.0, lat_deg=rig.connection.position().lat_deg, lon_deg=rig.connection.position().lon_deg) == 0
+    )
+    assert rig.journalled(FixWithheld)[-1].reason == "not confirmed by another place yet"
+
+
+def test_where_nothing_was_found_of_that_error_no_position_is_sent(open_rig: OpenRig) -> None:
+    rig = unaided(open_rig)
     rig.run(8.0)
-    offer_for(rig, 2.0)
-    sigma_m, stated_m = fixes_received(rig)[0].param3, rig.fix().sigma_m
-    assert (sigma_m == pytest.approx(stated_m, rel=1e-3)) is certain
-    assert sigma_m == pytest.approx(math.hypot(stated_m, 0.0 if certain else math.sqrt(2) * UNAIDED_M), rel=1e-3)
+    assert offer_for(rig, 3.0) == 0
+    assert rig.journalled(FixWithheld)[-1].reason == "the speed is not known"
+
+
+def test_with_a_velocity_aid_a_position_is_compared_with_the_autopilots_own(open_rig: OpenRig) -> None:
+    rig = unaided(open_rig, vision=4.0)
+    correct(rig)
+    assert rig.connection.uncertainty_m is not None
+    assert offer_for(rig, 3.0) == 0
+    assert rig.journalled(FixWithheld)[-1].reason == "impossibly far"
 
 
 def test_above_the_alert_limit_nothing_is_sent(open_rig: OpenRig) -> None:

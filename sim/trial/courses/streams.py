@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.trial.courses.registry import course
+from sim.trial.courses.registry import COURSES, course
 from sim.trial.draft import Draft
 from sim.trial.rules import (
     first_in_time,
@@ -16,9 +16,11 @@ from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 
-@course("H", "px4-no-velocity-aid{}", "", "-43003")
+@course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260")
 def _px4_no_aid(draft: Draft, value: str) -> None:
     """Nothing measures PX4's velocity, which runs away; our positions must not follow it."""
+    if value.lstrip("-") in COURSES:
+        COURSES[value.lstrip("-")].lay(draft)
     draft.firmware, draft.steers = "px4", False
     draft.emit = "external_position" if value else "auto"
     draft.errors = OdometryErrors("none", acceleration_mps2=draft.rng.uniform(0.1, 0.2))
