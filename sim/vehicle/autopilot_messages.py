@@ -28,8 +28,8 @@ class Snapshot:
 
     pose: the truth, for GPS only. uses_gps: whether the filter fuses it. east_m, north_m, sigma_m, heading_deg: the
     filter's estimate in the simulation's frame. origin_m: the filter's local origin there, None while it has none.
-    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders, None where it has none. aided:
-    whether anything measures its velocity. base_mode: flags of MAV_MODE_FLAG.
+    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders, None where it has none.
+    aided: whether anything measures its velocity. base_mode: flags of MAV_MODE_FLAG.
     """
 
     firmware: Firmware
