@@ -10,8 +10,10 @@ import argparse
 import logging
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
+from typing import NoReturn
 
 import edge
 from edge.commands import completion, doctor, home, map_build, record, replay, run
@@ -73,5 +75,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
+def command() -> NoReturn:
+    """`main`, and the end of the process.
+
+    While it finalizes, the interpreter ends threads that still run in a driver or in the network by unwinding their C++
+    code, which may abort the process. So where there are any, the process ends at once, when all is written.
+    """
+    code: str | int | None
+    try:
+        code = main()
+    except SystemExit as stop:
+        code = stop.code
+    if isinstance(code, int) and any(thread.daemon for thread in threading.enumerate()):
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

@@ -182,3 +182,14 @@ def test_version_and_usage(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["replay"])
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize(("hangs", "printed"), [(False, "finalized\n"), (True, "")])
+def test_a_thread_that_hangs_in_a_driver_is_not_unwound(hangs: bool, printed: str) -> None:
+    thread = "threading.Thread(target=time.sleep, args=(60,), daemon=True).start()" if hangs else "pass"
+    code = (
+        f"import atexit, sys, threading, time; {thread}; atexit.register(print, 'finalized');"
+        " from edge.__main__ import command; sys.argv = ['lookback', '--version']; command()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True)
+    assert done.stdout == f"lookback {edge.__version__}\n{printed}"

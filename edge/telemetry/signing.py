@@ -13,8 +13,9 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -26,6 +27,8 @@ from edge.telemetry.replay_guard import TICKS_PER_S, ReplayGuard, Stream
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
 STORED_AHEAD = 10 * TICKS_PER_S
 """How far ahead of use the file is written: autopilots accept timestamps up to a minute ahead."""
+USELESS_FRAMES = 10
+"""In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
 KEY_BYTES = 32
 CREDENTIAL = "credential:"
 
@@ -40,6 +43,25 @@ class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has
     """
 
     accepts: Callable[[Stream, int], bool]
+    buf: bytearray
+    buf_index: int
+    _useless_in_a_row = 0
+
+    def parse_char(self, c: Sequence[int]) -> Any:
+        """The next message in what has arrived; after many useless ones, also from within the last of those.
+
+        A damaged frame, or one that is not known, is dropped with all the bytes that it claims. Where all frames are as
+        long as that, each begins within another one for ever.
+        """
+        message = super().parse_char(c)
+        if message is None:
+            return None
+        self._useless_in_a_row = self._useless_in_a_row + 1 if message.get_msgId() < 0 else 0
+        if self._useless_in_a_row > USELESS_FRAMES:
+            self._useless_in_a_row = 0
+            rest = self.buf[self.buf_index :]
+            self.buf, self.buf_index = bytearray(message.get_msgbuf()[1:]) + rest, 0
+        return message
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
         """Whether the frame is signed with our key, and new."""

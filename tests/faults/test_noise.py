@@ -9,9 +9,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 MB = 1_000_000
@@ -58,3 +60,14 @@ def test_the_line_is_noise(
     assert connection.vehicle.position(now_ns) is None
     assert connection.vehicle.distance_m(now_ns) is None
     assert grown < 5 * MB
+
+
+def test_frames_that_look_as_if_one_began_within_each_are_read_again_soon() -> None:
+    """Heartbeats whose custom mode looks like the beginning of a frame as long as they are; the first one is cut."""
+    beat = bytes(mavlink.MAVLink_heartbeat_message(10, 3, 0, 0x0009FD, 4, 3).pack(mavlink.MAVLink(None)))
+    within = beat.index(b"\xfd\x09\x00", 1)
+    codec = MavlinkCodec(1, 191)
+    assert codec.decode(beat[within:]) == []
+    read = [len(codec.decode(beat)) for _ in range(40)]
+    assert sum(read[:10]) == 0
+    assert sum(read[20:]) == 20
