@@ -16,8 +16,7 @@ REMEMBER_NS = 1_000_000_000
 TIMES, ACCURATE_M = 2.0, 10.0
 """An autopilot that is so many times as certain as a position would lose by a reset to it; other messages are weighed.
 A position that is less accurate than ACCURATE_M must be so many times as certain as the autopilot, whose uncertainty by
-the distance driven is a bound, not what is expected. Where nothing measures its velocity, none that is less accurate is
-sent: what was found of that velocity is then as uncertain."""
+the distance driven is a bound, not what is expected; where nothing measures its velocity, none is sent."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 

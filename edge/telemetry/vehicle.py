@@ -23,9 +23,11 @@ LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
-LEAST_DRIFT, MOST_DRIFT, SLOW_MPS = 0.05, 0.5, 2.0
-"""Shares of a distance by which it may be wrong where nothing measures the velocity: the least, and that from which on
-the motion is not known; at a speed below SLOW_MPS, as at that."""
+MOST_SHARE, SLOW_MPS = 0.5, 2.0
+"""Of the speed, but at least of SLOW_MPS: by which a velocity that nothing measures may be uncertain to be of use."""
+STAYS, LEAST_DRIFT = 0.6, 0.05
+"""How much of that stays over a line, since it changes within seconds: with it, positions on simulated drives are about
+as wrong as they say. And the least share of a distance by which it may be wrong."""
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
 POSITIONS_APART_S = 0.5
@@ -186,8 +188,8 @@ class Vehicle:
         moved = self._motion.displacement(stamp_ns)
         if moved is None or self._is_speed_measured(stamp_ns):
             return moved
-        drift = self._error_sigma_mps / max(self._motion.speed_mps(stamp_ns) or 0.0, SLOW_MPS)
-        return replace(moved, drift=max(drift, LEAST_DRIFT)) if drift <= MOST_DRIFT else None
+        share = self._error_sigma_mps / max(self._motion.speed_mps(stamp_ns) or 0.0, SLOW_MPS)
+        return replace(moved, drift=max(STAYS * share, LEAST_DRIFT)) if share <= MOST_SHARE else None
 
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""

@@ -34,7 +34,8 @@ class OdometryErrors:
 
     scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
     autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
-    acceleration_mps2: the bias, forward, of an accelerometer that no velocity aids.
+    acceleration_mps2: the forward bias of an accelerometer that no velocity aids; wander_mps: by how much that
+    changes the velocity besides within a second, each way, from `seed`.
     """
 
     source: VelocitySource = "wheels"
@@ -43,6 +44,8 @@ class OdometryErrors:
     reported_deg: float = 0.0
     settled_deg: float = 0.0
     acceleration_mps2: float = 0.15
+    wander_mps: float = 0.0
+    seed: int = 0
 
 
 AS_FLOWN = OdometryErrors(scale=1.03, heading_deg=-0.5, reported_deg=2.7, settled_deg=1.3)
@@ -76,6 +79,7 @@ class Estimator:
         self._heading_rad = math.radians(errors.heading_deg)
         self._reported_rad = math.radians(errors.reported_deg)
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
+        self._rng = np.random.default_rng(errors.seed)
         self._covariance_s = time_s
         self._covariance: NDArray[np.float64] = np.zeros((5, 5))
         self._gps = False
@@ -193,9 +197,10 @@ class Estimator:
         if self._errors.source == "none":
             heading_rad = math.radians(self._pose.heading_deg)
             gained_mps = self._errors.acceleration_mps2 * elapsed_s
+            east_mps, north_mps = self._errors.wander_mps * math.sqrt(elapsed_s) * self._rng.standard_normal(2)
             self._bias_mps = (
-                self._bias_mps[0] + gained_mps * math.sin(heading_rad),
-                self._bias_mps[1] + gained_mps * math.cos(heading_rad),
+                self._bias_mps[0] + gained_mps * math.sin(heading_rad) + float(east_mps),
+                self._bias_mps[1] + gained_mps * math.cos(heading_rad) + float(north_mps),
             )
 
     def _predict(self, time_s: float) -> None:

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.vehicle import Origin, Vehicle
+from edge.telemetry.vehicle import STAYS, Origin, Vehicle
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
 RECORDINGS = {"ardurover-4.6.3-nogps": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4-1.18-agp": mavlink.MAV_AUTOPILOT_PX4}
@@ -358,7 +358,7 @@ def test_a_velocity_that_nothing_measures_counts_ahead_and_without_the_error_tha
     assert vehicle.driven_m(8 * S) == pytest.approx(20.0 + 32.0, abs=0.5)
     assert not vehicle.motion(8 * S, 8 * S).is_measured
     moved = vehicle.displacement(8 * S)
-    assert moved is not None and moved.drift == pytest.approx(0.8 / 8.0)
+    assert moved is not None and moved.drift == pytest.approx(STAYS * 0.8 / 8.0)
 
 
 def test_wheels_come_before_a_velocity_that_nothing_measures() -> None:

@@ -15,6 +15,9 @@ from sim.trial.rules import (
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 
+WANDER_MPS = 0.4
+"""Of a velocity that nothing measures: on recorded drives of PX4 its error changes by about as much within a second."""
+
 
 @course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260")
 def _px4_no_aid(draft: Draft, value: str) -> None:
@@ -23,7 +26,8 @@ def _px4_no_aid(draft: Draft, value: str) -> None:
         COURSES[value.lstrip("-")].lay(draft)
     draft.firmware, draft.steers = "px4", False
     draft.emit = "external_position" if value else "auto"
-    draft.errors = OdometryErrors("none", acceleration_mps2=draft.rng.uniform(0.1, 0.2))
+    acceleration_mps2, seed = draft.rng.uniform(0.1, 0.2), int(draft.rng.integers(2**31))
+    draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
     draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
