@@ -24,7 +24,7 @@ from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
-from edge.localization.dead_reckoning import TurnAround
+from edge.localization.dead_reckoning import ReportedMotion, TurnAround
 from edge.localization.localizer import Localizer
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
@@ -97,21 +97,22 @@ class Daemon:
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
-        is_place = self._sampler.is_place(frame.stamp_ns, self._autopilot.motion(frame.stamp_ns).distance_m)
+        motion = self._autopilot.motion(frame.stamp_ns)
+        is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
         if is_place:
-            self._process_frame(frame, self._autopilot.distance_m(frame.stamp_ns))
+            self._process_frame(frame, motion)
         return is_place
 
-    def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
+    def _process_frame(self, frame: Frame, motion: ReportedMotion) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
-        began_ns, missed = self._clock_ns(), self._sampler.missed
+        began_ns, missed, distance_m = self._clock_ns(), self._sampler.missed, motion.measured_m
         displacement = self._autopilot.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
         self._localizer.update(match, frame.stamp_ns, displacement, missed)
-        self._find_velocity_error(match, frame.stamp_ns)
+        self._find_velocity_error(match, frame.stamp_ns, motion)
         self._map_frame(frame, distance_m, missed)
         self._use_gps(match, frame.stamp_ns, missed)
         self._publish_frame(frame, match, missed)
@@ -134,18 +135,19 @@ class Daemon:
             self._localizer.reset()
         return None if match is not None and match.accepted and not self._is_verified(match) else match
 
-    def _find_velocity_error(self, match: PlaceMatch | None, stamp_ns: int) -> None:
+    def _find_velocity_error(self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion) -> None:
         """What the autopilot's velocity is wrong by, while nothing measures it, by the places of the frames."""
-        error, motion = self._localizer.velocity_error, self._autopilot.motion(stamp_ns)
+        error = self._localizer.velocity_error
         if motion.is_measured:
-            error.begin()
-        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
-        if self._recognizer.state == "standing":
-            error.use_halt(stamp_ns, motion.velocity_mps)
-        elif motion.distance_m is None:
-            error.clear()
+            error.begin(stamp_ns)
         else:
-            self._localizer.find_velocity_error(match, stamp_ns, motion.distance_m)
+            error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
+            if self._recognizer.state == "standing":
+                error.use_halt(stamp_ns, motion.velocity_mps)
+            elif motion.distance_m is None:
+                error.clear()
+            else:
+                self._localizer.find_velocity_error(match, stamp_ns, motion.distance_m)
         self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
 
     def _search_area(self) -> Near | None:

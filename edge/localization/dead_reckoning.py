@@ -68,6 +68,11 @@ class ReportedMotion(NamedTuple):
     velocity_mps: tuple[float, float]
     heading_rad: float
 
+    @property
+    def measured_m(self) -> float | None:
+        """Meters driven, None where nothing measures them."""
+        return self.distance_m if self.is_measured else None
+
 
 class _Integral:
     """A rate with one or more components, integrated over time; the last KEPT reports can be looked up."""
@@ -223,11 +228,11 @@ class VelocityError:
         self._length = length
         self.begin()
 
-    def begin(self) -> None:
-        """The velocity is measured: what it is wrong by, once it is not, begins now."""
+    def begin(self, stamp_ns: int | None = None) -> None:
+        """The velocity is measured, at that frame: what it is wrong by, once it is not, begins now."""
         self._mean = np.zeros(5)
         self._covariance = np.diag([ANYWHERE_M, BEGINS_MPS, BEGINS_MPS, GROWS_MPS2, GROWS_MPS2]) ** 2
-        self._last_ns: int | None = None
+        self._last_ns = stamp_ns
         self._ahead = np.array([0.0, 1.0])
         self.clear()
 

@@ -118,8 +118,7 @@ class AutopilotConnection:
 
     def distance_m(self, stamp_ns: int) -> float | None:
         """Meters driven up to a moment, None where nothing measures them."""
-        motion = self.motion(stamp_ns)
-        return motion.distance_m if motion.is_measured else None
+        return self.motion(stamp_ns).measured_m
 
     def motion(self, stamp_ns: int) -> ReportedMotion:
         """What the autopilot reports of its motion at a moment."""

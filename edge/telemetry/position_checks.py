@@ -104,11 +104,10 @@ class PositionChecks:
 
     def remember(self, now_ns: int) -> None:
         """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
-        if now_ns < self._remember_due_ns:
+        if now_ns < self._remember_due_ns or not self._vehicle.is_aided:
             return
         self._remember_due_ns = now_ns + REMEMBER_NS
-        is_aided = self._vehicle.is_aided
-        ours_m = self._uncertainty.at(self._vehicle.driven_m(now_ns), None) if is_aided else None
+        ours_m = self._uncertainty.at(self._vehicle.driven_m(now_ns), None)
         if ours_m is not None:
             self._remembered.keep(ours_m, self._vehicle, now_ns, by_fixes=self._vehicle.has_our_position)
         elif (remembered := self._remembered.recall(self._vehicle, now_ns)) is not None:
