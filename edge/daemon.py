@@ -139,15 +139,14 @@ class Daemon:
         """What the autopilot's velocity is wrong by, while nothing measures it, by the places of the frames."""
         error = self._localizer.velocity_error
         if motion.is_measured:
-            error.begin(stamp_ns)
+            error.begin()
+        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
+        if self._recognizer.state == "standing":
+            error.use_halt(stamp_ns, motion.velocity_mps)
+        elif motion.distance_m is None:
+            error.clear()
         else:
-            error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
-            if self._recognizer.state == "standing":
-                error.use_halt(stamp_ns, motion.velocity_mps)
-            elif motion.distance_m is None:
-                error.clear()
-            else:
-                self._localizer.find_velocity_error(match, stamp_ns, motion.distance_m)
+            self._localizer.find_velocity_error(match, stamp_ns, motion.distance_m)
         self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
 
     def _search_area(self) -> Near | None:

@@ -228,11 +228,11 @@ class VelocityError:
         self._length = length
         self.begin()
 
-    def begin(self, stamp_ns: int | None = None) -> None:
-        """The velocity is measured, at that frame: what it is wrong by, once it is not, begins now."""
+    def begin(self) -> None:
+        """The velocity is measured: what it is wrong by, once it is not, begins now."""
         self._mean = np.zeros(5)
         self._covariance = np.diag([ANYWHERE_M, BEGINS_MPS, BEGINS_MPS, GROWS_MPS2, GROWS_MPS2]) ** 2
-        self._last_ns = stamp_ns
+        self._last_ns: int | None = None
         self._ahead = np.array([0.0, 1.0])
         self.clear()
 
