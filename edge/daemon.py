@@ -112,7 +112,9 @@ class Daemon:
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
         self._localizer.update(match, frame.stamp_ns, displacement, missed)
-        self._find_velocity_error(match, frame.stamp_ns, motion)
+        stands = self._recognizer.state == "standing"
+        error = self._localizer.find_velocity_error(match, frame.stamp_ns, motion, stands=stands)
+        self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
         self._map_frame(frame, distance_m, missed)
         self._use_gps(match, frame.stamp_ns, missed)
         self._publish_frame(frame, match, missed)
@@ -134,20 +136,6 @@ class Daemon:
         if self._recognizer.was_carried:
             self._localizer.reset()
         return None if match is not None and match.accepted and not self._is_verified(match) else match
-
-    def _find_velocity_error(self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion) -> None:
-        """What the autopilot's velocity is wrong by, while nothing measures it, by the places of the frames."""
-        error = self._localizer.velocity_error
-        if motion.is_measured:
-            error.begin()
-        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
-        if self._recognizer.state == "standing":
-            error.use_halt(stamp_ns, motion.velocity_mps)
-        elif motion.distance_m is None:
-            error.clear()
-        else:
-            self._localizer.find_velocity_error(match, stamp_ns, motion.distance_m)
-        self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""

@@ -272,16 +272,16 @@ class VelocityError:
         self._covariance = moves @ self._covariance @ moves.T + np.diag(noise)
         self._measure(np.array([0.0, *left, 0.0, 0.0]), float(left @ np.array(velocity_mps)), LEFT_MPS)
 
-    def use_line(self, stamp_ns: int, odometer_m: float, drive: object, middle_m: float, length_m: float) -> None:
-        """A frame at which the vehicle moved.
-
-        odometer_m: by the velocity less its error. middle_m, length_m: of the line of its match, along that drive in
-        the way of travel; NaN where the match is not believed.
-        """
+    def add_frame(self, stamp_ns: int, odometer_m: float) -> None:
+        """A frame at which the vehicle moved; odometer_m: by the velocity less its error."""
         self._stands_ns = None
         self._rows.append((stamp_ns, odometer_m, self._ahead_mps))
-        if math.isnan(middle_m) or len(self._rows) < self._length:
+
+    def use_line(self, drive: object, middle_m: float, length_m: float) -> None:
+        """The believed match of the frame that was added last, by its line along that drive, in the way of travel."""
+        if len(self._rows) < self._length:
             return
+        stamp_ns, odometer_m, _ = self._rows[-1]
         half = self._length // 2
         since_s = (stamp_ns - self._rows[half][0]) / 1e9
         assumed_mps = sum(row[2] for row in islice(self._rows, half, None)) / (self._length - half)

@@ -12,7 +12,7 @@ import math
 from edge.config import Config, RigConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
-from edge.localization.dead_reckoning import Displacement, VelocityError
+from edge.localization.dead_reckoning import Displacement, ReportedMotion, VelocityError
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
 from edge.localization.place_fix import frame_used, line_middle, map_error_m, match_position, untracked_fix
 from edge.localization.route_filter import RouteFilter
@@ -28,7 +28,7 @@ class Localizer:
         self._route = Route(maps)
         self._filter = RouteFilter(self._route, config)
         self._referee = GpsReferee(config.gates.gps_false_call, config.gates.gps_missed)
-        self.velocity_error = VelocityError(config.sequence.length)
+        self._velocity_error = VelocityError(config.sequence.length)
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
 
@@ -39,7 +39,7 @@ class Localizer:
     def reset(self) -> None:
         """Begin anew: no position is published that rests on frames from before. What is known of GPS stays."""
         self._filter.reset()
-        self.velocity_error.clear()
+        self._velocity_error.clear()
         self.newest = None
 
     def update(
@@ -50,16 +50,33 @@ class Localizer:
         if match is not None and match.accepted:
             self.newest = match
 
-    def find_velocity_error(self, match: PlaceMatch | None, stamp_ns: int, odometer_m: float) -> None:
-        """By the answer to a frame at which the vehicle moved; odometer_m: by its velocity without that error."""
-        is_believed = match is not None and match.accepted
-        line = line_middle(match, self._route, self._config.sequence.length) if match and is_believed else None
-        if match is None or line is None:
-            self.velocity_error.use_line(stamp_ns, odometer_m, None, math.nan, math.nan)
+    def find_velocity_error(
+        self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
+    ) -> VelocityError:
+        """What the autopilot's velocity is wrong by, while nothing measures it.
+
+        match: the answer to a frame. motion: as reported for it. stands: whether it shows what the last one did.
+        """
+        error = self._velocity_error
+        if motion.is_measured:
+            error.begin()
+        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
+        if stands:
+            error.use_halt(stamp_ns, motion.velocity_mps)
+        elif motion.distance_m is None:
+            error.clear()
         else:
+            error.add_frame(stamp_ns, motion.distance_m)
+            self._use_line(match)
+        return error
+
+    def _use_line(self, match: PlaceMatch | None) -> None:
+        if match is None or not match.accepted:
+            return
+        line = line_middle(match, self._route, self._config.sequence.length)
+        if line is not None:
             sign = 1 if match.direction == "forward" else -1
-            middle_m, length_m = sign * line.along_m, line.length_m
-            self.velocity_error.use_line(stamp_ns, odometer_m, (line.segment, sign), middle_m, length_m)
+            self._velocity_error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
 
     def judge_gps(self, match: PlaceMatch | None, gps: GpsFix | None, missed: int = 0) -> GpsVerdict:
         """Compare GPS with the place of a frame at which the vehicle moved; gps: at its exposure."""

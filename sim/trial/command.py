@@ -48,8 +48,9 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 def _run(args: argparse.Namespace) -> int:
     if args.course == "list":
+        width = max(map(len, COURSES))
         for case in CASES:
-            print("\n".join(f"{name:<26} {case}  {COURSES[name].about}" for name in courses_of(case)))
+            print("\n".join(f"{name:<{width}}  {case}  {COURSES[name].about}" for name in courses_of(case)))
         return 0
     _check(args)
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it

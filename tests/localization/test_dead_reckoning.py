@@ -157,16 +157,17 @@ class Unaided:
         self.error, self.grows_mps2 = VelocityError(length=40), grows_mps2
         self.time_s = self.along_m = self.odometer_m = self.wrong_mps = 0.0
 
-    def drive(self, seconds: float, *, heading_rad: float = 0.0, believed: bool = True, drive: object = 1) -> None:
-        """Along a drive of the map, in that heading."""
+    def drive(self, seconds: float, *, believed: bool = True, drive: object = 1) -> None:
+        """Along a drive of the map, north."""
         for _ in range(round(seconds * 4)):
             self.time_s += 0.25
             self.wrong_mps += 0.25 * self.grows_mps2
             self.along_m += 0.25 * 8.0
             self.odometer_m += 0.25 * (8.0 + self.wrong_mps - self.error.error_mps[1])
             self.error.predict(round(self.time_s * S), 0.0, (0.0, 8.0 + self.wrong_mps))
-            middle_m, length_m = (self.along_m - 19.5 * 2.0, 78.0) if believed else (math.nan, math.nan)
-            self.error.use_line(round(self.time_s * S), self.odometer_m, drive, middle_m, length_m)
+            self.error.add_frame(round(self.time_s * S), self.odometer_m)
+            if believed:
+                self.error.use_line(drive, self.along_m - 19.5 * 2.0, 78.0)
 
     def stand(self, seconds: float) -> None:
         for _ in range(round(seconds * 4)):

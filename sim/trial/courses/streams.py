@@ -21,7 +21,7 @@ WANDER_MPS = 0.6
 
 @course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260")
 def _px4_no_aid(draft: Draft, value: str) -> None:
-    """Nothing measures PX4's velocity, which runs away; our positions must not follow it."""
+    """Nothing measures PX4's velocity, which runs away; our positions must not follow it, whatever else happens."""
     if value.lstrip("-") in COURSES:
         COURSES[value.lstrip("-")].lay(draft)
     draft.firmware, draft.steers = "px4", False

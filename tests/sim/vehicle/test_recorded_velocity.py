@@ -57,13 +57,11 @@ def replay(folder: Path) -> Replay:
         passed_m = [*passed_m[1 - FRAMES :], driven_m[at]]
         kept = math.exp(-1 / LINE_FRAMES)
         line_off_m = kept * line_off_m + math.sqrt(1 - kept**2) * rng.normal(0.0, LINE_M)
-        is_line = len(passed_m) == FRAMES
-        middle_m, length_m = (
-            (passed_m[FRAMES // 2] + line_off_m, passed_m[-1] - passed_m[0]) if is_line else (np.nan,) * 2
-        )
         stamp_ns = round(1e9 * time_s[at])
         error.predict(stamp_ns, float(heading_rad[at]), (float(own_mps[at, 0]), float(own_mps[at, 1])))
-        error.use_line(stamp_ns, odometer_m, 1, middle_m, length_m)
+        error.add_frame(stamp_ns, odometer_m)
+        if len(passed_m) == FRAMES:
+            error.use_line(1, passed_m[FRAMES // 2] + line_off_m, passed_m[-1] - passed_m[0])
         wrong_mps = float((own_mps[at] - true_mps[at]) @ ahead[at])
         left_mps = float(np.array(error.error_mps) @ ahead[at]) - wrong_mps
         if time_s[at] > moves_s + GPS_S + SETTLED_S:
