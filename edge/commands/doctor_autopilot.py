@@ -257,7 +257,8 @@ def _judge_sources(probe: Probe) -> Iterator[Diagnostic]:
 def _judge_velocity_aid(config: TelemetryConfig, vehicle: Vehicle) -> Iterator[Diagnostic]:
     aid = velocity_aid(vehicle, 2 if config.emit == "vision_position" else 1)
     if aid is None:
-        yield note("autopilot", "whether anything measures velocity without GPS is not known", "see firmware_config/")
+        words = "whether anything measures velocity without GPS is not known: the daemon assumes that nothing does"
+        yield note("autopilot", words, "see firmware_config/")
     elif aid == NO_AID:
         words = "no velocity aid: without GPS the autopilot cannot hold its position between fixes"
         yield bad("autopilot", words, AIDS.get(vehicle.autopilot or 0, ""))

@@ -152,7 +152,7 @@ class AutopilotConnection:
             speed_mps=self.vehicle.speed_mps(now_ns),
             gps=self.vehicle.gps.state(now_ns),
             gps_why=self.vehicle.gps.why(now_ns),
-            velocity_aid=velocity_aid(self.vehicle, self._positions.set_without_gps),
+            velocity_aid=self._velocity_aid,
             gps_verdict="wrong" if self._positions.doubted_gps.is_wrong else verdict.state,
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
@@ -297,22 +297,34 @@ class AutopilotConnection:
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
         if is_answer and message.target_component not in (0, self._component_id):
             return
-        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
-            self._check_velocity_aid()
         self._send(self._protocol.answer(message, now_ns))
         if is_answer:
             self._positions.read_acknowledgement(message.command, message.result, now_ns)
 
-    def _is_velocity_aided(self, now_ns: int) -> bool:
-        """Whether something besides our positions measures the autopilot's velocity, or may, as far as is known."""
-        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._positions.doubted_gps.is_ignored
-        return is_by_gps or velocity_aid(self.vehicle, self._positions.set_without_gps) != NO_AID
+    @property
+    def _velocity_aid(self) -> str | None:
+        return velocity_aid(self.vehicle, self._positions.set_without_gps)
 
-    def _check_velocity_aid(self) -> None:
-        aid = velocity_aid(self.vehicle, self._positions.set_without_gps)
-        if aid == NO_AID and self._positions.enabled and not self._has_warned:
-            self._has_warned = True
+    def _is_velocity_aided(self, now_ns: int) -> bool:
+        """Whether something besides our positions is known to measure the autopilot's velocity.
+
+        Where no positions are sent its parameters are not requested, and nothing of ours can come back.
+        """
+        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._positions.doubted_gps.is_ignored
+        return is_by_gps or not self._positions.enabled or self._velocity_aid not in (None, NO_AID)
+
+    def _warn_without_velocity_aid(self, now_ns: int) -> None:
+        """Once in a session, where none is known."""
+        if self._has_warned or not self._positions.enabled:
+            return
+        aid = self._velocity_aid
+        if aid == NO_AID:
             self._warn("Lookback: the autopilot has no velocity aid")
+        elif aid is None and self._protocol.parameters.are_over(self.vehicle, now_ns):
+            self._warn("Lookback: velocity aid not known, assuming none")
+        else:
+            return
+        self._has_warned = True
 
     def _send_due(self, now_ns: int) -> None:
         self._send(self._protocol.heartbeat(self._system_status, now_ns))
@@ -326,6 +338,7 @@ class AutopilotConnection:
             self._positions.new_session()
             self._history.clear()
         self._send(self._protocol.requests(self._clock_ns()))
+        self._warn_without_velocity_aid(now_ns)
         self._send(self._positions.follow_up(now_ns))
         self._send(self._positions.doubted_gps.due(now_ns))
         self._send(self._texts.due(now_ns))

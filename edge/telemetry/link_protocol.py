@@ -107,13 +107,22 @@ class ParameterRequests:
 
     def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
         """The next request; none where all have come, or have been requested too often."""
-        missing = {name: tries for name, tries in self._tries.items() if name not in vehicle.parameters}
+        missing = self._missing(vehicle)
         name = min(missing, key=missing.__getitem__, default="")
         if not name or missing[name] >= TRIES_MOST or now_ns < self._due_ns:
             return []
         self._tries[name] += 1
         self._due_ns = now_ns + PARAMETER_NS
         return [encoders.parameter_request(system_id, name)]
+
+    def are_over(self, vehicle: Vehicle, now_ns: int) -> bool:
+        """Whether those that have not come have been requested too often, and the last answer would be here."""
+        tries = self._missing(vehicle).values()
+        return min(tries, default=TRIES_MOST) >= TRIES_MOST and now_ns - self._due_ns > ANSWER_NS
+
+    def _missing(self, vehicle: Vehicle) -> dict[str, int]:
+        """How often each that has not come was requested."""
+        return {name: tries for name, tries in self._tries.items() if name not in vehicle.parameters}
 
 
 class LinkProtocol:

@@ -8,17 +8,14 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth, Frame
-from edge.telemetry import stream_check
 from edge.telemetry.link import Link
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.draft import Draft
 from sim.trial.receiver_errors import WANDERS_AT_S, receiver_errors
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.driver import Driver
-from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 STEP_S, FRAME_S = 0.02, 0.1
@@ -68,7 +65,6 @@ class Simulation:
             lon_shift_deg=draft.lon_shift_deg,
             booted_before_s=draft.booted_before_s,
         )
-        self.autopilot.parameters = _parameters(draft)
         if draft.steers:
             self.driver.belief = self.autopilot.estimate
         self.autopilot.loses = self._loses
@@ -150,17 +146,3 @@ class Simulation:
 
     def close(self) -> None:
         """See NewestFrame."""
-
-
-def _parameters(draft: Draft) -> dict[str, tuple[float, int]]:
-    """What the daemon asks the autopilot about its velocity, and about streams of positions."""
-    kind, source = mavlink.MAV_PARAM_TYPE_REAL32, draft.errors.source
-    if draft.firmware.startswith("px4"):
-        fuses = float(FIRMWARES[draft.firmware].fuses_sensor)
-        return {
-            "EKF2_EV_CTRL": (4.0 if source == "velocity sensor" else 0.0, kind),
-            stream_check.CONTROL: (fuses, kind),
-            stream_check.ID: (fuses, kind),
-        }
-    wheels = 7.0 if source == "wheels" else 0.0
-    return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}

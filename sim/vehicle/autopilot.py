@@ -23,7 +23,7 @@ from edge.telemetry.link import Link
 from sim import Pose
 from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
 from sim.vehicle.estimator import Estimator, OdometryErrors
-from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.firmware import FIRMWARES, parameters_of
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.mission_store import KINDS, MissionStore
 from sim.vehicle.position_inputs import VISION_SET, Moment, PositionInputs, Reset, east_north_m
@@ -84,20 +84,20 @@ class SimulatedAutopilot:
         1.15."""
         self.base_mode = 0
         """MAV_MODE_FLAG bits of its heartbeats."""
-        self.parameters: dict[str, tuple[float, int]] = {}
-        """Value and MAV_PARAM_TYPE of those that it answers PARAM_REQUEST_READ with; of others it says nothing."""
         self.has_script = False
         """Whether firmware_config/lookback_gps.lua runs on it, with LKG_ACTION 1."""
         self._link = link
         self._pose_at = pose_at
         self._clock_ns = clock_ns
         self._firmware = FIRMWARES[firmware]
+        self._errors = errors or OdometryErrors(scale=1.0 + drift_percent / 100)
+        self.parameters = parameters_of(self._firmware, self._errors.source)
+        """Value and MAV_PARAM_TYPE of those that it answers PARAM_REQUEST_READ with; of others it says nothing."""
         self.mission = MissionStore(is_ardupilot=self._firmware.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
         self._codec = codec or MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)
         self._starts_with_origin = has_origin or not self._firmware.needs_origin
-        self._errors = errors or OdometryErrors(scale=1.0 + drift_percent / 100)
         self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
         self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
         self.reboot()

@@ -8,7 +8,8 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sim.vehicle.estimator import FilterNoise
+from edge.telemetry import stream_check
+from sim.vehicle.estimator import FilterNoise, VelocitySource
 
 EKF3 = FilterNoise()
 AcceptsFix: TypeAlias = Literal["aiding", "dead reckoning", "always"]
@@ -102,3 +103,16 @@ FIRMWARES: dict[str, Firmware] = {
         _px4("px4-1.15", (1, 15, 4), "dead reckoning", acknowledges=False),
     )
 }
+
+
+def parameters_of(firmware: Firmware, source: VelocitySource) -> dict[str, tuple[float, int]]:
+    """Value and MAV_PARAM_TYPE of its parameters for what measures its velocity, and for streams of positions."""
+    kind, is_aided = mavlink.MAV_PARAM_TYPE_REAL32, source != "none"
+    if firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        return {
+            "EKF2_EV_CTRL": (4.0 * is_aided, kind),
+            stream_check.CONTROL: (float(firmware.fuses_sensor), kind),
+            stream_check.ID: (float(firmware.fuses_sensor), kind),
+        }
+    wheels = 7.0 * is_aided
+    return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}

@@ -167,11 +167,12 @@ def correct(rig: Rig) -> None:
     rig.connection.use_velocity_error(error_mps, 0.5)
 
 
-def unaided(open_rig: OpenRig, vision: float = 0.0) -> Rig:
-    """PX4 12 s after it has lost GPS, with its EKF2_EV_CTRL: where that is 0, its velocity runs away."""
+def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
+    """PX4 12 s after it has lost GPS, whose velocity runs away, with its EKF2_EV_CTRL; None: it answers no request."""
     errors = OdometryErrors("none", acceleration_mps2=3.0)
     rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5), firmware="px4", errors=errors)
-    rig.autopilot.parameters = {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
+    answers = {} if vision is None else {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
+    rig.autopilot.parameters = answers
     rig.run(9.0)
     rig.autopilot.gps = False
     rig.run(12.0, lambda: correct(rig))
@@ -202,11 +203,26 @@ def test_a_position_is_not_sent_that_is_far_from_where_the_vehicle_is_without_th
     assert rig.journalled(FixWithheld)[-1].reason == "not confirmed by another place yet"
 
 
-def test_where_nothing_was_found_of_that_error_no_position_is_sent(open_rig: OpenRig) -> None:
-    rig = unaided(open_rig)
+@pytest.mark.parametrize(
+    ("vision", "warning"),
+    [
+        (0.0, "Lookback: the autopilot has no velocity aid"),
+        (None, "Lookback: velocity aid not known, assuming none"),
+        (4.0, None),
+    ],
+)
+def test_where_nothing_is_known_to_measure_the_velocity_no_position_is_sent_before_its_error_is_found(
+    open_rig: OpenRig, vision: float | None, warning: str | None
+) -> None:
+    rig = unaided(open_rig, vision)
+    said = [message.text for message in rig.received("STATUSTEXT") if "velocity" in message.text]
+    assert said == ([warning] if warning else [])
     rig.run(8.0)
-    assert offer_for(rig, 3.0) == 0
-    assert rig.journalled(FixWithheld)[-1].reason == "the speed is not known"
+    assert rig.connection.motion(rig.now_ns).is_measured == (warning is None)
+    if warning:
+        assert rig.connection.uncertainty_m is None
+        assert offer_for(rig, 3.0) == 0
+        assert rig.journalled(FixWithheld)[-1].reason == "the speed is not known"
 
 
 def test_with_a_velocity_aid_a_position_is_compared_with_the_autopilots_own(open_rig: OpenRig) -> None:
