@@ -179,8 +179,8 @@ class AutopilotConnection:
             if not was_open:
                 self._protocol.opened(now_ns)
                 self._set_state("waiting", str(self._port.connection))
-            self.vehicle.is_aided = self._is_velocity_aided(now_ns)
             self._receive(now_ns)
+            self.vehicle.is_aided = self._is_velocity_aided(now_ns)
             self._send_due(now_ns)
         self._notice_loss()
         for link in self._report_links:
