@@ -33,14 +33,16 @@ CLAIMS, KEPT = 8, 64
 class Observation:
     """A fix that counts as evidence of its own, with the displacement of its moment.
 
-    wrong: probability that it is of another place. likelihood: the least that the autopilot's position gave to the
-    fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the autopilot where a fix contradicted it.
-    before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
+    sigma_m: of its distance from the truth. wrong: probability that it is of another place. likelihood: the least that
+    the autopilot's position gave to the fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the
+    autopilot where a fix contradicted it. before: where the observation before it puts the vehicle, moved on by its
+    velocity; None for the first of a claim.
     """
 
     segment: int
     lat_deg: float
     lon_deg: float
+    sigma_m: float
     displacement: Displacement
     wrong: float
     likelihood: float = field(default=math.inf)
@@ -82,7 +84,7 @@ class Claims:
             near[-1].may_be_shifted |= may_be_shifted
         else:
             assert fix.lat_deg is not None and fix.lon_deg is not None
-            here = fix.segment, fix.lat_deg, fix.lon_deg, displacement
+            here = fix.segment, fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
             before = self._reckoned_from(claim[-1], fix, displacement) if claim else None
             claim.append(Observation(*here, wrong, likelihood, may_be_shifted, before))
             del claim[:-KEPT]
@@ -102,7 +104,7 @@ class Claims:
     def _reckoned_from(self, before: Observation, fix: PlaceFix, displacement: Displacement) -> Reckoned:
         off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
         drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-        return Reckoned(-off_east_m, -off_north_m, math.hypot(math.sqrt(2) * fix.sigma_m, drift * driven_m))
+        return Reckoned(-off_east_m, -off_north_m, math.hypot(before.sigma_m, drift * driven_m))
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
