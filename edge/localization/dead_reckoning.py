@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -212,6 +213,21 @@ class DeadReckoning:
         return None if last_ns is None or now_ns - last_ns > SPEED_VALID_NS else self._speed_mps
 
 
+class _Row(NamedTuple):
+    """A frame of a line: where the vehicle headed (2,), and the error that was assumed of its velocity in that way."""
+
+    stamp_ns: int
+    odometer_m: float
+    ahead: NDArray[np.float64]
+    assumed_mps: float
+
+
+def _means(rows: Iterable[_Row]) -> tuple[NDArray[np.float64], float]:
+    """Of what rows have besides stamp and odometer."""
+    kept = list(rows)
+    return np.mean([row.ahead for row in kept], axis=0), sum(row.assumed_mps for row in kept) / len(kept)
+
+
 class VelocityError:
     """What an autopilot's velocity is wrong by where nothing measures it, found from places: a Kalman filter.
 
@@ -238,7 +254,7 @@ class VelocityError:
 
     def clear(self) -> None:
         """The next frame begins a new line."""
-        self._rows: deque[tuple[int, float, float]] = deque(maxlen=self._length)  # stamp, odometer, error assumed ahead
+        self._rows: deque[_Row] = deque(maxlen=self._length)
         self._drive: object = None
         self._stands_ns: int | None = None
 
@@ -275,25 +291,25 @@ class VelocityError:
     def add_frame(self, stamp_ns: int, odometer_m: float) -> None:
         """A frame at which the vehicle moved; odometer_m: by the velocity less its error."""
         self._stands_ns = None
-        self._rows.append((stamp_ns, odometer_m, self._ahead_mps))
+        self._rows.append(_Row(stamp_ns, odometer_m, self._ahead, self._ahead_mps))
 
     def use_line(self, drive: object, middle_m: float, length_m: float) -> None:
         """The believed match of the frame that was added last, by its line along that drive, in the way of travel."""
         if len(self._rows) < self._length:
             return
-        stamp_ns, odometer_m, _ = self._rows[-1]
-        half = self._length // 2
-        since_s = (stamp_ns - self._rows[half][0]) / 1e9
-        assumed_mps = sum(row[2] for row in islice(self._rows, half, None)) / (self._length - half)
-        row = np.array([1.0, *(-since_s * self._ahead), since_s**2 / 2, 0.0])
-        off_m = self._rows[half][1] - middle_m - since_s * assumed_mps
+        newest, middle = self._rows[-1], self._rows[self._length // 2]
+        since_s = (newest.stamp_ns - middle.stamp_ns) / 1e9
+        ahead, assumed_mps = _means(islice(self._rows, self._length // 2, None))
+        row = np.array([1.0, *(-since_s * ahead), since_s**2 / 2, 0.0])
+        off_m = middle.odometer_m - middle_m - since_s * assumed_mps
         if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_M:
             self._drive = drive
-            took_s = (stamp_ns - self._rows[0][0]) / 1e9
-            too_far_mps = (odometer_m - self._rows[0][1] - length_m) / took_s
-            whole_mps = sum(assumed for _, _, assumed in self._rows) / self._length
-            slope = np.array([0.0, *self._ahead, -took_s / 2, 0.0])
-            self._measure(slope, too_far_mps + whole_mps, SLOPE_MPS)
+            took_s = (newest.stamp_ns - self._rows[0].stamp_ns) / 1e9
+            too_far_mps = (newest.odometer_m - self._rows[0].odometer_m - length_m) / took_s
+            ahead, assumed_mps = _means(self._rows)
+            slope = np.array([0.0, *ahead, -took_s / 2, 0.0])
+            # Of the mean over the line, from which the newest error has wandered away.
+            self._measure(slope, too_far_mps + assumed_mps, math.hypot(SLOPE_MPS, WANDERS_MPS * math.sqrt(took_s / 3)))
             self._mean[0] += off_m - row @ self._mean
             self._covariance[0, :] = self._covariance[:, 0] = 0.0
             self._covariance[0, 0] = ANYWHERE_M**2

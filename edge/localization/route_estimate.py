@@ -167,6 +167,8 @@ class RouteEstimate:
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
         self.covariance += np.diag([*wander, *(variances * (1 - kept**2))])
+        # Of a velocity that nothing measures no more is known than what was found of it.
+        self.covariance[3, 3] = max(self.covariance[3, 3], drift**2)
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
