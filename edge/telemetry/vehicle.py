@@ -25,7 +25,7 @@ ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
 MOST_SHARE, SLOW_MPS = 0.5, 2.0
 """Of the speed, but at least of SLOW_MPS: by which a velocity that nothing measures may be uncertain to be of use."""
-STAYS, LEAST_DRIFT = 0.6, 0.05
+STAYS, LEAST_DRIFT = 0.5, 0.05
 """How much of that stays over a line, since it changes within seconds: with it, positions on simulated drives are about
 as wrong as they say. And the least share of a distance by which it may be wrong."""
 SPEED_FRESH_NS = 5_000_000_000
