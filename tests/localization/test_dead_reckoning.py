@@ -151,20 +151,27 @@ def test_another_leg_is_no_turn() -> None:
 
 
 class Unaided:
-    """A vehicle at 8 m/s whose reported velocity is ever faster, by `grows_mps2`, and which uses a frame each 2 m."""
+    """A vehicle at 8 m/s whose reported velocity grows by `grows_mps2` the way it heads; it uses a frame each 2 m."""
 
     def __init__(self, grows_mps2: float = 0.15) -> None:
         self.error, self.grows_mps2 = VelocityError(length=40), grows_mps2
-        self.time_s = self.along_m = self.odometer_m = self.wrong_mps = 0.0
+        self.time_s = self.along_m = self.odometer_m = self.wrong_mps = self.wrong_east_mps = 0.0
 
-    def drive(self, seconds: float, *, believed: bool = True, drive: object = 1) -> None:
-        """Along a drive of the map, north."""
+    def drive(self, seconds: float, *, heading_deg: float = 0.0, believed: bool = True, drive: object = 1) -> None:
+        """Along a drive of the map."""
+        heading_rad = math.radians(heading_deg)
+        sin, cos = math.sin(heading_rad), math.cos(heading_rad)
         for _ in range(round(seconds * 4)):
             self.time_s += 0.25
-            self.wrong_mps += 0.25 * self.grows_mps2
+            self.wrong_mps += 0.25 * self.grows_mps2 * cos
+            self.wrong_east_mps += 0.25 * self.grows_mps2 * sin
             self.along_m += 0.25 * 8.0
-            self.odometer_m += 0.25 * (8.0 + self.wrong_mps - self.error.error_mps[1])
-            self.error.predict(round(self.time_s * S), 0.0, (0.0, 8.0 + self.wrong_mps))
+            east_mps, north_mps = self.error.error_mps
+            self.odometer_m += 0.25 * (
+                8.0 + (self.wrong_east_mps - east_mps) * sin + (self.wrong_mps - north_mps) * cos
+            )
+            reported_mps = 8.0 * sin + self.wrong_east_mps, 8.0 * cos + self.wrong_mps
+            self.error.predict(round(self.time_s * S), heading_rad, reported_mps)
             self.error.add_frame(round(self.time_s * S), self.odometer_m)
             if believed:
                 self.error.use_line(drive, self.along_m - 19.5 * 2.0, 78.0)
@@ -203,6 +210,16 @@ def test_once_it_is_known_it_goes_on_without_lines_for_a_while() -> None:
     vehicle.drive(60.0)
     vehicle.drive(20.0, believed=False)
     assert abs(vehicle.off_mps) < min(1.0, 2 * vehicle.error.sigma_mps)
+
+
+def test_what_a_line_from_before_a_turn_says_is_of_the_way_that_it_headed_then() -> None:
+    vehicle, off_mps = Unaided(grows_mps2=0.3), []
+    vehicle.drive(20.0, believed=False)
+    for _ in range(60):
+        vehicle.drive(0.25, heading_deg=90.0)
+        off_mps.append(abs(vehicle.error.error_mps[0] - vehicle.wrong_east_mps))
+    assert vehicle.off_mps == pytest.approx(0.0, abs=0.1)
+    assert max(off_mps) < 1.5
 
 
 def test_a_halt_says_all_of_it_but_two_frames_that_are_alike_do_not() -> None:
