@@ -29,6 +29,8 @@ STORED_AHEAD = 10 * TICKS_PER_S
 """How far ahead of use the file is written: autopilots accept timestamps up to a minute ahead."""
 USELESS_FRAMES = 10
 """In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
+MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
+"""The first byte of a frame."""
 KEY_BYTES = 32
 CREDENTIAL = "credential:"
 
@@ -56,11 +58,15 @@ class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has
         message = super().parse_char(c)
         if message is None:
             return None
-        self._useless_in_a_row = self._useless_in_a_row + 1 if message.get_msgId() < 0 else 0
+        frame = message.get_msgbuf()
+        if message.get_msgId() >= 0:
+            self._useless_in_a_row = 0
+        elif frame[0] in MARKERS:  # pymavlink also returns the noise between frames
+            self._useless_in_a_row += 1
         if self._useless_in_a_row > USELESS_FRAMES:
             self._useless_in_a_row = 0
             rest = self.buf[self.buf_index :]
-            self.buf, self.buf_index = bytearray(message.get_msgbuf()[1:]) + rest, 0
+            self.buf, self.buf_index = bytearray(frame[1:]) + rest, 0
         return message
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names

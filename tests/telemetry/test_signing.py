@@ -93,6 +93,18 @@ def test_a_forged_frame_from_the_future_does_not_lock_the_real_sender_out(tmp_pa
     assert ours.decode(theirs.encode(BEAT))
 
 
+@pytest.mark.parametrize("noise", [b"", b"\x01"], ids=["in step", "out of step"])
+def test_frames_whose_timestamps_look_like_a_beginning_are_read_soon(tmp_path: Path, noise: bytes) -> None:
+    """0xFE 24 begins a frame of 32 bytes, ours have 34: after the first cut one all begin within their timestamps."""
+    now = int.from_bytes(bytes.fromhex("80fe18222200"), "little")
+    ours = MavlinkCodec(1, 191, Signer(KEY, tmp_path / "ours", 0, lambda: EPOCH_S + now / TICKS_PER_S))
+    theirs = MavlinkCodec(1, 1, Signer(KEY, tmp_path / "theirs", 0, lambda: EPOCH_S + now / TICKS_PER_S))
+    cut = theirs.encode(BEAT)
+    assert ours.decode(noise + cut[-11:]) == []
+    assert cut[-11:-9] == b"\xfe\x18"
+    assert any(ours.decode(theirs.encode(BEAT)) for _ in range(15))
+
+
 def test_timestamps_only_grow_over_a_restart_and_a_clock_that_was_set_back(tmp_path: Path) -> None:
     first = stamp_of(codec(tmp_path, "ours").encode(BEAT))
     assert first == pytest.approx((NOW_S - EPOCH_S) * TICKS_PER_S, abs=1)
