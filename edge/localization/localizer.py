@@ -67,7 +67,8 @@ class Localizer:
             error.clear()
         else:
             error.add_frame(stamp_ns, motion.distance_m)
-            self._use_line(match)
+            if not motion.is_measured:
+                self._use_line(match)
         return error
 
     def _use_line(self, match: PlaceMatch | None) -> None:
