@@ -125,7 +125,7 @@ class PlaceRecognizer:
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
         descriptor = self.config.descriptor
-        regions = cut_regions(image, descriptor.regions, descriptor.region_width, self._network.info.size)
+        regions = cut_regions(image, descriptor.regions, descriptor.region_width, self._network.size)
         self._stopwatch("regions")
         raw = self._network.describe(regions)
         self._stopwatch("network")

@@ -112,7 +112,7 @@ def _way_home(maps: MapSet, config: Config) -> Iterator[Diagnostic]:
 
 
 def _describe_ms(network: Network) -> float:
-    images = np.zeros((2, *network.info.size, 3), dtype=np.uint8)
+    images = np.zeros((2, *network.size, 3), dtype=np.uint8)
     network.describe(images)
     started_s = time.perf_counter()
     network.describe(images)

@@ -159,7 +159,7 @@ def _add_feed(
     chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for item in chosen:
-            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.info.size))
+            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.size))
             builder.add(raw, _place(item))
             progress.update(item.frame.index + 1 - progress.n)
         progress.update(len(feed.rows) - progress.n)

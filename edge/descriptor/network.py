@@ -98,9 +98,11 @@ class Network:
         if file.info.tap == "categories":
             raise ModelError(f"{file.path}: is the category head; name the network file, {FC6_FILE}")
         self.info = file.info
+        self.size = file.info.size
+        """Height and width of its images, in pixels."""
         self.path = file.path
         self.provider = provider
-        self._session = _open_checked(file, IMAGE, np.uint8, [*file.info.size, 3], provider)
+        self._session = _open_checked(file, IMAGE, np.uint8, [*self.size, 3], provider)
 
     @classmethod
     def load(cls, path: Path | None = None, provider: str = CPU) -> Network:

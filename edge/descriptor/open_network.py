@@ -35,7 +35,7 @@ def open_network(config: DescriptorConfig) -> Network:
 
 def check_agreement(exact: Network, network: Network) -> None:
     """ModelError, with the cosine, unless two open networks describe the same pictures alike."""
-    pictures = check_pictures(exact.info.size)
+    pictures = check_pictures(exact.size)
     one, other = (np.stack([each.describe(pair) for pair in pictures]) for each in (exact, network))
     cosine = compare(one, other).nsd_mean
     if not cosine >= NSD_COSINE_MIN:  # NaN is not

@@ -6,16 +6,21 @@ Not `mavutil`: it imports GPL modules, swallows write errors and opens ports tha
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry.signing import MavlinkCodecState, Signer
+from edge.telemetry.signing import SignatureCheck, Signer
 
 # pymavlink's messages have no static types; `Message` says where one is meant.
 Message: TypeAlias = Any
 
 TRIM_BYTES = 16_384
+USELESS_FRAMES = 10
+"""In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
+MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
+"""The first byte of a frame."""
 
 
 class EkfStatusReport(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
@@ -43,13 +48,41 @@ class EkfStatusReport(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavli
 mavlink.mavlink_map[EkfStatusReport.id] = EkfStatusReport
 
 
+class _Parser(SignatureCheck):
+    """pymavlink's codec, which loses no link for good."""
+
+    buf: bytearray
+    buf_index: int
+    _useless_in_a_row = 0
+
+    def parse_char(self, c: Sequence[int]) -> Any:
+        """The next message in what has arrived; after many useless ones, also from within the last of those.
+
+        A damaged frame, or one that is not known, is dropped with all the bytes that it claims. Where all frames are as
+        long as that, each begins within another one for ever.
+        """
+        message = super().parse_char(c)
+        if message is None:
+            return None
+        frame = message.get_msgbuf()
+        if message.get_msgId() >= 0:
+            self._useless_in_a_row = 0
+        elif frame[0] in MARKERS:  # pymavlink also returns the noise between frames
+            self._useless_in_a_row += 1
+        if self._useless_in_a_row > USELESS_FRAMES:
+            self._useless_in_a_row = 0
+            rest = self.buf[self.buf_index :]
+            self.buf, self.buf_index = bytearray(frame[1:]) + rest, 0
+        return message
+
+
 class MavlinkCodec:
     """One end of one link: its identity, its sequence counter and its partly received frame."""
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
         """With a `signer` all that goes out is signed, and nothing unsigned is decoded."""
         self.component_id = component_id
-        self._mavlink = MavlinkCodecState(None, srcSystem=system_id, srcComponent=component_id)
+        self._mavlink = _Parser(None, srcSystem=system_id, srcComponent=component_id)
         self._mavlink.robust_parsing = True  # noise becomes BAD_DATA instead of an exception
         self._signer = signer
         if signer is not None:

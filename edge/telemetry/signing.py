@@ -13,9 +13,8 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -27,17 +26,13 @@ from edge.telemetry.replay_guard import TICKS_PER_S, ReplayGuard, Stream
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
 STORED_AHEAD = 10 * TICKS_PER_S
 """How far ahead of use the file is written: autopilots accept timestamps up to a minute ahead."""
-USELESS_FRAMES = 10
-"""In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
-MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
-"""The first byte of a frame."""
 KEY_BYTES = 32
 CREDENTIAL = "credential:"
 
 log = logging.getLogger(__name__)
 
 
-class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
+class SignatureCheck(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
     """pymavlink's codec, which checks signatures; whether a frame is new is left to `accepts`.
 
     pymavlink stores a frame's timestamp before it checks the signature, and accepts any timestamp with a valid one, so
@@ -45,29 +40,6 @@ class MavlinkCodecState(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has
     """
 
     accepts: Callable[[Stream, int], bool]
-    buf: bytearray
-    buf_index: int
-    _useless_in_a_row = 0
-
-    def parse_char(self, c: Sequence[int]) -> Any:
-        """The next message in what has arrived; after many useless ones, also from within the last of those.
-
-        A damaged frame, or one that is not known, is dropped with all the bytes that it claims. Where all frames are as
-        long as that, each begins within another one for ever.
-        """
-        message = super().parse_char(c)
-        if message is None:
-            return None
-        frame = message.get_msgbuf()
-        if message.get_msgId() >= 0:
-            self._useless_in_a_row = 0
-        elif frame[0] in MARKERS:  # pymavlink also returns the noise between frames
-            self._useless_in_a_row += 1
-        if self._useless_in_a_row > USELESS_FRAMES:
-            self._useless_in_a_row = 0
-            rest = self.buf[self.buf_index :]
-            self.buf, self.buf_index = bytearray(frame[1:]) + rest, 0
-        return message
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
         """Whether the frame is signed with our key, and new."""

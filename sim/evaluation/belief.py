@@ -78,7 +78,7 @@ def described(scenario: Scenario, network: Network, cache: Path) -> Described:
         times_s = times_by_distance(drive, SPACING_M)
         renderer = open_renderer(scenario, drive)
         images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
-        raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.info.size)) for image in images])
+        raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.size)) for image in images])
         renderer.close()
         route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
         np.savez(cache / name, raw=raw, route_m=route_m, distance_m=driven_m)

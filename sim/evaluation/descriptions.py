@@ -150,9 +150,7 @@ def describe(task: DescribeTask, progress: bool = False) -> NDArray[np.float32]:
         for target, row in zip(
             out, tqdm(task.rows, desc=title, unit="frame", leave=False, disable=not progress), strict=True
         ):
-            target[:] = network.describe(
-                cut_regions(images.read(row), task.regions, task.region_width, network.info.size)
-            )
+            target[:] = network.describe(cut_regions(images.read(row), task.regions, task.region_width, network.size))
     except FrameError as error:
         raise ConfigError(f"traverses.{task.traverse}: {error}") from None
     finally:

@@ -110,7 +110,7 @@ def measured(name: str, plan: NetworkPlan, folder: Path) -> Cost:
 def _measure(name: str, plan: NetworkPlan, folder: Path) -> Cost:
     before_mb = _resident_mb()
     network = open_network(name, plan, folder, "fc6", None)
-    images = np.random.default_rng(0).integers(0, 256, (REGIONS, *network.info.size, 3), dtype=np.uint8)
+    images = np.random.default_rng(0).integers(0, 256, (REGIONS, *network.size, 3), dtype=np.uint8)
     times_ms = []
     for _ in range(ROUNDS):
         start_ns = time.thread_time_ns()

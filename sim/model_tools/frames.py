@@ -28,4 +28,4 @@ def regions_of(feed: Feed, kind: Regions, size: tuple[int, int], step: int = 1) 
 
 def describe_feed(network: Network, feed: Feed, kind: Regions) -> NDArray[np.float32]:
     """Raw descriptors (N, R, D) of all frames."""
-    return np.stack([network.describe(regions) for regions in regions_of(feed, kind, network.info.size)])
+    return np.stack([network.describe(regions) for regions in regions_of(feed, kind, network.size)])

@@ -47,7 +47,7 @@ def _compared(model: Path | None, provider: str) -> tuple[str, ...]:
         network = Network(file, provider)
     except ModelError as error:
         return label, provider, str(error), "no", "", ""
-    pictures = check_pictures(exact.info.size)
+    pictures = check_pictures(exact.size)
     one, other = (np.stack([each.describe(pair) for pair in pictures]) for each in (exact, network))
     cosine = compare(one, other).nsd_mean
     times = race(

@@ -64,7 +64,7 @@ class RoadViews:
         covered_m = route_m if sign > 0 else self.drive.route.length_m - route_m
         time_s = self.drive.time_at_s(covered_m)
         image = self._renderer.render(Pose(east_m, north_m, float(heading_deg) % 360.0, 0.0, covered_m), time_s)
-        config, size = DescriptorConfig(), self._network.info.size
+        config, size = DescriptorConfig(), self._network.size
         return Network.describe(self._network, cut_regions(image, config.regions, config.region_width, size))
 
     def save(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from edge.telemetry.autopilot import AutopilotConnection
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
+from tests.udp_port import free_port
 
 STEP_NS = 20_000_000
 HEARTBEAT_WITHIN_S = 2.0
@@ -111,9 +111,7 @@ def test_unplugged_and_back(times: int, tmp_path: Path, proc: Any, figures: Call
 
 def test_a_udp_peer_that_goes_and_comes(figures: Callable[[str], None]) -> None:
     now_ns = 10**12
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    address = f"127.0.0.1:{free_port()}"
     peer = open_link(f"udpin:{address}")
 
     def clock_ns() -> int:

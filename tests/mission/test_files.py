@@ -17,6 +17,7 @@ from edge.mission import WayHome, plan_way_home
 from edge.mission.files import write_way_home
 from edge.reference_map import open_map_set
 from tests.mission.test_way_home import arc, joined, straight
+from tests.udp_port import free_port
 
 
 @pytest.fixture
@@ -56,9 +57,7 @@ def importer() -> Iterator[Callable[[str], list[Any]]]:
 
     from edge.telemetry.codec import MavlinkCodec
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     judge = mavsdk.Mavsdk(mavsdk.Configuration.create_manual(245, 190, True))
     assert judge.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
     codec, deadline_s = MavlinkCodec(1, 1), time.monotonic() + 15

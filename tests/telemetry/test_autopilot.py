@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import socket
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,6 +17,7 @@ from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SILENT
+from tests.udp_port import free_port
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0
@@ -75,9 +74,7 @@ def test_only_the_configured_system_is_the_vehicle(open_rig: Callable[..., Rig])
 def test_a_stranger_on_the_network_does_not_become_the_peer(tmp_path: Path) -> None:
     """Its datagrams come between those of the autopilot, which alone makes the link."""
     now_ns = START_NS
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     config = TelemetryConfig(connection=f"udpin:127.0.0.1:{port}", journal=str(tmp_path / "events.jsonl"))
     connection = AutopilotConnection(config, lambda: now_ns)
     connection.poll()

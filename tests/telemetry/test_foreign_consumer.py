@@ -6,7 +6,6 @@ import json
 import math
 import queue
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -37,6 +36,7 @@ from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.mission_transfer import MissionTransfer
 from sim.vehicle.pty_link import open_pty
+from tests.udp_port import free_port
 
 ORIGIN = (-27.478, 153.028, 20.0)
 LONG_TEXT = "Lookback has a text that needs three messages of fifty bytes each, since it fills two of them wholly"
@@ -117,9 +117,7 @@ class Setting:
 
 
 def over_udp(emit: Any = "external_position") -> Setting:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     return Setting(Foreigner(f"udpin://127.0.0.1:{port}"), f"udp:127.0.0.1:{port}", emit)
 
 
@@ -291,9 +289,7 @@ def test_an_origin_is_understood(setting: Setting) -> None:
 
 def test_a_mission_of_ours_arrives_at_mavsdks_autopilot() -> None:
     """MAVSDK receives it by the protocol; it offers no download, so that the transfer ends unverified."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     foreigner = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.AUTOPILOT))
     assert foreigner.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
     server, arrived = MissionRawServer(foreigner.server_component()), queue.SimpleQueue[Any]()

@@ -11,6 +11,7 @@ from edge.errors import ConfigError, LinkLost
 from edge.telemetry import open_link
 from edge.telemetry.link import Link, UdpLink, parse_connection
 from sim.vehicle.pty_link import open_pty
+from tests.udp_port import free_port
 
 
 def receive(link: Link, size: int) -> bytes:
@@ -112,14 +113,6 @@ def test_a_port_has_one_owner() -> None:
     first.close()
     open_link(f"serial:{pty.device}:57600").close()
     pty.close()
-
-
-def free_port() -> int:
-    from socket import AF_INET, SOCK_DGRAM, socket
-
-    with socket(AF_INET, SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_udp_both_ways_and_a_listener_answers_whoever_spoke_last() -> None:

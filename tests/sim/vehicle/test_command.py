@@ -14,20 +14,13 @@ from edge.errors import ConfigError
 from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.command import add_command
+from tests.udp_port import free_port
 
 
 def parse(*arguments: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     add_command(parser.add_subparsers())
     return parser.parse_args(["autopilot", *arguments])
-
-
-def free_port() -> int:
-    import socket
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_over_udp_it_speaks_first_and_prints_what_it_hears(capsys: pytest.CaptureFixture[str]) -> None:

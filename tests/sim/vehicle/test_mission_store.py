@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ from mavsdk.plugins.mission_raw.mission_raw import MissionItem, MissionRaw
 from edge.telemetry import open_link
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
+from tests.udp_port import free_port
 
 
 def item(number: int, lat_e7: int) -> Any:
@@ -30,9 +30,7 @@ def item(number: int, lat_e7: int) -> Any:
 @contextmanager
 def judged(firmware: str) -> Iterator[tuple[SimulatedAutopilot, MissionRaw]]:
     """The simulated autopilot in a thread, and MAVSDK as a ground station."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     station = mavsdk.Mavsdk(mavsdk.Configuration.create_manual(245, 190, True))
     assert station.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
     link, stop = open_link(f"udp:127.0.0.1:{port}"), threading.Event()
