@@ -8,23 +8,6 @@ makes such a file of any image network at a desk; `open_network` opens it on the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
-
-from edge.descriptor.statistics import RunningStatistics
+from edge.descriptor.normalize import NormalizedRows, RunningStatistics
 
 __all__ = ["NormalizedRows", "RunningStatistics"]
-
-
-@dataclass(frozen=True)
-class NormalizedRows:
-    """What one frame changes in the ring.
-
-    rows: (n, R, D) float32, normalized. ages: of each row, how many rows came after it. The new frame's comes first,
-    with age 0; the others replace rows that are in the ring already.
-    """
-
-    rows: NDArray[np.float32]
-    ages: tuple[int, ...] = (0,)

@@ -16,8 +16,6 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor import NormalizedRows, RunningStatistics
-
 DEAD_DEVIATION = 1e-4
 """A dimension whose deviation is below this fraction of the mean deviation is dead after ReLU, and is set to 0."""
 
@@ -31,6 +29,48 @@ the others, with 10,000 places. With three rows 2 of 5 simulated drives home at 
 18 of 20 did."""
 
 
+class RunningStatistics:
+    """Mean and deviation of every dimension so far, updated a frame at a time (Welford), in float64."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.count = 0
+        self.mean = np.zeros(shape)
+        self._squares = np.zeros(shape)
+
+    @classmethod
+    def of_another_run(
+        cls, count: int, mean: NDArray[np.float64], deviation: NDArray[np.float64], *, at_most: int
+    ) -> RunningStatistics:
+        """Statistics (R, D) of `count` frames of another run, with the weight of at most `at_most` frames."""
+        statistics = cls((mean.shape[0], mean.shape[1]))
+        statistics.count = min(count, at_most)
+        statistics.mean = mean.copy()
+        statistics._squares = deviation**2 * statistics.count
+        return statistics
+
+    def update(self, raw: NDArray[np.float32]) -> None:
+        """Add one raw descriptor (R, D)."""
+        self.count += 1
+        difference = raw - self.mean
+        self.mean += difference / self.count
+        self._squares += difference * (raw - self.mean)
+
+    def update_all(self, raw: NDArray[np.float32]) -> None:
+        """Add raw descriptors (n, R, D) at once (Chan et al.)."""
+        if not len(raw):
+            return
+        mean = raw.mean(axis=0, dtype=np.float64)
+        difference, count = mean - self.mean, self.count + len(raw)
+        self._squares += np.square(raw - mean).sum(axis=0) + difference**2 * (self.count * len(raw) / count)
+        self.mean += difference * (len(raw) / count)
+        self.count = count
+
+    @property
+    def deviation(self) -> NDArray[np.float64]:
+        """Standard deviation (R, D) over the frames so far; 0 everywhere after one frame."""
+        return np.sqrt(self._squares / max(self.count, 1))
+
+
 def normalize(
     raw: NDArray[np.float32], mean: NDArray[np.float64], deviation: NDArray[np.float64]
 ) -> NDArray[np.float32]:
@@ -39,6 +79,18 @@ def normalize(
     scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=sound).astype(np.float32)
     normalized: NDArray[np.float32] = (raw - mean.astype(np.float32)) * scale
     return normalized
+
+
+@dataclass(frozen=True)
+class NormalizedRows:
+    """What one frame changes in the ring.
+
+    rows: (n, R, D) float32, normalized. ages: of each row, how many rows came after it. The new frame's comes first,
+    with age 0; the others replace rows that are in the ring already.
+    """
+
+    rows: NDArray[np.float32]
+    ages: tuple[int, ...] = (0,)
 
 
 @dataclass
