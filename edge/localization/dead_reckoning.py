@@ -1,7 +1,5 @@
 """How far the vehicle has driven and moved, by its own speed and velocity, at the moment of any frame.
 
-Where nothing measures its velocity, `VelocityError` finds from places what that is wrong by.
-
 Both are integrated by the trapezoid rule, whatever the autopilot's position jumps to. Driving backwards leads over
 places that were passed already, so the distance to sample by stands still until the vehicle is further than before.
 """
@@ -11,13 +9,8 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import islice
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
 LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are believed to span
@@ -27,19 +20,6 @@ KEPT = 1024
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 """Used frames of which the first and the last third are held against each other, the distance that gives a course, and
 how far it must have turned."""
-BEGINS_MPS, GROWS_MPS2 = 0.1, 0.15
-"""Standard deviations of the error of a velocity when nothing measures it any more, and of its growth."""
-WANDERS_MPS, WANDERS_MPS2 = 0.6, 0.015
-"""By how much both change besides within a second: with these, on three recorded drives of PX4 without a velocity aid,
-what is left of the error is 0.2 to 0.9 of its standard deviation (rms)."""
-STANDS_NS = 1_500_000_000
-"""How long a picture must stay the same."""
-ANYWHERE_M, JUMPED_M, WANDERS_M = 1000.0, 30.0, 0.3
-"""Of the odometer against a drive of the map: its standard deviation before the first line, the difference from which
-on a line lies elsewhere on the drive, and what else changes within a second."""
-LINE_M, SLOPE_MPS, HALT_MPS, LEFT_MPS = 12.0, 1.0, 0.1, 1.0
-"""Standard deviations of the middle of a line, of which many are alike; of the error by the slope of the first one, by
-a halt, and by the velocity to the left."""
 BACKED_M = 30.0
 """The most that must be driven again before the distance grows; further back nobody remembers the places."""
 
@@ -61,13 +41,15 @@ class ReportedMotion(NamedTuple):
     """What an autopilot reports of its motion at a moment.
 
     distance_m: driven, None where not known. is_measured: whether it is by sensors, or by the velocity less what was
-    found of its error. velocity_mps: east and north, as reported. heading_rad: clockwise from north.
+    found of its error. velocity_mps: east and north, as reported. heading_rad: clockwise from north. pulled_m: how
+    far our positions of the last second were from its own.
     """
 
     distance_m: float | None
     is_measured: bool
     velocity_mps: tuple[float, float]
     heading_rad: float
+    pulled_m: float = 0.0
 
     @property
     def measured_m(self) -> float | None:
@@ -211,126 +193,6 @@ class DeadReckoning:
         """The newest ground speed, None when it is older than a second."""
         last_ns = self._distance.last_ns
         return None if last_ns is None or now_ns - last_ns > SPEED_VALID_NS else self._speed_mps
-
-
-class _Row(NamedTuple):
-    """A frame of a line: where the vehicle headed (2,), and the error that was assumed of its velocity in that way."""
-
-    stamp_ns: int
-    odometer_m: float
-    ahead: NDArray[np.float64]
-    assumed_mps: float
-
-
-def _means(rows: Iterable[_Row]) -> tuple[NDArray[np.float64], float]:
-    """Of what rows have besides stamp and odometer."""
-    kept = list(rows)
-    return np.mean([row.ahead for row in kept], axis=0), sum(row.assumed_mps for row in kept) / len(kept)
-
-
-class VelocityError:
-    """What an autopilot's velocity is wrong by where nothing measures it, found from places: a Kalman filter.
-
-    state (5,): meters by which the odometer is ahead of the drive of the map that is matched; error in m/s east and
-    north; its growth in m/s^2 ahead and to the left.
-
-    Such a velocity is integrated from accelerometers: its changes are right, and its error grows steadily. Where the
-    middles of the matched lines are is measured, as is the velocity to the left, since a vehicle moves the way it
-    heads, and all of the velocity while the picture stays the same, since the vehicle stands.
-    """
-
-    def __init__(self, length: int) -> None:
-        """length: frames in a sequence."""
-        self._length = length
-        self.begin()
-
-    def begin(self) -> None:
-        """The velocity is measured: what it is wrong by, once it is not, begins now."""
-        self._mean = np.zeros(5)
-        self._covariance = np.diag([ANYWHERE_M, BEGINS_MPS, BEGINS_MPS, GROWS_MPS2, GROWS_MPS2]) ** 2
-        self._last_ns: int | None = None
-        self._ahead = np.array([0.0, 1.0])
-        self.clear()
-
-    def clear(self) -> None:
-        """The next frame begins a new line."""
-        self._rows: deque[_Row] = deque(maxlen=self._length)
-        self._drive: object = None
-        self._stands_ns: int | None = None
-
-    @property
-    def error_mps(self) -> tuple[float, float]:
-        """East and north: the velocity less this is right."""
-        return float(self._mean[1]), float(self._mean[2])
-
-    @property
-    def _ahead_mps(self) -> float:
-        return float(self._ahead @ self._mean[1:3])
-
-    @property
-    def sigma_mps(self) -> float:
-        """One standard deviation of the error ahead."""
-        return math.sqrt(self._ahead @ self._covariance[1:3, 1:3] @ self._ahead)
-
-    def predict(self, stamp_ns: int, heading_rad: float, velocity_mps: tuple[float, float]) -> None:
-        """Go on to a frame, at which the vehicle heads there and its velocity is reported as that, east and north."""
-        elapsed_s = 0.0 if self._last_ns is None else max(0.0, (stamp_ns - self._last_ns) / 1e9)
-        self._last_ns = stamp_ns
-        ahead = self._ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        left = np.array([-ahead[1], ahead[0]])
-        assumed_mps = self._ahead_mps
-        moves = np.eye(5)
-        moves[0, 1:3] = elapsed_s * ahead
-        moves[1:3, 3:] = elapsed_s * np.column_stack([ahead, left])
-        noise = elapsed_s * np.array([WANDERS_M, WANDERS_MPS, WANDERS_MPS, WANDERS_MPS2, WANDERS_MPS2]) ** 2
-        self._mean = moves @ self._mean
-        self._mean[0] -= elapsed_s * assumed_mps
-        self._covariance = moves @ self._covariance @ moves.T + np.diag(noise)
-        self._measure(np.array([0.0, *left, 0.0, 0.0]), float(left @ np.array(velocity_mps)), LEFT_MPS)
-
-    def add_frame(self, stamp_ns: int, odometer_m: float) -> None:
-        """A frame at which the vehicle moved; odometer_m: by the velocity less its error."""
-        self._stands_ns = None
-        self._rows.append(_Row(stamp_ns, odometer_m, self._ahead, self._ahead_mps))
-
-    def use_line(self, drive: object, middle_m: float, length_m: float) -> None:
-        """The believed match of the frame that was added last, by its line along that drive, in the way of travel."""
-        if len(self._rows) < self._length:
-            return
-        newest, middle = self._rows[-1], self._rows[self._length // 2]
-        since_s = (newest.stamp_ns - middle.stamp_ns) / 1e9
-        ahead, assumed_mps = _means(islice(self._rows, self._length // 2, None))
-        row = np.array([1.0, *(-since_s * ahead), since_s**2 / 2, 0.0])
-        off_m = middle.odometer_m - middle_m - since_s * assumed_mps
-        if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_M:
-            self._drive = drive
-            took_s = (newest.stamp_ns - self._rows[0].stamp_ns) / 1e9
-            too_far_mps = (newest.odometer_m - self._rows[0].odometer_m - length_m) / took_s
-            ahead, assumed_mps = _means(self._rows)
-            slope = np.array([0.0, *ahead, -took_s / 2, 0.0])
-            # Of the mean over the line, from which the newest error has wandered away.
-            self._measure(slope, too_far_mps + assumed_mps, math.hypot(SLOPE_MPS, WANDERS_MPS * math.sqrt(took_s / 3)))
-            self._mean[0] += off_m - row @ self._mean
-            self._covariance[0, :] = self._covariance[:, 0] = 0.0
-            self._covariance[0, 0] = ANYWHERE_M**2
-        self._measure(row, off_m, LINE_M)
-
-    def use_halt(self, stamp_ns: int, velocity_mps: tuple[float, float]) -> None:
-        """A frame that showed what the last one did, and the velocity: if the vehicle stands, that is the error.
-
-        Two frames that are alike may also be of a place that looks like the next one.
-        """
-        self._stands_ns = stamp_ns if self._stands_ns is None else self._stands_ns
-        if stamp_ns - self._stands_ns >= STANDS_NS:
-            self._rows.clear()
-            self._drive = None
-            for axis in (1, 2):
-                self._measure(np.eye(5)[axis], velocity_mps[axis - 1], HALT_MPS)
-
-    def _measure(self, row: NDArray[np.float64], measured: float, sigma: float) -> None:
-        gain = self._covariance @ row / (row @ self._covariance @ row + sigma**2)
-        self._mean = self._mean + gain * (measured - row @ self._mean)
-        self._covariance = (np.eye(5) - np.outer(gain, row)) @ self._covariance
 
 
 class TurnAround:

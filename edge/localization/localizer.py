@@ -12,10 +12,18 @@ import math
 from edge.config import Config, RigConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
-from edge.localization.dead_reckoning import Displacement, ReportedMotion, VelocityError
+from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
-from edge.localization.place_fix import frame_used, line_middle, map_error_m, match_position, untracked_fix
+from edge.localization.place_fix import (
+    EVEN_SHARPNESS,
+    frame_used,
+    line_middle,
+    map_error_m,
+    match_position,
+    untracked_fix,
+)
 from edge.localization.route_filter import RouteFilter
+from edge.localization.velocity_error import VelocityError
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 
@@ -60,7 +68,7 @@ class Localizer:
         error = self._velocity_error
         if motion.is_measured:
             error.begin()
-        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps)
+        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps, motion.pulled_m)
         if stands:
             error.use_halt(stamp_ns, motion.velocity_mps)
         elif motion.distance_m is None:
@@ -72,7 +80,7 @@ class Localizer:
         return error
 
     def _use_line(self, match: PlaceMatch | None) -> None:
-        if match is None or not match.accepted:
+        if match is None or not match.accepted or match.sharpness < EVEN_SHARPNESS:
             return
         line = line_middle(match, self._route, self._config.sequence.length)
         if line is not None:

@@ -238,7 +238,8 @@ class PositionSender:
             )
             self.sent = SentPosition(now_ns, fix.sigma_m, self._checks.protection_level)
             values = encoders.protection_values(self._checks.protection_level, round(1000 * boot_s))
-        self._last_sent_ns, self._vehicle.has_our_position = now_ns, True
+        self._last_sent_ns = now_ns
+        vehicle.expect_pull(distance_m or 0.0, now_ns)
         if not message.acknowledged:
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending), *values]

@@ -8,13 +8,14 @@ from __future__ import annotations
 import logging
 import math
 import struct
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Displacement, ReportedMotion
+from edge.localization import PULLED_NS, DeadReckoning, Displacement, ReportedMotion
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.gps import Gps
@@ -25,12 +26,14 @@ ACCURACY_FRESH_NS = 3_000_000_000
 WHEELS_APART_NS = 2_500_000_000
 MOST_SHARE, SLOW_MPS = 0.5, 2.0
 """Of the speed, but at least of SLOW_MPS: by which a velocity that nothing measures may be uncertain to be of use."""
-STAYS, LEAST_DRIFT = 0.5, 0.05
+STAYS, LEAST_DRIFT = 0.37, 0.05
 """How much of that stays over a line, since it changes within seconds: with it, positions on simulated drives are about
 as wrong as they say. And the least share of a distance by which it may be wrong."""
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
 POSITIONS_APART_S = 0.5
+PULLS_KEPT = 16
+"""More than are sent within PULLED_NS."""
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
@@ -88,6 +91,7 @@ class Vehicle:
         self._wheels: tuple[int, float] | None = None
         self._wheel_speed: tuple[int, float] | None = None
         self._error: tuple[int, tuple[float, float]] | None = None
+        self._pulls: deque[tuple[int, float]] = deque(maxlen=PULLS_KEPT)
         self._error_sigma_mps = 0.0
         self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
         self.is_aided = True
@@ -165,7 +169,13 @@ class Vehicle:
     def motion(self, stamp_ns: int, now_ns: int) -> ReportedMotion:
         """What was reported of the motion, at the moment of a frame."""
         is_measured = self._is_speed_measured(now_ns)
-        return ReportedMotion(self.distance_m(stamp_ns), is_measured, self._velocity_mps, self._heading_rad)
+        pulled_m = max((off_m for sent_ns, off_m in self._pulls if now_ns - sent_ns <= PULLED_NS), default=0.0)
+        return ReportedMotion(self.distance_m(stamp_ns), is_measured, self._velocity_mps, self._heading_rad, pulled_m)
+
+    def expect_pull(self, off_m: float, now_ns: int) -> None:
+        """A position of ours is sent, so far from the autopilot's own."""
+        self.has_our_position = True
+        self._pulls.append((now_ns, off_m))
 
     def _is_speed_measured(self, now_ns: int) -> bool:
         return self.is_aided or _newest(self._wheel_speed, now_ns) is not None
@@ -231,6 +241,7 @@ class Vehicle:
         self._motion.begin_leg()
         self._newest_boot_ms = -1
         self.gps = Gps()
+        self._pulls.clear()
         self._accuracy = self._wheels = self._wheel_speed = self._error = self._position = None
         self.is_aided = True
         self.origin = self.version = None

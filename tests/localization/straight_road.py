@@ -42,9 +42,10 @@ class Drive:
         self.filter, self.direction = one, direction
         self.sign = 1 if direction == "forward" else -1
         self.place, self.frames, self.stamp_ns = start_place, 0, 100 * S
+        self.drift = 0.0  # see `Displacement`
 
     def displacement(self, further_m: float = 0.0, leg: int = 1) -> Displacement:
-        return Displacement(leg, 0.0, self.sign * (self.frames * SPACING_M + further_m))
+        return Displacement(leg, 0.0, self.sign * (self.frames * SPACING_M + further_m), self.drift)
 
     def go(self, frames: int, sees: Callable[[int], PlaceMatch | None] | None = None, missed: int = 0) -> None:
         for _ in range(frames):

@@ -187,6 +187,7 @@ def test_what_runs_away_does_not_speak_against_a_position(open_rig: OpenRig) -> 
     correct(rig)
     assert rig.connection.uncertainty_m is None
     assert offer_for(rig, 1.0)
+    assert rig.connection.motion(rig.now_ns).pulled_m > 80.0, "its velocity jumps as well"
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.connection.uncertainty_m is None, "our own position, which that velocity carries away, bounds nothing"

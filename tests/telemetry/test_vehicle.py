@@ -335,7 +335,7 @@ def run_away(
     for tenth in range(41, 81):
         now_ns = tenth * S // 10
         if error_mps is not None:
-            vehicle.use_velocity_error(error_mps, 0.8, now_ns)
+            vehicle.use_velocity_error(error_mps, 1.6, now_ns)
         if wheels_mps is not None:
             message = mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 1, [wheels_mps * tenth / 10] + [0.0] * 15)
             vehicle.handle(speaker.say(message), now_ns)
@@ -358,7 +358,7 @@ def test_a_velocity_that_nothing_measures_counts_ahead_and_without_the_error_tha
     assert vehicle.driven_m(8 * S) == pytest.approx(20.0 + 32.0, abs=0.5)
     assert not vehicle.motion(8 * S, 8 * S).is_measured
     moved = vehicle.displacement(8 * S)
-    assert moved is not None and moved.drift == pytest.approx(STAYS * 0.8 / 8.0)
+    assert moved is not None and moved.drift == pytest.approx(STAYS * 1.6 / 8.0)
 
 
 def test_wheels_come_before_a_velocity_that_nothing_measures() -> None:
@@ -372,6 +372,14 @@ def test_wheels_come_before_a_velocity_that_nothing_measures() -> None:
     assert last_m - first_m == pytest.approx(18.0, abs=0.1)
     moved = vehicle.displacement(8 * S)
     assert moved is not None and moved.drift == 0.0
+
+
+def test_how_far_positions_of_ours_were_counts_for_a_second() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    vehicle.expect_pull(20.0, 3 * S)
+    vehicle.expect_pull(2.0, 3 * S + S // 2)
+    assert [vehicle.motion(0, 3 * S + tenth * S // 10).pulled_m for tenth in (0, 6, 10, 11, 16)] == [20, 20, 20, 2, 0]
 
 
 def test_where_nothing_was_found_of_such_a_velocity_the_motion_is_not_known() -> None:
@@ -389,7 +397,7 @@ def test_nor_where_that_is_too_uncertain_or_too_old() -> None:
     run_away(vehicle, speaker, (3.0, 4.0))
     vehicle.use_velocity_error((3.0, 4.0), 4.1, 8 * S)
     assert vehicle.displacement(8 * S) is None
-    vehicle.use_velocity_error((3.0, 4.0), 0.8, 8 * S)
+    vehicle.use_velocity_error((3.0, 4.0), 1.6, 8 * S)
     assert vehicle.displacement(8 * S) is not None
     for tenth in range(81, 181):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=0.0, ve_mps=-9.0), tenth * S // 10)

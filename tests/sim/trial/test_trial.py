@@ -39,6 +39,7 @@ SMALL = (
     "gps-spoofed-drag-2-left",
     "daemon-killed",
     "px4-aided",
+    "px4-no-velocity-aid-43003",
 )
 """Courses driven in every test run."""
 SEEDS = {"one-stretch": 2}
