@@ -27,7 +27,7 @@ def measure(rounds: int) -> Section:
     network = Network.load()
     session = open_session(float_graph())
     picture = smooth_picture(np.random.default_rng(0), SIZES[0])
-    regions = cut_regions(picture, "left-right", 0.4, network.info.size)
+    regions = cut_regions(picture, "left-right", 0.4, network.size)
     rows: list[Row] = []
     for batch in (1, 2):
         images = np.ascontiguousarray(regions[:batch])
@@ -50,7 +50,7 @@ def measure(rounds: int) -> Section:
     ]
     for size in SIZES:
         picture = smooth_picture(np.random.default_rng(0), size)
-        cut = partial(cut_regions, picture, "left-right", 0.4, network.info.size)
+        cut = partial(cut_regions, picture, "left-right", 0.4, network.size)
         cutting = race({"cut": cut}, rounds)["cut"]
         share = cutting.median_ms / times["int8"].median_ms
         rows.append(Row(f"regions cut and resized, {size[0]}x{size[1]}", cutting, "network int8, batch 2", share))

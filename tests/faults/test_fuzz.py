@@ -160,7 +160,7 @@ def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
     class Flat:
         """A network that costs nothing: a descriptor of the mean colors."""
 
-        info, path = network.info, network.path
+        info, size, path = network.info, network.size, network.path
 
         def describe(self, images: np.ndarray) -> np.ndarray:
             means = images.reshape(len(images), -1).mean(axis=1, keepdims=True, dtype=np.float32)

@@ -23,7 +23,7 @@ class HangingNetwork:
 
     def __init__(self, network: Network) -> None:
         self._network = network
-        self.info, self.path, self.provider = network.info, network.path, network.provider
+        self.info, self.size, self.path, self.provider = network.info, network.size, network.path, network.provider
         self.hangs, self.let_go, self.hung = threading.Event(), threading.Event(), threading.Event()
 
     def describe(self, images: np.ndarray) -> np.ndarray:

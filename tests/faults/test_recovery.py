@@ -294,7 +294,7 @@ class SlowNetwork:
 
     def __init__(self, network: Network) -> None:
         self._network = network
-        self.info, self.path, self.provider = network.info, network.path, network.provider
+        self.info, self.size, self.path, self.provider = network.info, network.size, network.path, network.provider
         self.wait: Callable[[], None] = lambda: None
 
     def describe(self, pictures: Image) -> NDArray[np.float32]:
