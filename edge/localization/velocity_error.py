@@ -15,7 +15,7 @@ BEGINS_MPS, GROWS_MPS2 = 0.1, 0.15
 """Standard deviations of the error of a velocity when nothing measures it any more, and of its growth."""
 WANDERS_MPS, WANDERS_MPS2 = 0.5, 0.015
 """By how much both change besides within a second: with these, on three recorded drives of PX4 without a velocity aid,
-what is left of the error is 0.2 to 0.9 of its standard deviation (rms)."""
+what is left of the error is 0.1 to 0.8 of its standard deviation (rms)."""
 PULLED_MPS_PER_M, PULLED_NS = 0.15, 1_000_000_000
 """A position of ours that moves the autopilot's changes its velocity as well, within that time: by 0.03 to 0.13 m/s per
 meter on a recorded drive of PX4."""
