@@ -49,7 +49,7 @@ class ReportedMotion(NamedTuple):
     is_measured: bool
     velocity_mps: tuple[float, float]
     heading_rad: float
-    pulled_m: float = 0.0
+    pulled_m: float
 
     @property
     def measured_m(self) -> float | None:

@@ -102,7 +102,7 @@ class VelocityError:
         elapsed_s = 0.0 if self._last_ns is None else max(0.0, (stamp_ns - self._last_ns) / 1e9)
         self._last_ns = stamp_ns
         ahead = self._ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        left = np.array([-ahead[1], ahead[0]])
+        left, reported_mps = np.array([-ahead[1], ahead[0]]), np.array(velocity_mps)
         assumed_mps = self._ahead_mps
         wanders_mps = math.hypot(WANDERS_MPS, PULLED_MPS_PER_M * pulled_m)
         moves = np.eye(6)
@@ -112,8 +112,8 @@ class VelocityError:
         self._mean = moves @ self._mean
         self._mean[0] -= elapsed_s * assumed_mps
         self._covariance = moves @ self._covariance @ moves.T + np.diag(elapsed_s * np.square(noise))
-        self._measure(np.array([0.0, *left, 0.0, 0.0, 0.0]), float(left @ np.array(velocity_mps)), LEFT_MPS)
-        self._measure(np.array([0.0, *ahead, 0.0, 0.0, 1.0]), float(ahead @ np.array(velocity_mps)), REPORTED_MPS)
+        self._measure(np.array([0.0, *left, 0.0, 0.0, 0.0]), float(left @ reported_mps), LEFT_MPS)
+        self._measure(np.array([0.0, *ahead, 0.0, 0.0, 1.0]), float(ahead @ reported_mps), REPORTED_MPS)
 
     def add_frame(self, stamp_ns: int, odometer_m: float) -> None:
         """A frame at which the vehicle moved; odometer_m: by the velocity less its error."""

@@ -91,8 +91,9 @@ class Vehicle:
         self._wheels: tuple[int, float] | None = None
         self._wheel_speed: tuple[int, float] | None = None
         self._error: tuple[int, tuple[float, float]] | None = None
-        self._pulls: deque[tuple[int, float]] = deque(maxlen=PULLS_KEPT)
         self._error_sigma_mps = 0.0
+        self._pulls: deque[tuple[int, float]] = deque(maxlen=PULLS_KEPT)
+        """When positions of ours were sent, and how far they were from the autopilot's own."""
         self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
         self.is_aided = True
         """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle

@@ -45,12 +45,13 @@ class Unaided:
             self.wrong_mps += 0.25 * self.grows_mps2
             self.error.predict(round(self.time_s * S), 0.0, (0.0, speed_mps + self.wrong_mps))
 
-    def stand(self, seconds: float) -> None:
+    def stand(self, seconds: float, *, is_noticed: bool = True) -> None:
         for _ in range(round(seconds * 4)):
             self.time_s += 0.25
             self.wrong_mps += 0.25 * self.grows_mps2
             self.error.predict(round(self.time_s * S), 0.0, (0.0, self.wrong_mps))
-            self.error.use_halt(round(self.time_s * S), (0.0, self.wrong_mps))
+            if is_noticed:
+                self.error.use_halt(round(self.time_s * S), (0.0, self.wrong_mps))
 
     @property
     def off_mps(self) -> float:
@@ -69,8 +70,9 @@ def test_lines_say_what_a_velocity_is_wrong_by() -> None:
 def test_without_lines_it_is_ever_less_certain() -> None:
     vehicle = Unaided()
     vehicle.drive(30.0, believed=False)
-    assert abs(vehicle.off_mps) < 2 * vehicle.error.sigma_mps
-    assert vehicle.error.sigma_mps > 3.0
+    assert 0.0 < vehicle.error.error_mps[1] < vehicle.wrong_mps, "the vehicle may also have accelerated"
+    assert abs(vehicle.off_mps) < vehicle.error.sigma_mps
+    assert vehicle.error.sigma_mps > 3.5
 
 
 def test_once_it_is_known_it_goes_on_without_lines_for_a_while() -> None:
@@ -91,12 +93,15 @@ def test_what_a_line_from_before_a_turn_says_is_of_the_way_that_it_headed_then()
 
 
 def test_a_halt_says_all_of_it_but_two_frames_that_are_alike_do_not() -> None:
-    vehicle = Unaided()
-    vehicle.drive(15.0, believed=False)
-    vehicle.brake()
-    assert abs(vehicle.off_mps) < 2 * vehicle.error.sigma_mps, "braking is not all error"
+    vehicle, unnoticed = Unaided(), Unaided()
+    for one in (vehicle, unnoticed):
+        one.drive(15.0, believed=False)
+        one.brake()
+        assert abs(one.off_mps) < 2 * one.error.sigma_mps, "braking is not all error"
     vehicle.stand(0.5)
-    assert vehicle.error.sigma_mps > 2.0
+    unnoticed.stand(0.5, is_noticed=False)
+    assert vehicle.error.error_mps == unnoticed.error.error_mps
+    assert vehicle.error.sigma_mps == unnoticed.error.sigma_mps
     vehicle.stand(3.0)
     assert vehicle.error.sigma_mps < 0.2
     assert abs(vehicle.off_mps) < 0.2
@@ -110,8 +115,8 @@ def test_what_the_velocity_is_to_the_left_is_error() -> None:
         error.predict(quarter * S // 4, 0.0, (-wrong_mps, 8.0 + wrong_mps))
     east_mps, north_mps = error.error_mps
     assert east_mps == pytest.approx(-6.0, abs=0.3)
-    assert error.sigma_mps > 4.0, "what it is ahead, only lines can say"
-    assert abs(north_mps - 6.0) < 2 * error.sigma_mps
+    assert 0.0 < north_mps < 6.0, "the vehicle may also have accelerated"
+    assert error.sigma_mps > 6.0, "what it is ahead, only lines can say"
 
 
 @pytest.mark.parametrize("pulled_m", [0.0, 20.0])

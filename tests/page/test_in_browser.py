@@ -31,6 +31,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedWriter, read_feed
+from tests.udp_port import free_port
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
@@ -64,14 +65,13 @@ def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         images = FeedImages(query)
         for number in range(8 * len(query.rows)):
             writer.write(images.read(number % len(query.rows)), number * 125_000_000)
-    with socket.create_server(("127.0.0.1", 0)) as free, socket.socket(type=socket.SOCK_DGRAM) as link:
-        link.bind(("127.0.0.1", 0))
-        port, link_port = free.getsockname()[1], link.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
     file = folder / "lookback.toml"
     file.write_text(
         '[camera]\nkind = "feed"\ndevice = "walk"\n[sampling]\nby = "frames"\n[map]\npath = "corridor.map"\n'
         "[sequence]\nlength = 10\n[acceptance]\nwindow_m = 10.0\n"
-        f'[telemetry]\nconnection = "udpin:127.0.0.1:{link_port}"\njournal = ""\n[page]\nport = {port}\n'
+        f'[telemetry]\nconnection = "udpin:127.0.0.1:{free_port()}"\njournal = ""\n[page]\nport = {port}\n'
     )
     return file
 

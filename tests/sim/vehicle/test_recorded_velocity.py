@@ -6,8 +6,8 @@ It is found with lines along the true way.
 from __future__ import annotations
 
 import gzip
-import json
 import math
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.journal.journal import records_of
+from edge.journal.records import FixSent
 from edge.localization.velocity_error import PULLED_MPS_PER_M, PULLED_NS, VelocityError
 from sim.trial.courses.streams import WANDER_MPS
 from tests.sim.vehicle.flight_comparison import read_columns
@@ -40,9 +42,10 @@ class Replay:
 
 def positions_sent(folder: Path) -> NDArray[np.float64]:
     """When positions were sent, in seconds since boot, and how far they were from the vehicle's own, (n, 2)."""
-    with gzip.open(folder / "journal.jsonl.gz", "rt") as journal:
-        events = [json.loads(line) for line in journal]
-    return np.array([(one["send_boot_s"], one["distance_m"]) for one in events if one["event"] == "fix_sent"])
+    with tempfile.TemporaryDirectory() as scratch:
+        journal = Path(scratch, "journal.jsonl")
+        journal.write_bytes(gzip.decompress((folder / "journal.jsonl.gz").read_bytes()))
+        return np.array([(one.send_boot_s, one.distance_m) for one in records_of(journal, FixSent)])
 
 
 @dataclass(frozen=True)
