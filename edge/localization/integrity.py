@@ -132,7 +132,8 @@ class Integrity:
             likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
         is_shift = situation.bound_by_gps and distance_m is not None and distance_m > SHIFT_SIGMAS * fix.sigma_m
         claim = self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
-        if distance_m is not None and distance_m > gates.max_move_m:
+        # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
+        if distance_m is not None and situation.uncertainty_m is not None and distance_m > gates.max_move_m:
             return Refusal("impossibly far", distance_m)
         likelihood = min(likelihood, *(observation.likelihood for observation in claim))
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.

@@ -89,6 +89,14 @@ def test_where_nothing_is_known_of_the_autopilot_one_stretch_is_never_enough(unk
     assert drive(one, range(600, 620), segment=1, **unknown)[-1] is None, "another one confirms it"
 
 
+def test_far_from_an_origin_that_bounds_nothing_two_stretches_confirm_each_other() -> None:
+    """After a reboot without GPS the autopilot's position is its origin: 300 m off here, beyond `max_move_m`."""
+    one, origin = Integrity(GatesConfig()), {"off_m": 300.0, "uncertainty_m": None, "bound_by_gps": False}
+    assert set(drive(one, range(0, 490), **origin)) == {"not confirmed by another place yet"}
+    assert drive(one, range(600, 620), segment=1, **origin)[-1] is None
+    assert reason(msgspec.structs.replace(FIX, lat_deg=300 * METRE_DEG)) == "impossibly far", "a bound is held against it"
+
+
 def test_an_autopilot_that_drifts_onto_a_shifted_map_does_not_confirm_it() -> None:
     """All of the map is 40 m off; by its own drift, the autopilot is there after 1.2 km."""
     one = Integrity(GatesConfig())
