@@ -94,7 +94,7 @@ def test_far_from_an_origin_that_bounds_nothing_two_stretches_confirm_each_other
     one, origin = Integrity(GatesConfig()), {"off_m": 300.0, "uncertainty_m": None, "bound_by_gps": False}
     assert set(drive(one, range(0, 490), **origin)) == {"not confirmed by another place yet"}
     assert drive(one, range(600, 620), segment=1, **origin)[-1] is None
-    assert reason(msgspec.structs.replace(FIX, lat_deg=300 * METRE_DEG)) == "impossibly far", "a bound is held against it"
+    assert reason(msgspec.structs.replace(FIX, lat_deg=300 * METRE_DEG)) == "impossibly far", "it is held to a bound"
 
 
 def test_an_autopilot_that_drifts_onto_a_shifted_map_does_not_confirm_it() -> None:
