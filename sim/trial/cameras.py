@@ -42,22 +42,28 @@ class PlacedNetwork(Network):
 class TrialCamera:
     """One camera in simulated time: `expose` when it is due, `take` what has arrived."""
 
-    def __init__(self, now_ns: Callable[[], int], rng: np.random.Generator) -> None:
+    def __init__(self, now_ns: Callable[[], int], rng: np.random.Generator, late_frames: int = 0) -> None:
+        """late_frames: by how many frames pictures are older than their stamps."""
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
         self._now_ns, self._rng = now_ns, rng
         self._delivered = 0
         self._hole_until_s = 0.0
-        self._waiting: deque[tuple[float, int, View]] = deque()
+        self._waiting: deque[tuple[float, int, View, int]] = deque()
+        self._buffered: deque[View] = deque(maxlen=late_frames + 1)
+        self._picture = 0
 
-    def expose(self, view: View) -> None:
-        """A frame of this view, unless there is a hole."""
-        now_s = self._now_ns() / 1e9
+    def expose(self, view: View, *, frozen: bool = False) -> None:
+        """A frame of this view, or of the one before if it is frozen, unless there is a hole."""
+        if not frozen or not self._buffered:
+            self._buffered.append(view)
+            self._picture += 1
+        view, now_s = self._buffered[0], self._now_ns() / 1e9
         if self._rng.random() < HOLE_RATE:
             self._hole_until_s = now_s + self._rng.uniform(0.0, LONGEST_HOLE_S)
         latency_s = self._rng.uniform(*LATENCY_S)
         if now_s >= self._hole_until_s:
-            self._waiting.append((now_s + latency_s, self._now_ns(), view))
+            self._waiting.append((now_s + latency_s, self._now_ns(), view, self._picture))
 
     @property
     def health(self) -> CameraHealth:
@@ -78,8 +84,8 @@ class TrialCamera:
             return None
         self._delivered += 1
         self.network.seen = arrived[2]
-        # Only so that it is neither blank nor frozen.
-        picture = np.random.default_rng(self._delivered).integers(0, 255, (32, 32, 3), np.uint8)
+        # Only so that it is not blank, and frozen only where the view is.
+        picture = np.random.default_rng(arrived[3]).integers(0, 255, (32, 32, 3), np.uint8)
         return Frame(picture, arrived[1], self._delivered)
 
     def close(self) -> None:

@@ -19,6 +19,9 @@ from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.world.scenario import Scenario
 
 GPS_S = 9.0
+DOWN_S = (6.0, 10.0)
+"""From the death of the daemon to its first message, as recorded on a vehicle's computer."""
+ORIGIN_OFF_M = (6.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Stretch:
 
     off_m: east and north, by how much its positions are wrong. left_m: beside the lane, as on another drive.
     on_way: places lie on the drive's way instead of the road, where the way was bent. spacing_m: the least and the
-    greatest distance between places. headings: whether the places have one.
+    greatest distance between places. headings: whether the places have one. recording: the drive that it was mapped
+    on, where several stretches are of one. looks: the seed of the road that it looks like, where that is another.
     """
 
     start_m: float
@@ -37,6 +41,8 @@ class Stretch:
     on_way: bool = False
     spacing_m: tuple[float, float] = (2.0, 2.0)
     headings: bool = True
+    recording: str = ""
+    looks: int | None = None
 
     @property
     def is_true(self) -> bool:
@@ -48,12 +54,17 @@ class Stretch:
 class Draft:
     """One seeded drive of a course. Seconds count from the start of the drive, meters along its way.
 
-    killed_s: when the daemon dies at once and is started again. restarted_s: the same of the autopilot. loses:
+    killed_s: when the daemon dies at once, to be back after down_s. restarted_s: when the autopilot does. loses:
     whether the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to
     when the autopilot sends nothing but heartbeats. gps_until_m: where GPS fails, whatever gps_at says. maps_live:
     the map is made while driving, with a second camera, instead of before. doubted_gps: of [gates]; with "send" the
     autopilot runs our script. steers: whether the autopilot drives, or a person. unsent: parts of the way on which
-    no position may be expected.
+    no position may be expected. origin_off_m: east and north of the start, where the daemon's configuration has an
+    origin; by default ORIGIN_OFF_M without GPS. seen_m: the arc length that a road looks like at another, for roads
+    that repeat. frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than
+    they say. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its messages. companion_s: how often
+    another companion computer resets the autopilot. has_double: another vehicle ahead on the same radio has the same
+    ids.
     """
 
     rng: np.random.Generator
@@ -80,6 +91,14 @@ class Draft:
     lon_shift_deg: float = 0.0
     booted_before_s: float = 0.0
     unsent: list[tuple[float, float]] = field(default_factory=list)
+    origin_off_m: tuple[float, float] | None = None
+    seen_m: Callable[[float], float] = lambda route_m: route_m
+    frozen_s: tuple[float, float] = (math.inf, math.inf)
+    late_s: float = 0.0
+    clock_off_s: float = 0.0
+    companion_s: float = math.inf
+    has_double: bool = False
+    down_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)
@@ -92,6 +111,13 @@ class Draft:
             reported_deg=self.rng.uniform(0.3, 3.0) * sign,
             settled_deg=self.rng.uniform(0.3, 1.3) * sign,
         )
+
+    @property
+    def origin_m(self) -> tuple[float, float] | None:
+        """The origin of the daemon's configuration, meters east and north of the simulation's."""
+        off_m = self.origin_off_m or (None if self.has_gps else ORIGIN_OFF_M)
+        east_m, north_m, _ = self.way.at(0.0)
+        return (east_m + off_m[0], north_m + off_m[1]) if off_m else None
 
     def drive(self, way: Way, *legs: Leg) -> None:
         """Drive this way, in these legs or in one."""

@@ -231,6 +231,12 @@ def warns(run: Run) -> str:
     return "" if warned else "no warning"
 
 
+def warns_of_another(run: Run) -> str:
+    """Within 30 s of the start, a warning says that another autopilot has the same ids."""
+    warned = (severity <= WARNING and "autopilot" in text for at_s, severity, text in run.texts if at_s <= WARNED_S)
+    return "" if any(warned) else "no warning"
+
+
 def first_in_time(run: Run) -> str:
     """The first position comes within 6 s of the loss of GPS."""
     lost_s = _lost_s(run)
@@ -253,6 +259,11 @@ def called_soon(run: Run) -> str:
     until = np.searchsorted(run.track.time_s, _called_s(run)).clip(0, len(run.track.time_s) - 1)
     driven_m = abs(run.track.along_m[until] - run.track.along_m[wrong[0]])
     return f"not called for {driven_m:.0f} m" if driven_m > AGAIN_M else ""
+
+
+def called_on_map(run: Run) -> str:
+    """Once GPS is wrong, it is called so by the end of the drive."""
+    return "not called" if math.isinf(_called_s(run)) else ""
 
 
 def never_called(run: Run) -> str:

@@ -38,13 +38,13 @@ from edge.reference_map.builder import NAN, MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
-from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim import ORIGIN_ALT_M, geodetic
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.courses import COURSES
 from sim.trial.draft import Draft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.rules import Array, Run, Sent, Track, failures, within_protection_level
-from sim.trial.simulation import Silent, Simulation
+from sim.trial.simulation import STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
@@ -53,7 +53,6 @@ from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.route import Route
 from sim.world.scenario import Scenario
 
-ORIGIN_OFF_M = 6.0
 MAP_SIGMA_M = math.sqrt(2)
 """Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
 RIG = RigConfig(
@@ -84,25 +83,25 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
             simulation.show(network)
             _run_daemon(simulation, draft, link, map_path, folder, network)
     alone = Simulation(drafted(name, seed, length_m, world), Silent(), seed)
-    if not draft.has_gps:
-        alone.autopilot.estimate.shift(ORIGIN_OFF_M, 0.0)
     while not alone.ended:
         alone.step()
+        if draft.origin_m is not None:
+            alone.autopilot.set_origin(*draft.origin_m)  # which somebody else sets then
     return _judged(seed, draft, simulation, alone)
 
 
 def drafted(name: str, seed: int, length_m: float, world: int) -> Draft:
     """The course of a seed."""
-    draft = Draft(np.random.default_rng([seed, 7]), length_m, world)
-    COURSES[name].lay(draft)
+    course = COURSES[name]
+    draft = Draft(np.random.default_rng([seed, 7]), max(length_m, course.least_m), world)
+    course.lay(draft)
     return draft
 
 
 def _run_daemon(
     simulation: Simulation, draft: Draft, link: PtyLink, map_path: Path, folder: Path, network: Network
 ) -> None:
-    config = _settings(draft, link, map_path, folder, simulation.driver.pose)
-    restarted_s = draft.restarted_s or math.inf
+    config = _settings(draft, link, map_path, folder)
     mapping = simulation.rear if draft.maps_live else None
     for until_s in (draft.killed_s, math.inf):
         if until_s is None:
@@ -112,20 +111,22 @@ def _run_daemon(
                 config, parts, lambda: simulation.now_ns, frames=simulation, mapping_frames=mapping, network=network
             )
             while daemon.turn() and simulation.time_s() < until_s:
-                if simulation.time_s() >= restarted_s:
-                    restarted_s = math.inf
-                    simulation.autopilot.reboot()
+                pass
             if simulation.ended:
                 daemon.last_words()
         if not simulation.ended:
             link.receive()  # what it said when its parts were closed; a daemon that is killed says nothing
+            simulation.is_heard = False
+            while simulation.time_s() < until_s + draft.down_s and not simulation.ended:
+                simulation.take(STEP_S)
+            simulation.is_heard = True
 
 
-def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path, start: Pose) -> Config:
+def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path) -> Config:
     """The defaults, but for the rig and what the course asks for; nothing is kept from an earlier drive."""
     for suffix in (".jsonl", ".bound"):
         (folder / JOURNAL).with_suffix(suffix).unlink(missing_ok=True)
-    lat_deg, lon_deg = geodetic(start.east_m + ORIGIN_OFF_M, start.north_m, draft.lon_shift_deg)
+    origin = (*geodetic(*draft.origin_m, draft.lon_shift_deg), ORIGIN_ALT_M) if draft.origin_m else ()
     mapping = MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear"))
     return Config(
         camera=CameraConfig(kind="sim", view="front"),
@@ -140,7 +141,7 @@ def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path, start: 
             connection=f"serial:{link.device}:921600",
             emit=draft.emit,
             journal=str((folder / JOURNAL).resolve()),
-            origin=() if draft.has_gps else (lat_deg, lon_deg, ORIGIN_ALT_M),
+            origin=origin,
         ),
     )
 
@@ -161,11 +162,12 @@ def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLi
     rng, errors_rng = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
     with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
         for number, stretch in enumerate(draft.map):
-            builder.begin_segment(f"stretch {number}", "rear")
+            builder.begin_segment(stretch.recording or f"stretch {number}", "rear")
+            seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
             places_m = _places_m(stretch, rng)
             off_m = _errors_m(places_m, errors_rng) + np.array(stretch.off_m)
             for row, route_m in enumerate(places_m):
-                raw = library[out].raw(route_m, stretch.left_m)
+                raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
                 builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
         builder.finish(normalize, edge.__version__)
 
@@ -190,10 +192,10 @@ def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: floa
     if stretch.on_way:
         # Against the way, on the lane that the rig's offset expects.
         at_m = float(np.argmin(np.abs(draft.way.route_m - route_m)))
-        east_m, north_m, heading_rad = draft.way.at(at_m, -RIG.left_reverse_m)
+        east_m, north_m, heading_rad = draft.way.at(at_m, -RIG.left_reverse_m - stretch.left_m)
         heading_rad += math.pi
     else:
-        east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m)
+        east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m + stretch.left_m)
     lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], draft.lon_shift_deg)
     heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
     known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth, Frame
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
+from sim import Pose, geodetic
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.draft import Draft
 from sim.trial.receiver_errors import WANDERS_AT_S, receiver_errors
-from sim.vehicle.autopilot import SimulatedAutopilot
-from sim.vehicle.driver import Driver
+from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
+from sim.vehicle.driver import Driver, Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
+from sim.vehicle.shared_link import shared
 
 STEP_S, FRAME_S = 0.02, 0.1
 UP_S = 3.0  # before the vehicle sets off
+COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each direction, and as they say
+DOUBLE_AHEAD_M, DOUBLE_MPS = 60.0, 5.0
 
 
 class Silent:
@@ -47,15 +54,37 @@ class Simulation:
     def __init__(self, draft: Draft, link: Link, seed: int) -> None:
         self.now_ns = 1_000_000_000_000
         self._draft = draft
-        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]))
+        late = round(draft.late_s / FRAME_S)
+        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late)
         self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
         """The camera that maps, where the course has one."""
         self._gps_errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))
         self._epoch_s = self.now_ns / 1e9 + UP_S
         self.driver = Driver(draft.way, draft.legs, np.random.default_rng([seed, 10]))
-        self.autopilot = SimulatedAutopilot(
+        links = shared(link, 2) if draft.has_double else [link]
+        self.autopilot = self._autopilot(links[0], lambda: self.driver.pose)
+        if draft.steers:
+            self.driver.belief = self.autopilot.estimate
+        self.autopilot.loses = self._loses
+        self.autopilot.has_script = draft.doubted_gps == "send"
+        self.autopilot.timesync_off_s = draft.clock_off_s
+        self._frame_due_s, self._companion_due_s = self._epoch_s - UP_S, self._epoch_s + draft.companion_s
+        self._restarts_s = draft.restarted_s or math.inf
+        self.rows: list[tuple[float, ...]] = []
+        self.is_heard = True
+        """Whether the daemon runs."""
+        self._companion_rng = np.random.default_rng([seed, 15])
+        self._double: tuple[Driver, SimulatedAutopilot] | None = None
+        if draft.has_double:
+            legs, rng = [Leg(draft.way.length_m - 2, DOUBLE_MPS)], np.random.default_rng([seed, 16])
+            ahead = Driver(draft.way, legs, rng, starts_m=DOUBLE_AHEAD_M)
+            self._double = ahead, self._autopilot(links[1], lambda: ahead.pose)
+
+    def _autopilot(self, link: Link, pose: Callable[[], Pose]) -> SimulatedAutopilot:
+        draft = self._draft
+        return SimulatedAutopilot(
             link,
-            lambda now_s: self.driver.pose,
+            lambda now_s: pose(),
             lambda: self.now_ns,
             firmware=draft.firmware,
             gps=draft.has_gps,
@@ -65,12 +94,6 @@ class Simulation:
             lon_shift_deg=draft.lon_shift_deg,
             booted_before_s=draft.booted_before_s,
         )
-        if draft.steers:
-            self.driver.belief = self.autopilot.estimate
-        self.autopilot.loses = self._loses
-        self.autopilot.has_script = draft.doubted_gps == "send"
-        self._frame_due_s = self._epoch_s - UP_S
-        self.rows: list[tuple[float, ...]] = []
 
     def show(self, network: PlacedNetwork) -> None:
         """Deliver frames from now on, which this network describes."""
@@ -89,6 +112,26 @@ class Simulation:
         if self.now_ns / 1e9 >= self._frame_due_s:
             self._frame_due_s += FRAME_S
             self._expose()
+        if self.time_s() >= self._restarts_s:
+            self._restarts_s = math.inf
+            self.autopilot.reboot(BOOTS_S)
+        if self.now_ns / 1e9 >= self._companion_due_s:
+            self._companion_due_s += self._draft.companion_s
+            self._hear_companion()
+        if self._double is not None:
+            self._double[0].step(STEP_S)
+            self._double[1].step()
+
+    def _hear_companion(self) -> None:
+        """Another computer on the vehicle resets the autopilot's position."""
+        pose, off_m = self.driver.pose, self._companion_rng.normal(0.0, COMPANION_OFF_M, 2)
+        lat_deg, lon_deg = geodetic(pose.east_m + off_m[0], pose.north_m + off_m[1], self._draft.lon_shift_deg)
+        values = self.autopilot.boot_s, 0.0, COMPANION_SIGMA_M, math.nan
+        place = round(lat_deg * 1e7), round(lon_deg * 1e7), math.nan
+        command = EXTERNAL_POSITION_ESTIMATE
+        self.autopilot.handle(
+            mavlink.MAVLink_command_int_message(1, 1, mavlink.MAV_FRAME_GLOBAL, command, 0, 0, *values, *place)
+        )
 
     def _expose(self) -> None:
         driver, draft = self.driver, self._draft
@@ -109,8 +152,10 @@ class Simulation:
         row = min(int(driver.along_m), last_m)
         route_m = np.interp(min(driver.along_m, last_m), [row, row + 1], way.route_m[[row, min(row + 1, last_m)]])
         turned_deg = way.turn_deg[row] + math.degrees(driver.heading_rad - way.heading_rad[row])
-        view = View(way.roads[way.road[row]], float(route_m), driver.left_m, turned_deg)
-        self._front.expose(view)
+        left_m = float(way.aside_m[row]) + driver.left_m
+        view = View(way.roads[way.road[row]], draft.seen_m(float(route_m)), left_m, turned_deg)
+        frozen_s = draft.frozen_s
+        self._front.expose(view, frozen=frozen_s[0] <= self.time_s() < frozen_s[1])
         if draft.maps_live:
             self.rear.expose(view._replace(scenario=msgspec.structs.replace(view.scenario, view="rear")))
 
@@ -123,6 +168,8 @@ class Simulation:
         return replace(report, east_off_m=east_off_m, north_off_m=north_off_m)
 
     def _loses(self, message: Any, outgoing: bool) -> bool:
+        if not self.is_heard:
+            return True
         silence = self._draft.silence_s
         if silence and outgoing and silence[0] <= self.time_s() < silence[1]:
             return bool(message.get_type() != "HEARTBEAT")

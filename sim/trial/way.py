@@ -7,6 +7,7 @@ lies elsewhere in its own world; on a ferry the truth moves and the picture does
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,8 @@ class Way:
     """One element for each meter: the true pose, and the view.
 
     road: index of the scenario in `roads`. route_m, turn_deg: arc length there, and how far the view is turned to the
-    right of the way along that road. carried: whether the vehicle is carried, its wheels at rest.
+    right of the way along that road. aside_m: how far to the left of that road's lane the way is. carried: whether the
+    vehicle is carried, its wheels at rest.
     """
 
     roads: tuple[Scenario, ...]
@@ -32,6 +34,7 @@ class Way:
     road: NDArray[np.int64]
     route_m: NDArray[np.float64]
     turn_deg: NDArray[np.float64]
+    aside_m: NDArray[np.float64]
     carried: NDArray[np.bool_]
 
     @property
@@ -67,7 +70,7 @@ class Way:
         unwrapped = np.unwrap(np.concatenate([self.heading_rad, other.heading_rad]))
         joined = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in ("east_m", "north_m", "route_m", "turn_deg", "carried")
+            for name in ("east_m", "north_m", "route_m", "turn_deg", "aside_m", "carried")
         }
         return Way(roads=roads, road=road, heading_rad=unwrapped, **joined)
 
@@ -107,6 +110,7 @@ class Way:
             road=np.repeat(self.road[row], count),
             route_m=np.repeat(self.route_m[row], count),
             turn_deg=np.repeat(self.turn_deg[row], count),
+            aside_m=np.repeat(self.aside_m[row], count),
             carried=np.repeat(self.carried[row], count),
         )
 
@@ -127,12 +131,40 @@ class Way:
         carried[start_m:end_m] = True
         return replace(self, carried=carried)
 
-    def bent(self) -> Way:
-        """The same bent into one lap of a circle, to the right, from its start."""
-        turns = np.linspace(0.0, 2 * np.pi, len(self.east_m) + 1)[:-1] + self.heading_rad[0]
+    def bent(self, *, to_the_left: bool = False) -> Way:
+        """The same bent into one lap of a circle, to the right or to the left, from its start."""
+        around = -2 * np.pi if to_the_left else 2 * np.pi
+        turns = np.linspace(0.0, around, len(self.east_m) + 1)[:-1] + self.heading_rad[0]
         east_m = self.east_m[0] + np.cumsum(np.sin(turns)) - np.sin(turns[0])
         north_m = self.north_m[0] + np.cumsum(np.cos(turns)) - np.cos(turns[0])
         return replace(self, east_m=east_m, north_m=north_m, heading_rad=turns)
+
+    def beside(self, left_m: Callable[[float], float]) -> Way:
+        """A way along the same road, to the left of this one by what `left_m` gives for each meter of this one."""
+        lefts_m = np.array([left_m(float(along_m)) for along_m in range(len(self.east_m))])
+        points = np.array([self.at(float(m), aside_m)[:2] for m, aside_m in enumerate(lefts_m)])
+        along_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        meters = np.arange(along_m[-1])
+        steps = np.gradient(points, axis=0)
+        heading_rad = np.unwrap(np.arctan2(steps[:, 0], steps[:, 1]))
+        heading_rad += 2 * np.pi * round((self.heading_rad[0] - heading_rad[0]) / (2 * np.pi))
+        between = {
+            name: np.interp(meters, along_m, values)
+            for name, values in (
+                ("east_m", points[:, 0]),
+                ("north_m", points[:, 1]),
+                ("heading_rad", heading_rad),
+                ("route_m", self.route_m),
+                ("turn_deg", self.turn_deg + np.degrees(heading_rad - self.heading_rad)),
+                ("aside_m", self.aside_m + lefts_m),
+            )
+        }
+        rows = np.searchsorted(along_m, meters).clip(0, len(along_m) - 1)
+        return Way(roads=self.roads, road=self.road[rows], carried=self.carried[rows], **between)
+
+    def shifted(self, east_m: float, north_m: float) -> Way:
+        """The same elsewhere: what is seen stays."""
+        return replace(self, east_m=self.east_m + east_m, north_m=self.north_m + north_m)
 
 
 def along(scenario: Scenario, start_m: float, end_m: float) -> Way:
@@ -150,6 +182,7 @@ def along(scenario: Scenario, start_m: float, end_m: float) -> Way:
         heading_rad,
         np.zeros(count, np.int64),
         route_m,
+        np.zeros(count),
         np.zeros(count),
         np.zeros(count, bool),
     )

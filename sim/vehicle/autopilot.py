@@ -34,6 +34,8 @@ HEARTBEAT_S = 1.0
 STEP_S = 0.01
 COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
 SILENT = -1
+BOOTS_S = 2.7
+"""From a reset of ArduPilot to its first message, as recorded."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,12 @@ class SimulatedAutopilot:
         self._codec = codec or MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)
-        self._starts_with_origin = has_origin or not self._firmware.needs_origin
+        self._has_origin = has_origin or gps
+        self.timesync_off_s = 0.0
+        """By how much its answers to TIMESYNC are ahead of the clock that its messages are stamped with."""
         self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
         self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
-        self.reboot()
+        self._boot()
         self._boot_ns -= self._booted_before_ns
 
     @property
@@ -108,13 +112,23 @@ class SimulatedAutopilot:
         """Positions that moved the estimate at once."""
         return self.inputs.resets
 
-    def reboot(self) -> None:
-        """Boot again: the clock at 0, and no streams but HEARTBEAT and TIMESYNC."""
-        self._boot_ns = self._clock_ns()
+    def reboot(self, silent_s: float = 0.0) -> None:
+        """Boot again: the clock at 0, and no streams but HEARTBEAT and TIMESYNC; nothing is heard for `silent_s`.
+
+        ArduPilot without GPS has no position then until an origin is set, and starts there, wherever the vehicle is.
+        """
+        self._has_origin = self._uses_gps
+        self.estimate.boot()
+        self.inputs.boot()
+        self._boot()
+        self._deaf_until_s = self._clock_ns() / 1e9 + silent_s
+
+    def _boot(self) -> None:
+        self._boot_ns, self._deaf_until_s = self._clock_ns(), -math.inf
         self._report = NO_FIX
         self._started_m = self.estimate.east_m, self.estimate.north_m
         self._gps_lost_s = -math.inf
-        self._origin_m = (0.0, 0.0) if self._starts_with_origin or self.gps else None
+        self._origin_m = (0.0, 0.0) if self._has_origin or not self._firmware.needs_origin else None
         self._period_s = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: HEARTBEAT_S,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._firmware.timesync_s,
@@ -141,10 +155,13 @@ class SimulatedAutopilot:
         if self._uses_gps:
             self._gps_lost_s = now_s
             self._origin_m = self._origin_m or (0.0, 0.0)
-        for message in self._codec.decode(self._link.receive()):
+        received = self._codec.decode(self._link.receive())
+        if now_s < self._deaf_until_s:
+            return
+        for message in received:
             if not self.loses(message, False):
                 self.received.append(Received(now_s, message))
-                self._handle(message)
+                self.handle(message)
         for message in self.mission.step(now_s):
             self.send(message)
         for message_id, due_s in list(self._due_s.items()):
@@ -172,6 +189,10 @@ class SimulatedAutopilot:
         """CLOCK_MONOTONIC at boot."""
         return self._boot_ns / 1e9
 
+    @property
+    def _timesync_ns(self) -> int:
+        return self._clock_ns() - self._boot_ns + round(self.timesync_off_s * 1e9)
+
     def _send_kind(self, message_id: int) -> bool:
         """Send one message of that kind; False where there is nothing to send."""
         message = ENCODERS[message_id](self._snapshot())
@@ -184,16 +205,17 @@ class SimulatedAutopilot:
         if not self.loses(message, True):
             self._link.send(self._codec.encode(message))
 
-    def _handle(self, message: Message) -> None:
+    def handle(self, message: Message) -> None:
+        """Do what a message asks for, whoever sent it."""
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
-            self.send(mavlink.MAVLink_timesync_message(self._clock_ns() - self._boot_ns, message.ts1))
+            self.send(mavlink.MAVLink_timesync_message(self._timesync_ns, message.ts1))
         elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
             self.inputs.sensor(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
             self.inputs.vision(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
-            self._set_origin(message)
+            self.set_origin(*east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg))
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ and message.param_id in self.parameters:
             self._say_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and self.has_script:
@@ -248,11 +270,11 @@ class SimulatedAutopilot:
             self._due_s.pop(message_id, None)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
-    def _set_origin(self, message: Message) -> None:
+    def set_origin(self, east_m: float, north_m: float) -> None:
         """Only the first origin is used: it is where the filter started to count from. It is sent to all."""
         if self._origin_m is not None:
             return
-        self._origin_m = east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg)
+        self._origin_m = east_m, north_m
         self.estimate.shift(self._origin_m[0] - self._started_m[0], self._origin_m[1] - self._started_m[1])
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 

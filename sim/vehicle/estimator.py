@@ -25,6 +25,7 @@ GPS_SIGMA_M = 1.0
 STARVED_S = 5.0  # EKF2_NOAID_TOUT: after this long without aiding, a rejected source resets the estimate
 COVARIANCE_S = 0.1
 SETTLES_S = 20.0
+SPIN_S, SPIN_EVERY_S = 3.0, 20.0  # as wheels were driven to spin on the trial's first drives of that kind
 EAST, NORTH, V_EAST, V_NORTH, HEADING = range(5)
 
 
@@ -34,12 +35,14 @@ class OdometryErrors:
 
     scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
     autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
-    acceleration_mps2: the forward bias of an accelerometer that no velocity aids; wander_mps: by how much that
-    changes the velocity besides within a second, each way, from `seed`.
+    spins: times by which the wheels turn too fast besides for SPIN_S of every SPIN_EVERY_S. acceleration_mps2: the
+    forward bias of an accelerometer that no velocity aids; wander_mps: by how much that changes the velocity besides
+    within a second, each way, from `seed`.
     """
 
     source: VelocitySource = "wheels"
     scale: float = 1.0
+    spins: float = 1.0
     heading_deg: float = 0.0
     reported_deg: float = 0.0
     settled_deg: float = 0.0
@@ -80,6 +83,7 @@ class Estimator:
         self._reported_rad = math.radians(errors.reported_deg)
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
         self._rng = np.random.default_rng(errors.seed)
+        self._wheels_m = pose.distance_m * errors.scale
         self._covariance_s = time_s
         self._covariance: NDArray[np.float64] = np.zeros((5, 5))
         self._gps = False
@@ -124,7 +128,7 @@ class Estimator:
     def _velocity_mps(self, turned_rad: float) -> tuple[float, float]:
         errors = self._errors
         heading_rad = math.radians(self._pose.heading_deg) + (turned_rad if errors.source == "wheels" else 0.0)
-        speed_mps = self._pose.speed_mps * (1.0 if self._gps or errors.source == "none" else errors.scale)
+        speed_mps = self._pose.speed_mps * (1.0 if self._gps or errors.source == "none" else self._scale)
         return (
             speed_mps * math.sin(heading_rad) + self._bias_mps[0],
             speed_mps * math.cos(heading_rad) + self._bias_mps[1],
@@ -133,13 +137,26 @@ class Estimator:
     @property
     def driven_m(self) -> float:
         """Distance by the wheel encoders."""
-        return self._pose.distance_m * self._errors.scale
+        return self._wheels_m
+
+    @property
+    def _scale(self) -> float:
+        spins = self._time_s % SPIN_EVERY_S < SPIN_S
+        return self._errors.scale * (self._errors.spins if spins else 1.0)
+
+    def boot(self) -> None:
+        """Begin anew: how far it is from its origin is not known, and what it drove before counts no more."""
+        self._wheels_m = 0.0
+        self._heading_rad = math.radians(self._errors.heading_deg)
+        self._bias_mps = (0.0, 0.0)
+        self._restart(GPS_SIGMA_M)
 
     def update(self, pose: Pose, time_s: float, gps: tuple[float, float] | None) -> None:
         """Move on to the true `pose` at `time_s`, which must not go back; gps: the receiver's position, if usable."""
         elapsed_s, self._time_s = time_s - self._time_s, time_s
         unsettled_rad = math.radians(self._errors.settled_deg) - self._reported_rad
         self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
+        self._wheels_m += (pose.distance_m - self._pose.distance_m) * self._scale
         self._pose, self._gps = pose, gps is not None
         if gps is not None:
             self._bias_mps = (0.0, 0.0)

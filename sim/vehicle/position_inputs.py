@@ -57,6 +57,10 @@ class PositionInputs:
         self.source_set = 1
         self._jump_counter: int | None = None
 
+    def boot(self) -> None:
+        """Begin anew, on the first set of sources."""
+        self.source_set, self._jump_counter = 1, None
+
     def command(self, command: Message, moment: Moment) -> int:
         """The MAV_RESULT of 43003 (a fix) or 42007 (set of EKF sources)."""
         firmware = self._firmware

@@ -24,6 +24,12 @@ def _odometer(draft: Draft, value: int) -> None:
     draft.errors = replace(draft.errors, scale=1.0 + value / 100.0)
 
 
+@course("F", "wheels-spin")
+def _wheels_spin(draft: Draft) -> None:
+    """The wheels turn 1.5 times too fast for 3 s of every 20 s."""
+    draft.errors = replace(draft.errors, spins=1.5)
+
+
 @course("F", "heading-3")
 def _heading(draft: Draft) -> None:
     """Dead reckoning goes 3 degrees to the side all the time."""

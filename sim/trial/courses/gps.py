@@ -11,10 +11,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.telemetry.codec import Message
 from sim.trial import gps_histories
 from sim.trial.courses.registry import course
-from sim.trial.draft import GPS_S, Draft, is_command
+from sim.trial.draft import GPS_S, Draft, Stretch, is_command
 from sim.trial.rules import (
     back_to_usual,
     called_before_50_m,
+    called_on_map,
     called_soon,
     never_called,
     never_sent,
@@ -24,6 +25,8 @@ from sim.trial.rules import (
     sends,
     within_sigmas,
 )
+from sim.trial.way import along
+from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 GPS_WORKS = {
@@ -86,6 +89,45 @@ def _gps_drag(draft: Draft, value: float) -> None:
     draft.steers = False
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
     draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("D", "gps-back-150")
+def _gps_back(draft: Draft) -> None:
+    """GPS comes back 150 m wrong; a person drives."""
+    back_s, (east_m, north_m) = draft.share(0.5) / 8.0, draft.side(150.0)
+    wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
+    draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX if time_s < back_s else wrong
+    draft.steers, draft.doubted_gps = False, "switch"
+    draft.rules = (within_sigmas, no_false_place, called_soon)
+
+
+@course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0)
+def _gps_wrong_after_gap(draft: Draft, value: float) -> None:
+    """GPS agrees with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
+    agreed_m = draft.length_m - 400.0
+    draft.map = [Stretch(0.0, agreed_m - 250.0), Stretch(agreed_m, draft.length_m)]
+    from_s, (east_m, north_m) = (400.0 + 125.0) / 8.0, draft.side(value)
+    wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
+    draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
+    draft.steers, draft.doubted_gps = False, "switch"
+    draft.rules = (within_sigmas, no_false_place, called_on_map)
+
+
+@course("D", "gps-turned-twice")
+def _gps_turned_twice(draft: Draft) -> None:
+    """Half of the way out by day, 200 m back, and out again, mapped on the way; an honest GPS must not be called."""
+    middle_m, lane_m = draft.share(0.5), draft.home.lane_m
+    day = draft.road(light="day", direction="forward", drive_seed=1)
+    first = along(day, 0.0, middle_m).turned(180.0, radius_m=lane_m)
+    back = draft.road(light="day", drive_seed=1)
+    second = first.then(along(back, middle_m, middle_m - 200.0)).turned(180.0, radius_m=lane_m)
+    way = second.then(along(day, middle_m - 200.0, draft.length_m))
+    turns = [(Leg(end.length_m - 6), Leg(end.length_m + 5, 2.0)) for end in (first, second)]
+    draft.drive(way, *turns[0], *turns[1], Leg(way.length_m - 2))
+    draft.maps_live, draft.steers = True, False
+    draft.map = []
+    draft.gps_at = lambda time_s: GpsReport()
+    draft.rules = (never_called, never_sent)
 
 
 @course("D", "gps-{}", "multipath", "rtk-2-cm")

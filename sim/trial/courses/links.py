@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim.trial.courses.registry import course
-from sim.trial.draft import GPS_S, Draft, is_command
+from sim.trial.draft import DOWN_S, GPS_S, Draft, is_command
 from sim.trial.rules import (
     no_false_place,
     not_with_gps,
@@ -11,6 +11,7 @@ from sim.trial.rules import (
     resumes,
     sends,
     sources_restored,
+    warns_of_another,
     within_sigmas,
 )
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -44,17 +45,51 @@ def _silence(draft: Draft, value: float) -> None:
 
 @course("E", "daemon-killed")
 def _daemon_killed(draft: Draft) -> None:
-    """The daemon dies in the middle of the drive, without a word, and is started again."""
-    draft.killed_s = draft.share(0.5) / 8.0
+    """The daemon dies in the middle of the drive, without a word, and is back 6 to 10 s later."""
+    draft.killed_s, draft.down_s = draft.share(0.5) / 8.0, draft.rng.uniform(*DOWN_S)
     draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
-    draft.unsent = [(draft.share(0.35), draft.share(0.65) + 40)]
+    draft.unsent = [(draft.share(0.35), draft.share(0.65) + 140)]
 
 
-@course("E", "autopilot-restarted")
-def _autopilot_restarted(draft: Draft) -> None:
-    """The autopilot restarts while the vehicle is driven on."""
-    draft.restarted_s = draft.share(0.5) / 8.0
+@course("E", "autopilot-restarted-{}", 120, 300)
+def _autopilot_restarted(draft: Draft, value: float) -> None:
+    """The autopilot restarts without GPS, so many meters from its origin: it believes to be there. A person drives."""
+    draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("E", "second-autopilot")
+def _second_autopilot(draft: Draft) -> None:
+    """Another vehicle ahead, on the same radio, has the same ids: a warning must say so."""
+    draft.has_double, draft.steers = True, False
+    draft.rules = (within_sigmas, no_false_place, warns_of_another)
+
+
+@course("E", "another-companion")
+def _another_companion(draft: Draft) -> None:
+    """Another computer on the vehicle resets the autopilot every 10 s, by positions that are 3 m wrong."""
+    draft.companion_s = 10.0
+    draft.rules = (within_sigmas, no_false_place)
+
+
+@course("E", "frozen-30")
+def _frozen(draft: Draft) -> None:
+    """The camera delivers the same picture for 30 s."""
+    draft.frozen_s = draft.share(0.3) / 8.0, draft.share(0.3) / 8.0 + 30.0
+    draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("E", "clock-3")
+def _clock(draft: Draft) -> None:
+    """The autopilot's answers to TIMESYNC are 3 s ahead of the clock of its messages."""
+    draft.clock_off_s = 3.0
+
+
+@course("E", "pictures-3")
+def _pictures(draft: Draft) -> None:
+    """Pictures are 3 s older than they say, as behind the buffer of a network stream."""
+    draft.late_s = 3.0
 
 
 @course("E", "gps-returns")

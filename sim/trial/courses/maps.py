@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from edge.config import GatesConfig
 from edge.localization.claims import SAME_DRIVE
 from sim.trial.courses.registry import course
@@ -50,12 +52,40 @@ def _false_no_gps(draft: Draft, value: float) -> None:
     draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
-@course("C", "no-gps")
-def _no_gps(draft: Draft) -> None:
-    """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right.
+@course("C", "false-recording-{}", 24, 60)
+def _false_recording(draft: Draft, value: float) -> None:
+    """410 m of the map are 150 m wrong in two segments of one recording, so far apart; no GPS, a person drives."""
+    off_m, name = draft.side(150.0), "a recording"
+    first = Stretch(60.0, 265.0, off_m=off_m, recording=name)
+    draft.map = [first, Stretch(265.0 + value, 470.0 + value, off_m=off_m, recording=name)]
+    draft.has_gps = draft.steers = False
+    draft.rules = (within_sigmas, no_false_place, not_worse)
 
-    For roads of over 700 m.
-    """
+
+@course("C", "repeats-{}", 240, 320)
+def _repeats(draft: Draft, value: float) -> None:
+    """Blocks of so many meters all look like the first."""
+    draft.seen_m = lambda route_m: route_m % value
+    draft.unsent = [(0.0, math.inf)]
+
+
+@course("C", "alike-100-aside")
+def _alike(draft: Draft) -> None:
+    """The drive is 100 m to the side of the mapped road, on one that looks the same."""
+    draft.drive(draft.way.shifted(*draft.side(100.0)))
+    draft.unsent = [(0.0, math.inf)]
+
+
+@course("C", "far-origin", least_m=1000.0)
+def _far_origin(draft: Draft) -> None:
+    """No GPS from boot, and an origin that was set by hand 260 m off; a person drives, and the map is right."""
+    _no_gps(draft)
+    draft.origin_off_m = draft.side(260.0)
+
+
+@course("C", "no-gps", least_m=1000.0)
+def _no_gps(draft: Draft) -> None:
+    """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
     draft.unsent = [(0.0, SAME_DRIVE * GatesConfig().confirm_m + FIRST_LINE_M)]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from sim.trial.courses.registry import course
-from sim.trial.draft import Draft
+from sim.trial.draft import Draft, Stretch
 from sim.trial.rules import (
     no_false_place,
     not_worse,
     resumes,
+    sends,
     within_sigmas,
 )
 from sim.trial.way import along
 from sim.vehicle.driver import Leg
+
+APART_M = 12.0
 
 
 @course("B", "turn-off")
@@ -34,6 +38,71 @@ def _u_turn(draft: Draft) -> None:
     turned = way.turned(180.0, radius_m=draft.home.lane_m)
     back = turned.then(along(draft.road(direction="forward"), middle_m + 1, draft.length_m))
     draft.drive(back, Leg(way.length_m), Leg(turned.length_m + 5, 2.0), Leg(back.length_m - 2))
+
+
+@course("B", "dead-end")
+def _dead_end(draft: Draft) -> None:
+    """Into a dead end, a few meters back, round, and out again on the other lane."""
+    end_m = draft.share(0.4)
+    way = along(draft.home, draft.length_m, end_m)
+    turned = way.turned(180.0, radius_m=draft.home.lane_m)
+    out = turned.then(along(draft.road(direction="forward"), end_m + 1, draft.length_m))
+    back = Leg(way.length_m - 12, -2.0)
+    draft.drive(out, Leg(way.length_m), back, Leg(turned.length_m + 5, 2.0), Leg(out.length_m - 2))
+
+
+@course("B", "figure-eight")
+def _figure_eight(draft: Draft) -> None:
+    """A loop to the right and one to the left, and the first once more."""
+    middle_m = draft.share(0.5)
+    right = along(draft.home, draft.length_m - 2, middle_m).bent()
+    left = along(draft.home, middle_m - 1, 0.0).bent(to_the_left=True)
+    draft.drive(right.then(left, moved=True).then(right))
+    draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("B", "circle-twice")
+def _circle_twice(draft: Draft) -> None:
+    """The same circle twice."""
+    lap = along(draft.home, draft.length_m - 2, draft.share(0.4)).bent()
+    draft.drive(lap.then(lap))
+    draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("B", "laps-12-apart")
+def _laps_apart(draft: Draft) -> None:
+    """A circle, and then another one 12 m outside; both are mapped."""
+    lap = along(draft.home, draft.length_m - 2, draft.share(0.4)).bent()
+    outwards_m = 30.0
+    both = lap.then(lap).beside(lambda m: APART_M * min(max((m - lap.length_m) / outwards_m, 0.0), 1.0))
+    draft.drive(both)
+    inside = Stretch(draft.share(0.4), draft.length_m, on_way=True)
+    draft.map = [inside, replace(inside, left_m=-APART_M)]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("B", "lane-12-beside")
+def _lane_beside(draft: Draft) -> None:
+    """12 m beside the lane on which the map was made, to the left or to the right."""
+    left_m = float(draft.rng.choice((-APART_M, APART_M)))
+    draft.drive(draft.way.beside(lambda m: left_m))
+
+
+@course("B", "parallel-streets-12")
+def _parallel_12(draft: Draft) -> None:
+    """Another street 12 m to the left or to the right, both mapped, and seen from both."""
+    draft.map = [draft.map[0], replace(draft.map[0], left_m=float(draft.rng.choice((-APART_M, APART_M))))]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+@course("B", "parallel-streets-30")
+def _parallel_30(draft: Draft) -> None:
+    """Another street 30 m to the left or to the right, both mapped, which looks different."""
+    other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), looks=draft.world + 100)
+    draft.map = [draft.map[0], other]
+    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
 @course("B", "reversing-{}", 2, 4)

@@ -21,17 +21,23 @@ CASES = {
 
 @dataclass(frozen=True)
 class Course:
-    """A drive that something may go wrong on; lay: changes the usual draft. about: a line for people."""
+    """A drive that something may go wrong on.
+
+    lay: changes the usual draft. about: a line for people. least_m: the shortest road on which it can be driven.
+    """
 
     case: str
     lay: Callable[[Draft], None]
     about: str
+    least_m: float = 0.0
 
 
 COURSES: dict[str, Course] = {}
 
 
-def course(case: str, name: str, *values: object) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def course(
+    case: str, name: str, *values: object, least_m: float = 0.0
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add a course to a case, or one for each value; `name` has the value's place. Its docstring says what it is."""
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
@@ -41,9 +47,9 @@ def course(case: str, name: str, *values: object) -> Callable[[Callable[..., Non
             def lay(draft: Draft, value: object = value) -> None:
                 function(draft, value)
 
-            COURSES[name.format(value)] = Course(case, lay, about)
+            COURSES[name.format(value)] = Course(case, lay, about, least_m)
         if not values:
-            COURSES[name] = Course(case, function, about)
+            COURSES[name] = Course(case, function, about, least_m)
         return function
 
     return add
