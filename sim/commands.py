@@ -9,7 +9,7 @@ from pathlib import Path
 from edge.errors import ConfigError
 from sim.datasets import commands as dataset_commands
 from sim.trial import command as trial_command
-from sim.trial import gps_command
+from sim.trial import flights_command, gps_command
 from sim.vehicle import command as autopilot_command
 from sim.world.recording import SPACING_M, record_drive
 from sim.world.scenario import load_scenario
@@ -31,6 +31,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     autopilot_command.add_command(sim_commands)
     trial_command.add_command(sim_commands)
     gps_command.add_command(sim_commands)
+    flights_command.add_command(sim_commands)
     dataset_commands.add_command(sim_commands)
 
 

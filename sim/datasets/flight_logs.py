@@ -75,7 +75,9 @@ class _Receiver:
 def _tlog_fixes(_: Path, data: bytes) -> Iterator[Fix]:
     codec = MavlinkCodec(255, 0)
     system, receiver = None, _Receiver()
-    for stamp_us, frame in _tlog_frames(data):
+    for stamp_us, message_id, frame in tlog_frames(data):
+        if message_id not in TLOG_MESSAGES:
+            continue
         for message in codec.decode(frame):
             if message.get_msgId() not in TLOG_MESSAGES:
                 continue
@@ -97,8 +99,11 @@ def _tlog_fixes(_: Path, data: bytes) -> Iterator[Fix]:
             )
 
 
-def _tlog_frames(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """The frames that carry positions; a byte that begins no frame is skipped, as after a log that was cut."""
+def tlog_frames(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Microseconds since 1970, message id and bytes of each frame of a .tlog.
+
+    A byte that begins no frame is skipped, as after a log that was cut.
+    """
     at = 0
     while at + STAMP_BYTES + 12 <= len(data):
         start = at + STAMP_BYTES
@@ -113,8 +118,7 @@ def _tlog_frames(data: bytes) -> Iterator[tuple[int, bytes]]:
         else:
             at += 1
             continue
-        if message_id in TLOG_MESSAGES:
-            yield struct.unpack_from(">Q", data, at)[0], data[start:end]
+        yield struct.unpack_from(">Q", data, at)[0], message_id, data[start:end]
         at = end
 
 

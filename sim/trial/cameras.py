@@ -42,8 +42,17 @@ class PlacedNetwork(Network):
 class TrialCamera:
     """One camera in simulated time: `expose` when it is due, `take` what has arrived."""
 
-    def __init__(self, now_ns: Callable[[], int], rng: np.random.Generator, late_frames: int = 0) -> None:
+    def __init__(
+        self,
+        now_ns: Callable[[], int],
+        rng: np.random.Generator,
+        late_frames: int = 0,
+        *,
+        latency_s: tuple[float, float] = LATENCY_S,
+        hole_rate: float = HOLE_RATE,
+    ) -> None:
         """late_frames: by how many frames pictures are older than their stamps."""
+        self._latency_s, self._hole_rate = latency_s, hole_rate
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
         self._now_ns, self._rng = now_ns, rng
@@ -53,17 +62,18 @@ class TrialCamera:
         self._buffered: deque[View] = deque(maxlen=late_frames + 1)
         self._picture = 0
 
-    def expose(self, view: View, *, frozen: bool = False) -> None:
-        """A frame of this view, or of the one before if it is frozen, unless there is a hole."""
+    def expose(self, view: View, stamp_ns: int | None = None, *, frozen: bool = False) -> None:
+        """A frame of this view, or of the one before if it is frozen, unless there is a hole; stamp_ns: not of now."""
         if not frozen or not self._buffered:
             self._buffered.append(view)
             self._picture += 1
         view, now_s = self._buffered[0], self._now_ns() / 1e9
-        if self._rng.random() < HOLE_RATE:
+        if self._rng.random() < self._hole_rate:
             self._hole_until_s = now_s + self._rng.uniform(0.0, LONGEST_HOLE_S)
-        latency_s = self._rng.uniform(*LATENCY_S)
+        latency_s = self._rng.uniform(*self._latency_s)
         if now_s >= self._hole_until_s:
-            self._waiting.append((now_s + latency_s, self._now_ns(), view, self._picture))
+            stamp_ns = self._now_ns() if stamp_ns is None else stamp_ns
+            self._waiting.append((now_s + latency_s, stamp_ns, view, self._picture))
 
     @property
     def health(self) -> CameraHealth:

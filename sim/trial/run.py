@@ -248,7 +248,7 @@ def _sent(draft: Draft, simulation: Simulation) -> Sent:
     rows = np.array(simulation.rows)
     found, is_stream = [], False
     for item in simulation.autopilot.received:
-        position = _position(item.message, draft, simulation.autopilot.origin_m or (0.0, 0.0))
+        position = read_position(item.message, simulation.autopilot.origin_m or (0.0, 0.0), draft.lon_shift_deg)
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             at_s = simulation.time_s(item.time_s) - age_s
@@ -260,11 +260,14 @@ def _sent(draft: Draft, simulation: Simulation) -> Sent:
     return Sent(columns[0], columns[1], columns[2], is_stream)
 
 
-def _position(
-    message: Message, draft: Draft, origin_m: tuple[float, float]
+def read_position(
+    message: Message, origin_m: tuple[float, float] = (0.0, 0.0), shift_deg: float = 0.0
 ) -> tuple[float, float, float, float] | None:
-    """East, north, sigma (m) and age (s) of a position message, None for others."""
-    shift_deg, kind = draft.lon_shift_deg, message.get_msgId()
+    """East, north, sigma (m) and age (s) of a position message, None for others.
+
+    origin_m: of the autopilot's local frame. shift_deg: by which the simulation's origin was moved east.
+    """
+    kind = message.get_msgId()
     if kind == mavlink.MAVLINK_MSG_ID_COMMAND_INT and message.command == EXTERNAL_POSITION_ESTIMATE:
         return *east_north_m(message.x / 1e7, message.y / 1e7, shift_deg), message.param3, message.param2
     if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:

@@ -5,10 +5,6 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import Pose
+from sim.trial.recorded_drive import Columns, read_columns, read_messages
 from sim.vehicle.estimator import AS_FLOWN, Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.position_inputs import Moment, PositionInputs, east_north_m
@@ -45,7 +41,6 @@ FLIGHTS: dict[str, OdometryErrors] = {
     "px4_external_position_person": OdometryErrors("none"),
     "px4_rover_mission": OdometryErrors("none"),
 }
-Columns = dict[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -67,32 +62,11 @@ class Comparison:
         return float(self.simulated_m[-1] / self.real_m[-1])
 
 
-def read_columns(path: Path) -> Columns:
-    """A CSV file of numbers."""
-    with gzip.open(path, "rt", encoding="utf-8") as file:
-        rows = csv.reader(file)
-        names = next(rows)
-        values = np.array([[float(value or "nan") for value in row] for row in rows])
-    values = values[np.r_[True, np.diff(values[:, 0]) > 0]]
-    return {name: values[:, column] for column, name in enumerate(names)}
-
-
-def read_messages(path: Path) -> Iterator[tuple[float, Any]]:
-    """Unix time in seconds and message of a .tlog."""
-    data, at, codec = gzip.decompress(path.read_bytes()), 0, MavlinkCodec(1, 191)
-    while at + 20 <= len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        for message in codec.decode(data[at + 8 : at + 8 + size]):
-            yield stamp_us / 1e6, message
-        at += 8 + size
-
-
 def compare(folder: Path, errors: OdometryErrors) -> Comparison:
     """Replay one recorded flight from the loss of GPS on."""
     truth, own = (read_columns(folder / f"{name}.csv.gz") for name in ("truth", "autopilot_position"))
     is_px4 = folder.name.startswith("px4")
-    messages = list(read_messages(folder / "telem2.tlog.gz"))
+    messages = [(at_s, message) for at_s, _, message in read_messages(folder / "telem2.tlog.gz")]
     mono_of_boot_s = float(np.median(own["mono_s"] - own["boot_ms"] / 1e3))
     unix_of_boot_s = np.median(
         [at - m.time_boot_ms / 1e3 for at, m in messages if m.get_type() == "LOCAL_POSITION_NED"]
