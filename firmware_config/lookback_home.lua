@@ -6,11 +6,12 @@
 --   LKH_MODE   -1     mode to change to once the mission is verified; -1 (default): none. AUTO is 10 on Rover, 3 on Copter
 --   LKH_COMP   191    MAVLink component ID of Lookback ([telemetry] component_id)
 --
--- Switch to high: request the mission. Switch to low before it is there: no change of mode. The script never arms.
+-- Switch to high: request the mission. Switch to low before the mode changes: it does not. The script never arms.
+-- Without valid input of the receiver, or after a failsafe, it changes no mode: FS_THR_ENABLE must be 1 on Rover.
 
 local SEVERITY = { ERROR = 3, WARNING = 4, INFO = 6 }
 local HEARTBEAT, COMMAND_LONG, COMMAND_ACK = 0, 76, 77
-local MAV_CMD_USER_1 = 31010
+local MAV_CMD_USER_5, LOOK = 31014, 5665 -- LOOK: parameter 2, without which the command means something else
 local ACCEPTED, IN_PROGRESS = 0, 5
 local RESULTS = { [1] = "not now", [2] = "denied", [3] = "unsupported", [4] = "failed" }
 local LOW, HIGH = 0, 2
@@ -18,6 +19,8 @@ local PERIOD_MS = 100
 local REPEAT_TICKS, REPETITIONS = 30, 5 -- a command without an answer, every 3 s
 local LONGEST_TICKS = 1800              -- from the first command to the mission
 local SILENT_TICKS = 50                 -- without a heartbeat of Lookback
+local MODE_TICKS = 50                   -- from the announcement of a change of mode to the change, 5 s
+local SETTLE_TICKS = 10                 -- until the switch is read again after a loss; ArduPilot debounces it for 0.2 s
 local MESSAGES_PER_TICK = 20
 local LONG_MESSAGE = 299                -- bytes of a received message with system IDs of 32 bits, in later versions
 
@@ -36,15 +39,17 @@ mavlink:register_rx_msgid(COMMAND_ACK)
 local system_id = param:get("MAV_SYSID") or param:get("SYSID_THISMAV")
 local tick = 0
 local channel, heard_tick -- of Lookback's heartbeats
-local position            -- of the switch
-local request             -- { first, last: ticks; sent: commands; answered: whether the upload is under way }
+local position            -- of the switch; nil where it is not known
+local lost_tick = 0       -- when the receiver had no valid input last
+local request             -- { first, last: ticks; sent: commands; answered: whether the upload is under way; from: the mode
+                          --   at that time; items: of the mission, once it is there; ready: when that was }
 
 local function say(severity, text)
     gcs:send_text(severity, "Home: " .. text)
 end
 
 local function send_command()
-    local fields = string.pack("<fffffffI2BBB", 1, 0, 0, 0, 0, 0, 0, MAV_CMD_USER_1,
+    local fields = string.pack("<fffffffI2BBB", 1, LOOK, 0, 0, 0, 0, 0, MAV_CMD_USER_5,
         system_id, param:get("LKH_COMP"), request.sent)
     request.sent, request.last = request.sent + 1, tick
     mavlink:send_chan(channel, COMMAND_LONG, fields)
@@ -55,7 +60,7 @@ local function begin_request()
         say(SEVERITY.ERROR, "Lookback is not connected")
         return
     end
-    request = { first = tick, last = tick, sent = 0, answered = false }
+    request = { first = tick, last = tick, sent = 0, answered = false, from = vehicle:get_mode() }
     say(SEVERITY.INFO, "mission requested")
     send_command()
 end
@@ -65,35 +70,53 @@ local function end_request(severity, text)
     say(severity, text)
 end
 
--- The mission is there. Changes the mode where the parameter asks for it, and everything else permits it.
-local function mission_ready(items)
-    if mission:num_commands() ~= items then
-        end_request(SEVERITY.ERROR, "the mission has changed")
-        return
-    end
-    local mode = param:get("LKH_MODE")
-    if mode == nil or mode < 0 then
-        end_request(SEVERITY.INFO, "the mission is ready")
+-- What speaks against a change of mode, nil if nothing does.
+local function objection()
+    if mission:num_commands() ~= request.items then
+        return SEVERITY.ERROR, "the mission has changed"
     elseif not arming:is_armed() then
-        end_request(SEVERITY.WARNING, "the mission is ready, not armed")
+        return SEVERITY.WARNING, "the mission is ready, not armed"
     elseif position ~= HIGH then
-        end_request(SEVERITY.WARNING, "the mission is ready, switch is not high")
-    elseif mission:set_current_cmd(1) and vehicle:set_mode(math.floor(mode)) then
-        end_request(SEVERITY.INFO, "on the way")
-    else
-        end_request(SEVERITY.ERROR, "the mode was refused")
+        return SEVERITY.WARNING, "the mission is ready, switch is not high"
+    elseif vehicle:get_mode() ~= request.from then
+        return SEVERITY.WARNING, "the mission is ready, mode has changed"
+    elseif battery:has_failsafed() or vehicle:has_ekf_failsafed() then
+        return SEVERITY.WARNING, "the mission is ready, failsafe"
+    end
+end
+
+-- The mission is there. Changes the mode after MODE_TICKS where the parameter asks for it, and all else permits it.
+local function mission_ready()
+    local mode = param:get("LKH_MODE")
+    if mission:num_commands() == request.items and (mode == nil or mode < 0) then
+        return end_request(SEVERITY.INFO, "the mission is ready")
+    end
+    local severity, text = objection()
+    if severity then
+        return end_request(severity, text)
+    end
+    if not request.ready then
+        request.ready = tick
+        local seconds = MODE_TICKS * PERIOD_MS // 1000
+        say(SEVERITY.WARNING, string.format("mode %d in %d s, switch low cancels", mode // 1, seconds))
+    elseif tick - request.ready >= MODE_TICKS then
+        if mission:set_current_cmd(1) and vehicle:set_mode(math.floor(mode)) then
+            end_request(SEVERITY.INFO, "on the way")
+        else
+            end_request(SEVERITY.ERROR, "the mode was refused")
+        end
     end
 end
 
 local function acknowledged(message, payload)
     local command, result, _, items, to_system, to_component = string.unpack("<I2BBi4BB", message, payload)
-    if not request or command ~= MAV_CMD_USER_1 or to_system ~= system_id or to_component ~= 1 then
+    if not request or request.items or command ~= MAV_CMD_USER_5 or to_system ~= system_id or to_component ~= 1 then
         return
     end
     if result == IN_PROGRESS then
         request.answered = true
     elseif result == ACCEPTED then
-        mission_ready(items)
+        request.items = items
     else
         end_request(SEVERITY.ERROR, "no mission, " .. (RESULTS[result] or ("result " .. result)))
     end
@@ -119,11 +142,16 @@ local function read_messages()
 end
 
 local function read_switch()
+    if not rc:has_valid_input() then
+        lost_tick = tick
+    end
     local now = rc:get_aux_cached(param:get("LKH_FUNC"))
-    if now == nil then
+    -- While the receiver is lost ArduPilot keeps the last position, and for a moment afterwards.
+    if now == nil or tick - lost_tick < SETTLE_TICKS then
+        position = nil
         return
     end
-    -- The first position is no movement: a switch that is high at boot requests nothing.
+    -- The first position is no movement: a switch that is high at boot, or after a loss, requests nothing.
     local rose = position ~= nil and position ~= HIGH and now == HIGH
     position = now
     if rose and not request then
@@ -132,7 +160,7 @@ local function read_switch()
 end
 
 local function repeat_command()
-    if not request or tick - request.last < REPEAT_TICKS then
+    if not request or request.items or tick - request.last < REPEAT_TICKS then
         return
     end
     if tick - request.first > LONGEST_TICKS or (not request.answered and request.sent > REPETITIONS) then
@@ -151,6 +179,9 @@ local function update()
     read_messages()
     read_switch()
     repeat_command()
+    if request and request.items then
+        mission_ready()
+    end
 end
 
 -- An error in one call ends the request, not the script.

@@ -91,7 +91,7 @@ def test_a_program_asks_the_daemon_and_then_the_pilot_does(
     *_, last = vehicle.mission.waypoints_deg
     assert last == pytest.approx((LAT_DEG, LON_DEG), abs=1e-6)
     vehicle.mission.items.clear()
-    vehicle.send(mavlink.MAVLink_command_long_message(1, 191, 31010, 0, 1, 0, 0, 0, 0, 0, 0))
+    vehicle.send(mavlink.MAVLink_command_long_message(1, 191, 31014, 0, 1, 5665, 0, 0, 0, 0, 0))
     until(lambda: vehicle.mission.waypoints_deg, "no mission")
     until(
         lambda: [one.verified for one in records_of(config.parent / "events.jsonl", HomeAnswered)][-2:] == [True] * 2,

@@ -57,7 +57,7 @@ def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
                     daemon.turn()
 
         run(41.0)  # 380 m out, and GPS has failed
-        autopilot.send(mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_1, 0, 1, 0, 0, 0, 0, 0, 0))
+        autopilot.send(mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_5, 0, 1, 5665, 0, 0, 0, 0, 0))
         run(2.0)
     (answer,) = records_of(tmp_path / "events.jsonl", HomeAnswered)
     assert answer.verified, answer.text

@@ -27,16 +27,22 @@ SHARPEST_RAD = math.radians(95)
 SLACK = 4.0
 """Tolerances by which a leg of the waypoints may be shorter than that of the drive."""
 SHORTEST_M = 5.0
+BRIEF = 40
+"""A line of STATUSTEXT has 50 characters, and begins with "Lookback: "."""
 MOST_WAYPOINTS = 700
 """ArduPilot stores about 720 items on most boards, PX4 2000 where it has a memory card."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found. refuses: the way must not be driven like this; else it is a warning."""
+    """What a check found. refuses: the way must not be driven like this; else it is a warning.
+
+    brief: a warning in at most BRIEF characters, as a pilot reads it while driving.
+    """
 
     refuses: bool
     text: str
+    brief: str = ""
 
     def __str__(self) -> str:
         return f"{'refused' if self.refuses else 'warning'}: {self.text}"
@@ -121,6 +127,7 @@ def start_check(away_m: float, sigma_m: float | None, turn_rad: float | None, co
         needs_m > config.max_start_m,
         f"the vehicle points {degrees:.0f} degrees away from the way home: it needs {needs_m:.0f} m beside it to turn,"
         " or turn it first",
+        f"home is {degrees:.0f} degrees off, turn first",
     )
 
 
@@ -131,6 +138,7 @@ def loop_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> Ite
             False,
             f"{_stretch(start_m, end_m)}: a loop or a turn, driven the other way round: check that no road in it is"
             " one-way",
+            f"one-way roads {_stretch(start_m, end_m)}?",
         )
 
 

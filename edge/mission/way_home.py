@@ -61,6 +61,11 @@ class WayHome:
         """What the pilot must know before."""
         return [finding.text for finding in self.findings if not finding.refuses]
 
+    @property
+    def briefs(self) -> list[str]:
+        """The warnings in lines that a pilot can read while driving."""
+        return [finding.brief for finding in self.findings if not finding.refuses]
+
     def __str__(self) -> str:
         return f"{self.length_m:.0f} m back along {self.drive}, {len(self.along_m)} waypoints for {self.places} places"
 

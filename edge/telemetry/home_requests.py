@@ -1,4 +1,4 @@
-"""Requests for the way home: MAV_CMD_USER_1 addressed to us, or a local program's, until the mission is verified.
+"""Requests for the way home: a command addressed to us, or a local program's, until the mission is verified.
 
 A request only uploads a mission: nothing in here arms a vehicle, starts a mission or changes a mode. It is rejected
 unless the vehicle is known, in a mode in which it does not drive by itself, and its position is known; and unless every
@@ -23,13 +23,18 @@ from edge.telemetry.codec import Message
 from edge.telemetry.mission_transfer import MissionTransfer
 from edge.telemetry.vehicle import Vehicle
 
-HOME_COMMAND = mavlink.MAV_CMD_USER_1
+HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
+"""With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
+ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS."""
+OLD_COMMAND = mavlink.MAV_CMD_USER_1
+"""Before: a script that still sends it is answered that it is not supported."""
 MISSION_MESSAGES = (
     mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
     mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
     mavlink.MAVLINK_MSG_ID_MISSION_ACK,
     mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
     mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
 )
 ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 AUTOPILOTS = (ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4)
@@ -76,9 +81,9 @@ class HomeRequests:
         component_id: int,
         vehicle: Vehicle,
         record: Callable[[Record], object] = lambda record: None,
-        send_text: Callable[[str], object] = lambda text: None,
+        send_text: Callable[[str, int], object] = lambda text, severity: None,
     ) -> None:
-        """send_text: queues a line for the pilot."""
+        """send_text: queues a line of a MAV_SEVERITY for the pilot."""
         self._config, self._component_id, self._vehicle = config, component_id, vehicle
         self._record, self._send_text = record, send_text
         self.plan: Plan | None = None
@@ -94,9 +99,11 @@ class HomeRequests:
     def read(self, message: Message, now_ns: int) -> list[Message]:
         """Read a message of any component on the autopilot's link; the messages that are due because of it."""
         kind = message.get_msgId()
-        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command == HOME_COMMAND:
+        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in (HOME_COMMAND, OLD_COMMAND):
             return self._command(message, now_ns) if self._is_for_us(message) else []
-        if kind not in MISSION_MESSAGES or self._transfer is None or not self._is_for_us(message):
+        if kind not in MISSION_MESSAGES or self._transfer is None:
+            return []
+        if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not self._is_for_us(message):
             return []
         sender = message.get_srcSystem(), message.get_srcComponent()
         if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
@@ -125,6 +132,9 @@ class HomeRequests:
 
     def _command(self, message: Message, now_ns: int) -> list[Message]:
         sender = message.get_srcSystem(), message.get_srcComponent()
+        if message.command == OLD_COMMAND:
+            unsupported = mavlink.MAV_RESULT_UNSUPPORTED
+            return [encoders.acknowledgement(OLD_COMMAND, unsupported, 0, *sender)]
         if self._transfer is not None and sender == self._sender:
             return [self._acknowledgement(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""))]
         if message.confirmation and self._last is not None:
@@ -132,8 +142,8 @@ class HomeRequests:
             if to == sender and now_ns - answered_ns < REPEATED_NS:
                 return [self._acknowledgement(sender, answer)]
         messages: list[Message] = []
-        if message.param1 != 1:
-            answer = Answer(mavlink.MAV_RESULT_DENIED, "parameter 1 of the command is not 1")
+        if (message.param1, message.param2) != HOME_PARAMS:
+            answer = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
         else:
             answer, messages = self._begin(now_ns)
         if answer.is_final:
@@ -153,8 +163,8 @@ class HomeRequests:
         items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
         self._transfer = MissionTransfer(items, vehicle.system_id or 1, first_is_home=home_first)
         self._items, self._way = len(items), str(way)
-        for warning in way.warnings:
-            self._send_text(f"Lookback: {warning}")
+        for warning in way.briefs:
+            self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
         log.info("way home: %s", way)
         return Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {way}"), self._transfer.start(now_ns)
 
@@ -214,7 +224,8 @@ class HomeRequests:
         """Publish a final answer."""
         log.info("way home: %s", answer.text)
         self._record(HomeAnswered(answer.is_accepted, answer.text, answer.items))
-        self._send_text(f"Lookback: {answer.text}")
+        severity = mavlink.MAV_SEVERITY_INFO if answer.is_accepted else mavlink.MAV_SEVERITY_WARNING
+        self._send_text(f"Lookback: {answer.text}", severity)
         return answer
 
     def _acknowledgement(self, sender: tuple[int, int], answer: Answer) -> Message:

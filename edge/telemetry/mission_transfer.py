@@ -1,11 +1,13 @@
-"""One upload of a mission by MAVLink's mission protocol, downloaded again and compared. No I/O.
+"""One upload of a mission by MAVLink's mission protocol, downloaded again and compared, and set to its start. No I/O.
 
     MISSION_COUNT -> (MISSION_REQUEST_INT or MISSION_REQUEST -> MISSION_ITEM_INT)... -> MISSION_ACK
     MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT)... -> MISSION_ACK
+    MISSION_SET_CURRENT 0 -> MISSION_CURRENT 0
 
-Timeouts and the number of repetitions are those that the protocol's document recommends. ArduPilot replaces its items
-one by one, so that after a failure it may have a mission of old and new items: a mission that was begun and is not
-verified is cleared (MISSION_CLEAR_ALL).
+A new mission begins where the old one was left: PX4 keeps its index, at most the last item's, and ArduPilot resumes at
+the item that it stopped at. Timeouts and the number of repetitions are those that the protocol's document recommends.
+ArduPilot replaces its items one by one, so that after a failure it may have a mission of old and new items: a mission
+that was begun and is not verified is cleared (MISSION_CLEAR_ALL).
 """
 
 from __future__ import annotations
@@ -37,7 +39,10 @@ REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT, mavlink.MAVLINK_MSG_ID_M
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a transfer ended. verified: the autopilot has exactly these items; why: what went wrong, "" if nothing."""
+    """How a transfer ended. verified: the autopilot has exactly these items, and begins with the first.
+
+    why: what went wrong, "" if nothing.
+    """
 
     verified: bool
     why: str = ""
@@ -51,7 +56,7 @@ class MissionTransfer:
         self._system_id, self._first_is_home = system_id, first_is_home
         self._items = [_item_message(system_id, number, item) for number, item in enumerate(items)]
         self.outcome: Outcome | None = None
-        self._phase: Literal["upload", "list", "download", "clear"] = "upload"
+        self._phase: Literal["upload", "list", "download", "begin", "clear"] = "upload"
         self._why = ""
         self._began = False  # the autopilot may have changed its mission
         self._next = 0  # item of the download
@@ -62,9 +67,8 @@ class MissionTransfer:
     def start(self, now_ns: int) -> list[Message]:
         """The first message."""
         self._started_ns = now_ns
-        return self._expect(
-            mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION), now_ns
-        )
+        count = mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION)
+        return self._expect([count], now_ns)
 
     def due(self, now_ns: int) -> list[Message]:
         """What has not been answered in time, again; a failure after the last repetition."""
@@ -75,9 +79,7 @@ class MissionTransfer:
         if now_ns - self._sent_ns < self._timeout_ns():
             return []
         if self._tries > (CLEAR_REPETITIONS if self._phase == "clear" else REPETITIONS):
-            # Without a request the count may have arrived or not; ArduPilot cuts its mission down to it.
-            doubt = "" if self._began else "; look at the autopilot's mission before you start it"
-            return self._fail(f"the autopilot does not answer{doubt}", now_ns)
+            return self._fail(self._unanswered(), now_ns)
         if self._phase == "upload" and self._pending[0] is self._items[-1] and not self._assumed_complete:
             # Repeated, it would be an error for ArduPilot, if only its acknowledgement was lost.
             self._assumed_complete = True
@@ -86,8 +88,10 @@ class MissionTransfer:
         return self._pending
 
     def read(self, message: Message, now_ns: int) -> list[Message]:
-        """Read a message of the autopilot that is addressed to us; returns the answers."""
+        """Read a message of the autopilot that is addressed to us, or to nobody; returns the answers."""
         kind = message.get_msgId()
+        if self.outcome is None and kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
+            return self._set_to(message.seq)
         if self.outcome is not None or getattr(message, "mission_type", None) != MISSION:
             return []
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
@@ -96,9 +100,8 @@ class MissionTransfer:
             return self._requested(message.seq, now_ns)
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_COUNT and self._phase == "list":
             return self._counted(message.count, now_ns)
-        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._phase == "download":
-            return self._compared(message, now_ns)
-        return []
+        is_item = kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._phase == "download"
+        return self._compared(message, now_ns) if is_item else []
 
     def cancel(self, why: str, now_ns: int) -> list[Message]:
         """End it without success."""
@@ -108,7 +111,7 @@ class MissionTransfer:
         self._began, self._phase = True, "upload"
         if number >= len(self._items):
             return self._fail(f"the autopilot requests item {number} of {len(self._items)}", now_ns)
-        return self._expect(self._items[number], now_ns)
+        return self._expect([self._items[number]], now_ns)
 
     def _acknowledged(self, result: int, now_ns: int) -> list[Message]:
         accepted = result == mavlink.MAV_MISSION_ACCEPTED
@@ -119,7 +122,7 @@ class MissionTransfer:
             return []  # an item that came twice
         if self._phase == "list" and self._assumed_complete and result == mavlink.MAV_MISSION_DENIED:
             self._phase = "upload"  # it still waits for the last item
-            return self._expect(self._items[-1], now_ns)
+            return self._expect([self._items[-1]], now_ns)
         if not accepted:
             return self._fail(f"the autopilot refuses the mission: {result_name(result)}", now_ns)
         if self._phase != "upload" or not self._began:
@@ -140,22 +143,40 @@ class MissionTransfer:
         self._next += 1
         if self._next < len(self._items):
             return self._request_next(now_ns)
-        self.outcome = Outcome(verified=True)
-        return [mavlink.MAVLink_mission_ack_message(self._system_id, 1, mavlink.MAV_MISSION_ACCEPTED, MISSION)]
+        self._phase = "begin"
+        # PX4 ignores the second while it waits for the first, so both are repeated.
+        begin = mavlink.MAVLink_mission_set_current_message(self._system_id, 1, 0)
+        return self._expect([self._acknowledgement(mavlink.MAV_MISSION_ACCEPTED), begin], now_ns)
+
+    def _set_to(self, number: int) -> list[Message]:
+        """The autopilot's current item. ArduPilot answers with the number that it was sent, PX4 once a second."""
+        if self._phase == "begin" and number == 0:
+            self.outcome = Outcome(verified=True)
+        return []
 
     def _request_list(self, now_ns: int) -> list[Message]:
         self._phase = "list"
-        return self._expect(mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION), now_ns)
+        return self._expect([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)], now_ns)
 
     def _request_next(self, now_ns: int) -> list[Message]:
-        return self._expect(
-            mavlink.MAVLink_mission_request_int_message(self._system_id, 1, self._next, MISSION), now_ns
-        )
+        request = mavlink.MAVLink_mission_request_int_message(self._system_id, 1, self._next, MISSION)
+        return self._expect([request], now_ns)
 
-    def _expect(self, message: Message, now_ns: int) -> list[Message]:
-        """Send a message that has to be answered."""
-        self._pending, self._sent_ns, self._tries = [message], now_ns, 1
+    def _unanswered(self) -> str:
+        """What it means that no answer has come."""
+        if self._phase == "begin":
+            return "the autopilot does not go back to the first item"
+        # Without a request the count may have arrived or not; ArduPilot cuts its mission down to it.
+        doubt = "" if self._began else "; look at the autopilot's mission before you start it"
+        return f"the autopilot does not answer{doubt}"
+
+    def _expect(self, messages: list[Message], now_ns: int) -> list[Message]:
+        """Send messages the last of which has to be answered."""
+        self._pending, self._sent_ns, self._tries = messages, now_ns, 1
         return self._pending
+
+    def _acknowledgement(self, result: int) -> Message:
+        return mavlink.MAVLink_mission_ack_message(self._system_id, 1, result, MISSION)
 
     def _timeout_ns(self) -> int:
         return ITEM_NS if self._phase == "download" else ANSWER_NS
@@ -168,7 +189,11 @@ class MissionTransfer:
         if not self._began:
             return self._end()
         self._phase = "clear"
-        return self._expect(mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION), now_ns)
+        # PX4 ignores the second during a transfer, and waits 5 s for one that has stopped.
+        ended = mavlink.MAVLink_mission_ack_message(
+            self._system_id, 1, mavlink.MAV_MISSION_OPERATION_CANCELLED, MISSION
+        )
+        return self._expect([ended, mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)], now_ns)
 
     def _end(self) -> list[Message]:
         self.outcome = Outcome(verified=False, why=self._why)
@@ -188,7 +213,7 @@ def _item_message(system_id: int, number: int, item: MissionItem) -> Message:
         number,
         item.frame,
         item.command,
-        0,
+        int(number == 0),  # the current one; both firmware types need MISSION_SET_CURRENT all the same
         1,
         *item.params,
         round(item.lat_deg * 1e7),

@@ -27,7 +27,9 @@ from tests.mission.test_way_home import straight
 from tests.telemetry.conftest import Rig
 
 SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
-CHANNEL, AUTO = 2, 10
+CHANNEL, MANUAL, HOLD, AUTO = 2, 0, 4, 10
+SETTLED = 12
+"""Steps after which the position of the switch counts."""
 LOW, MIDDLE, HIGH = 0, 1, 2
 API = """
 function(host)
@@ -41,9 +43,10 @@ function(host)
   param = object("param", "add_table add_param get")
   mavlink = object("mavlink", "init register_rx_msgid receive_chan send_chan")
   mission = object("mission", "num_commands set_current_cmd")
-  vehicle = object("vehicle", "set_mode")
+  vehicle = object("vehicle", "set_mode get_mode has_ekf_failsafed")
+  battery = object("battery", "has_failsafed")
   arming = object("arming", "is_armed")
-  rc = object("rc", "get_aux_cached")
+  rc = object("rc", "get_aux_cached has_valid_input")
   gcs = object("gcs", "send_text")
   io, os, package, require, dofile, loadfile = nil, nil, nil, nil, nil, nil
 end
@@ -57,6 +60,12 @@ class Scripting:
         self.parameters: dict[str, float] = {"SYSID_THISMAV": 1.0}
         self.set_up = parameters
         self.switch = switch
+        """As the receiver sends it; None before it has ever been heard."""
+        self.is_received = True
+        """Whether the receiver is heard; if not, ArduPilot keeps what it read last, also for 0.2 s afterwards."""
+        self.failsafe = ""
+        self.mode = MANUAL
+        self._cached, self._debounced = switch, 0
         self.armed = True
         self.items = 0
         self.modes: list[int] = []
@@ -75,6 +84,8 @@ class Scripting:
 
     def step(self, times: int = 1) -> None:
         for _ in range(times):
+            self._debounced = self._debounced + 1 if self.is_received else 0
+            self._cached = self.switch if self._debounced > 2 else self._cached
             self._next, period_ms = self._next()
             assert period_ms == 100, self.texts
 
@@ -89,7 +100,7 @@ class Scripting:
     def heartbeat(self, **sender: int) -> None:
         self.receive(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), **sender)
 
-    def answer(self, result: int, items: int = 0, command: int = 31010, to: int = 1, **sender: int) -> None:
+    def answer(self, result: int, items: int = 0, command: int = 31014, to: int = 1, **sender: int) -> None:
         self.receive(mavlink.MAVLink_command_ack_message(command, result, 0, items, 1, to), **sender)
 
     def _call(self, name: bytes, method: bytes, *args: Any) -> Any:
@@ -139,12 +150,24 @@ class Scripting:
         self.modes += [] if self.refuses_mode else [mode]
         return not self.refuses_mode
 
+    def _vehicle_get_mode(self) -> int:
+        return self.mode
+
+    def _vehicle_has_ekf_failsafed(self) -> bool:
+        return self.failsafe == "ekf"
+
+    def _battery_has_failsafed(self) -> bool:
+        return self.failsafe == "battery"
+
     def _arming_is_armed(self) -> bool:
         return self.armed
 
     def _rc_get_aux_cached(self, function: float) -> int | None:
         assert 300 <= function <= 307
-        return self.switch
+        return self._cached
+
+    def _rc_has_valid_input(self) -> bool:
+        return self.is_received
 
     def _gcs_send_text(self, severity: int, text: bytes) -> None:
         assert 0 <= severity <= 7
@@ -156,7 +179,7 @@ def start(**parameters: float) -> Scripting:
     """The script, enabled, with Lookback connected and the switch low."""
     scripting = Scripting(LKH_ENABLE=1, **parameters)
     scripting.heartbeat()
-    scripting.step(3)
+    scripting.step(SETTLED)
     return scripting
 
 
@@ -171,8 +194,8 @@ def requested(**parameters: float) -> Scripting:
 def test_the_switch_requests_the_mission_and_changes_no_mode() -> None:
     scripting = requested()
     command = scripting.sent[0]
-    assert (command.command, command.target_system, command.target_component) == (31010, 1, 191)
-    assert (command.param1, command.confirmation) == (1.0, 0)
+    assert (command.command, command.target_system, command.target_component) == (31014, 1, 191)
+    assert (command.param1, command.param2, command.confirmation) == (1.0, 5665.0, 0)
     scripting.answer(5)
     scripting.step(20)
     scripting.items = 17
@@ -186,7 +209,10 @@ def test_the_mode_is_changed_where_the_parameter_asks_for_it() -> None:
     scripting = requested(LKH_MODE=AUTO)
     scripting.items = 17
     scripting.answer(0, 17)
-    scripting.step(20)
+    scripting.step(49)
+    assert scripting.modes == [], "the pilot has the time that was stated"
+    assert scripting.texts[-1] == "Home: mode 10 in 5 s, switch low cancels"
+    scripting.step(5)
     assert scripting.modes == [AUTO]
     assert scripting.texts[-1] == "Home: on the way"
 
@@ -195,7 +221,7 @@ def test_messages_with_long_system_ids_are_read_as_well() -> None:
     scripting = Scripting(LKH_ENABLE=1)
     scripting.has_long_ids = True
     scripting.heartbeat()
-    scripting.step(3)
+    scripting.step(SETTLED)
     scripting.switch = HIGH
     scripting.step()
     scripting.items = 17
@@ -220,6 +246,22 @@ def refusing(scripting: Scripting) -> None:
     scripting.refuses_mode = True
 
 
+def receiver_lost(scripting: Scripting) -> None:
+    scripting.is_received = False
+
+
+def held_by_a_failsafe(scripting: Scripting) -> None:
+    scripting.mode = HOLD
+
+
+def battery_empty(scripting: Scripting) -> None:
+    scripting.failsafe = "battery"
+
+
+def filter_failed(scripting: Scripting) -> None:
+    scripting.failsafe = "ekf"
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -227,15 +269,28 @@ def refusing(scripting: Scripting) -> None:
         (disarmed, "Home: the mission is ready, not armed"),
         (other_mission, "Home: the mission has changed"),
         (refusing, "Home: the mode was refused"),
+        (receiver_lost, "Home: the mission is ready, switch is not high"),
+        (held_by_a_failsafe, "Home: the mission is ready, mode has changed"),
+        (battery_empty, "Home: the mission is ready, failsafe"),
+        (filter_failed, "Home: the mission is ready, failsafe"),
     ],
 )
-def test_the_mode_stays_where_anything_speaks_against_it(change: Callable[[Scripting], None], text: str) -> None:
+@pytest.mark.parametrize("is_announced", [False, True])
+def test_the_mode_stays_where_anything_speaks_against_it(
+    change: Callable[[Scripting], None], text: str, is_announced: bool
+) -> None:
+    """Before the mission is there, and after the change of mode was announced."""
     scripting = requested(LKH_MODE=AUTO)
     scripting.items = 17
-    change(scripting)
-    scripting.step()
-    scripting.answer(0, 17)
-    scripting.step(20)
+    if is_announced:
+        scripting.answer(0, 17)
+        scripting.step(20)
+        change(scripting)
+    else:
+        change(scripting)
+        scripting.step(3)
+        scripting.answer(0, 17)
+    scripting.step(70)
     assert scripting.modes == []
     assert scripting.texts[-1] == text
 
@@ -271,7 +326,7 @@ def test_an_upload_that_never_ends_is_given_up() -> None:
     assert scripting.modes == []
 
 
-@pytest.mark.parametrize("sender", [{"component_id": 190}, {"system_id": 2}, {"command": 31011}, {"to": 190}], ids=str)
+@pytest.mark.parametrize("sender", [{"component_id": 190}, {"system_id": 2}, {"command": 31010}, {"to": 190}], ids=str)
 def test_answers_of_others_are_ignored(sender: dict[str, int]) -> None:
     scripting = requested(LKH_MODE=AUTO)
     scripting.items = 17
@@ -293,7 +348,7 @@ def test_an_answer_without_a_request_is_ignored() -> None:
 def test_nothing_is_requested_unless_enabled() -> None:
     scripting = Scripting()
     scripting.heartbeat()
-    scripting.step(3)
+    scripting.step(SETTLED)
     scripting.switch = HIGH
     scripting.step(50)
     assert scripting.sent == []
@@ -304,11 +359,22 @@ def test_a_switch_that_is_high_at_boot_requests_nothing() -> None:
     scripting.heartbeat()
     scripting.step(50)
     assert scripting.sent == []
-    scripting.switch = None
+
+
+def test_a_switch_that_is_high_when_the_receiver_is_back_requests_nothing() -> None:
+    """Low, lost, high when it is back: ArduPilot says low for a while longer, then high."""
+    scripting = start(LKH_MODE=AUTO)
+    scripting.is_received, scripting.switch = False, HIGH
+    scripting.step(30)
+    scripting.is_received = True
+    scripting.heartbeat()
+    scripting.step(30)
+    assert scripting.sent == []
+    scripting.switch = LOW
     scripting.step(5)
     scripting.switch = HIGH
     scripting.step(5)
-    assert scripting.sent == [], "the receiver was lost and is back"
+    assert len(scripting.sent) == 1, "the pilot has moved it"
 
 
 def test_a_lookback_that_is_not_heard_is_not_asked() -> None:
@@ -342,8 +408,9 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
 
     pump(12.0)
     scripting.switch = HIGH
-    pump(10.0)
+    pump(15.0)
     rig.close()
-    assert scripting.texts == ["Home: mission requested", "Home: on the way"]
+    announced = "Home: mode 10 in 5 s, switch low cancels"
+    assert scripting.texts == ["Home: mission requested", announced, "Home: on the way"]
     assert scripting.modes == [AUTO]
     assert len(rig.autopilot.mission.waypoints_deg) == 2

@@ -19,6 +19,7 @@ from edge.config import HomeConfig
 from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.mission import Start, WayHome, mission_items, plan_way_home
+from edge.mission.checks import BRIEF
 from edge.mission.simplify import simplified
 from edge.reference_map import open_map_set
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
@@ -213,6 +214,7 @@ def test_a_vehicle_that_turns_on_the_spot_needs_no_radius(map_along: MapAlong) -
 def test_a_loop_is_named(map_along: MapAlong) -> None:
     drive = joined(straight(100.0), arc(25.0, 360), straight(100.0))
     text = the_finding(plan(map_along(drive)), refuses=False)
+    assert all(len(brief) <= BRIEF for brief in plan(map_along(drive + 30_000.0, name="far")).briefs)
     match = re.fullmatch(r"from (\d+) m to (\d+) m: a loop or a turn, .*one-way", text)
     assert match is not None
     assert (int(match[1]), int(match[2])) == pytest.approx((100, 257), abs=25)
@@ -235,6 +237,8 @@ def test_a_vehicle_that_points_away_is_told_to_turn(map_along: MapAlong) -> None
     assert the_finding(plan(path, (0.0, 100.0), 10.0), refuses=False).startswith(
         "the vehicle points 170 degrees away from the way home: it needs 12 m beside it to turn"
     )
+    (brief,) = plan(path, (0.0, 100.0), 10.0).briefs
+    assert brief == "home is 170 degrees off, turn first"
     assert plan(path, (0.0, 100.0), 10.0, turning_radius_m=15.0).refusals
     assert not plan(path, (0.0, 100.0), 170.0).findings
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,14 +30,17 @@ REJECTED, DENIED = mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_D
 DRIVING_ITSELF = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
 
 
-def command(component_id: int = 191, param1: float = 1.0, confirmation: int = 0) -> Any:
-    return mavlink.MAVLink_command_long_message(
-        1, component_id, mavlink.MAV_CMD_USER_1, confirmation, param1, 0, 0, 0, 0, 0, 0
-    )
+def command(
+    component_id: int = 191,
+    params: tuple[float, float] = (1.0, 5665.0),
+    confirmation: int = 0,
+    number: int = mavlink.MAV_CMD_USER_5,
+) -> Any:
+    return mavlink.MAVLink_command_long_message(1, component_id, number, confirmation, *params, 0, 0, 0, 0, 0)
 
 
 def acknowledgements(rig: Rig) -> list[Any]:
-    return [ack for ack in rig.received("COMMAND_ACK") if ack.command == mavlink.MAV_CMD_USER_1]
+    return [ack for ack in rig.received("COMMAND_ACK") if ack.command == mavlink.MAV_CMD_USER_5]
 
 
 def results(rig: Rig) -> list[int]:
@@ -101,7 +105,43 @@ def test_nothing_else_is_commanded(home: Rig) -> None:
     home.run(5.0)
     assert {one.command for one in home.received("COMMAND_LONG")} <= {511, 512}
     kinds = {entry.message.get_type() for entry in home.autopilot.received}
-    assert not kinds & {"SET_MODE", "COMMAND_INT", "MISSION_SET_CURRENT", "RC_CHANNELS_OVERRIDE", "MANUAL_CONTROL"}
+    assert not kinds & {"SET_MODE", "COMMAND_INT", "RC_CHANNELS_OVERRIDE", "MANUAL_CONTROL"}
+
+
+def test_the_way_home_begins_at_its_first_item(home: Rig) -> None:
+    """A real PX4 that had driven a mission of 13 items began the uploaded one at its last."""
+    mission = home.autopilot.mission
+    mission.items = [
+        mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, -274000000, 1530000000, 0)
+        for number in range(13)
+    ]
+    mission.current = 12
+    home.autopilot.send(command())
+    assert home.run(10.0, finished(home))
+    assert results(home)[-1] == ACCEPTED
+    assert len(mission.waypoints_deg) > 2
+    assert mission.ahead_deg == mission.waypoints_deg
+
+
+def test_the_same_way_home_begins_at_its_first_item_again(home: Rig) -> None:
+    """PX4 does not look at which item is marked in a mission that it has already."""
+    way = WayHome("drive 1", ((-27.4772, 153.0283), (-27.4762, 153.0283)), (0.0, 110.0), 50, ())
+    home.connection.plan_home_by(lambda start: way)
+    for number in (1, 2):
+        home.autopilot.send(command())
+        assert home.run(10.0, lambda wanted=number: results(home).count(ACCEPTED) == wanted)
+        mission = home.autopilot.mission
+        assert mission.ahead_deg == mission.waypoints_deg
+        mission.current = len(mission.items) - 1  # it has been driven
+
+
+def test_a_mission_whose_first_item_is_not_known_to_be_next_is_cleared(home: Rig) -> None:
+    home.wire.loses = lambda message: message.get_type() == "MISSION_CURRENT"
+    home.autopilot.send(command())
+    assert home.run(40.0, finished(home))
+    assert results(home)[-1] == FAILED
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot does not go back to the first item"
+    assert home.autopilot.mission.items == []
 
 
 @pytest.mark.parametrize("lost", [0.05, 0.1, 0.2])
@@ -291,10 +331,21 @@ def test_a_broadcast_and_commands_for_others_are_ignored(home: Rig, component_id
     assert not home.received("MISSION_COUNT")
 
 
-def test_another_parameter_is_denied(home: Rig) -> None:
-    home.autopilot.send(command(param1=0.0))
+@pytest.mark.parametrize("params", [(0.0, 5665.0), (1.0, 0.0), (1.0, 1.0)])
+def test_other_parameters_are_denied(home: Rig, params: tuple[float, float]) -> None:
+    """Others use the command as well, with 1 for a spoofed GPS."""
+    home.autopilot.send(command(params=params))
     assert home.run(2.0, finished(home))
     assert results(home) == [DENIED]
+    assert not home.received("MISSION_COUNT")
+
+
+def test_a_script_of_before_is_answered(home: Rig) -> None:
+    home.autopilot.send(command(params=(1.0, 0.0), number=mavlink.MAV_CMD_USER_1))
+    home.run(2.0)
+    (ack,) = [one for one in home.received("COMMAND_ACK") if one.command == mavlink.MAV_CMD_USER_1]
+    assert ack.result == mavlink.MAV_RESULT_UNSUPPORTED
+    assert not home.received("MISSION_COUNT")
 
 
 def test_a_repeated_command_starts_nothing_twice(home: Rig) -> None:
@@ -325,6 +376,7 @@ def test_the_pilot_reads_it(home: Rig) -> None:
     home.autopilot.send(command())
     assert home.run(10.0, finished(home))
     home.run(5.0)
-    text = "".join(message.text for message in home.received("STATUSTEXT"))
-    assert "away from the way home" in text
-    assert "Lookback: uploaded and verified: " in text
+    texts = home.received("STATUSTEXT")
+    (warning,) = [one for one in texts if one.severity == mavlink.MAV_SEVERITY_WARNING and "degrees" in one.text]
+    assert re.fullmatch(r"Lookback: home is \d{2,3} degrees off, turn first", warning.text)
+    assert "Lookback: uploaded and verified: " in "".join(message.text for message in texts)
