@@ -1,4 +1,4 @@
-"""`lookback sim`: drives through the street world as feeds, and the simulated autopilot."""
+"""`lookback sim`: record simulated drives, simulate an autopilot, import data sets."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from sim.world.recording import SPACING_M, record_drive
 from sim.world.scenario import load_scenario
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `sim` to the commands of `lookback`; the entry point of `lookback.commands`."""
-    parser = commands.add_parser("sim", help="record simulated drives, simulate an autopilot, import data sets")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback sim`."""
     sim_commands = parser.add_subparsers(required=True, metavar="COMMAND")
     drive = sim_commands.add_parser("drive", help="drive through the street world and record a feed")
     drive.add_argument("scenario", type=Path, help="TOML file; sim/world/scenario.py describes its keys")

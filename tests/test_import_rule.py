@@ -8,6 +8,8 @@ import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 STAGES = (
     "feed",
@@ -110,11 +112,20 @@ def test_the_vehicle_never_loads_what_is_for_the_desk() -> None:
         assert not any("mavutil" in name for name in imports(file)), file
 
 
-def test_no_command_loads_what_only_another_needs() -> None:
-    """All commands are put on one command line, and the daemon must not pay for the desk's packages."""
+@pytest.mark.parametrize(
+    ("words", "absent"),
+    [
+        ([], {"numpy", "cv2", "onnxruntime", "pymavlink", "serial"}),
+        (["run", "lookback.toml"], {"matplotlib", "panda3d", "scipy", "jinja2", "onnx", "depthai", "torch", "sim"}),
+        (None, {"matplotlib", "panda3d", "scipy", "jinja2", "onnx", "depthai", "torch"}),
+    ],
+    ids=["help", "run", "all"],
+)
+def test_no_command_loads_what_only_another_needs(words: list[str] | None, absent: set[str]) -> None:
+    """Help is shown at once, and the daemon must not pay for the desk's packages."""
     program = (
-        "import sys; from edge.__main__ import build_parser; build_parser();"
-        "print(sorted({'matplotlib', 'panda3d', 'scipy', 'jinja2', 'onnx', 'depthai', 'torch'} & set(sys.modules)))"
+        "import sys; from edge.__main__ import build_parser;"
+        f"build_parser({words!r}); print(sorted({absent!r} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

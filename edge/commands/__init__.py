@@ -1,1 +1,1 @@
-"""The commands of `lookback`, one module each: `add_command` puts it on the command line."""
+"""The commands of `lookback`, one module each; `parser` puts them on one command line."""

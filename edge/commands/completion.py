@@ -1,4 +1,4 @@
-"""`lookback completion SHELL`: a script that lets bash, zsh or tcsh complete commands, options and file names."""
+"""`lookback completion`: print a script that lets bash, zsh or tcsh complete commands, options and file names."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
+from edge.commands.parser import build_parser
 from edge.errors import ConfigError
 from edge.extras import install_command
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser], whole: argparse.ArgumentParser) -> None:
-    """Add `lookback completion` to the command line; `whole` is the parser of all commands."""
-    parser = commands.add_parser(
-        "completion",
-        help="print a completion script for your shell",
-        description="For bash: lookback completion bash | sudo tee /etc/bash_completion.d/lookback > /dev/null",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback completion`."""
+    parser.description = "For bash: lookback completion bash | sudo tee /etc/bash_completion.d/lookback > /dev/null"
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
-    parser.set_defaults(run=_run, whole=whole)
+    parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -26,8 +23,9 @@ def _run(args: argparse.Namespace) -> int:
         import shtab
     except ModuleNotFoundError:
         raise ConfigError(f"completion needs shtab: {install_command('desk')}") from None
-    _complete_paths(args.whole, shtab.FILE)
-    print(shtab.complete(args.whole, args.shell))
+    whole = build_parser()
+    _complete_paths(whole, shtab.FILE)
+    print(shtab.complete(whole, args.shell))
     return 0
 
 

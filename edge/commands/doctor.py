@@ -1,6 +1,6 @@
-"""`lookback doctor` and `lookback check`: what works, what does not, and what to do about each finding.
+"""`lookback doctor`: check this computer, its devices, the autopilot and a config, and say what to do.
 
-`check` is `doctor --offline`: the config with the model, the maps and the keys that it names, and no device.
+`--offline` checks the config with the model, the maps and the keys that it names, and no device (`lookback check`).
 """
 
 from __future__ import annotations
@@ -27,39 +27,28 @@ from edge.commands.doctor_computer import (
 )
 from edge.commands.doctor_service import act_as_service, check_home_folders
 from edge.commands.doctor_setup import check_links, check_mapping, check_model_and_map
-from edge.config import DEFAULT_TOML, Config, load_config
+from edge.config import Config, load_config
 from edge.errors import EXIT_SETUP, LookbackError
 
 MARKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback doctor` and `lookback check` to the command line."""
-    doctor = commands.add_parser(
-        "doctor",
-        help="check this computer, its devices, the autopilot and a config, and say what to do",
-        description="Checks cameras, ports, permissions, model, maps, disk, clock and the autopilot. Exit code 1 if"
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback doctor`."""
+    parser.description = (
+        "Checks cameras, ports, permissions, model, maps, disk, clock and the autopilot. Exit code 1 if"
         " something keeps `lookback run` from doing all of its work. Stop the service first: only one program at a time"
-        " can use a camera or a port. Root checks the service's config with the rights of the service's user.",
+        " can use a camera or a port. Root checks the service's config with the rights of the service's user."
     )
-    doctor.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the config file of `lookback run`")
-    doctor.add_argument("--json", action="store_true", help="print the findings as one JSON list")
-    doctor.add_argument(
+    parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the config file of `lookback run`")
+    parser.add_argument("--json", action="store_true", help="print the findings as one JSON list")
+    parser.add_argument(
         "--seconds", type=float, default=8.0, metavar="S", help="wait at most S seconds for the autopilot (default 8)"
     )
-    doctor.add_argument(
+    parser.add_argument(
         "--offline", action="store_true", help="check no device, only the files; exit code 78 if one is wrong"
     )
-    doctor.set_defaults(run=_run, default=False, error=doctor.error)
-
-    check = commands.add_parser(
-        "check",
-        help="check a config file, and the model, maps and keys that it names",
-        description="The same as `lookback doctor --offline CONFIG`. Exit code 78 if something is wrong.",
-    )
-    check.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="config file (TOML)")
-    check.add_argument("--default", action="store_true", help="print the default config, with comments")
-    check.set_defaults(run=_run, json=False, seconds=0.0, offline=True, error=check.error)
+    parser.set_defaults(run=diagnose, error=parser.error)
 
 
 def examine(
@@ -106,10 +95,8 @@ def _config(path: Path | None) -> tuple[Config | None, Diagnostic]:
         return None, bad("config", str(error), remedy if path.exists() else "name the config file of `lookback run`")
 
 
-def _run(args: argparse.Namespace) -> int:
-    if args.default:
-        print(DEFAULT_TOML.read_text(encoding="utf-8"), end="")
-        return 0
+def diagnose(args: argparse.Namespace) -> int:
+    """Print the findings; 1 where something is wrong, 78 (EXIT_SETUP) where only files were checked."""
     if args.offline and args.config is None:
         args.error("name a config file")
     findings = []

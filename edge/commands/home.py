@@ -1,4 +1,4 @@
-"""`lookback home`: the way back along a drive of a map, checked; as a file, or uploaded to the autopilot."""
+"""`lookback home`: plan the way home along a map's drive, for a ground station or the autopilot."""
 
 from __future__ import annotations
 
@@ -32,13 +32,11 @@ LIMITS = {
 }
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback home` to the command line."""
-    parser = commands.add_parser(
-        "home",
-        help="plan the way home along a map's drive, for a ground station or the autopilot",
-        description="Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
-        " Nothing else happens without -o, --upload or --ask. Nothing here starts a mission or changes a mode.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback home`."""
+    parser.description = (
+        "Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
+        " Nothing else happens without -o, --upload or --ask. Nothing here starts a mission or changes a mode."
     )
     parser.add_argument("map", type=Path, nargs="?", metavar="MAP", help="a map, or a folder of maps")
     where = parser.add_mutually_exclusive_group()

@@ -1,4 +1,4 @@
-"""`lookback map build | extend`: from recorded feeds to a reference map."""
+"""`lookback map`: build, inspect, list, split and sign reference maps."""
 
 from __future__ import annotations
 
@@ -25,11 +25,9 @@ from edge.reference_map.place_picture import thumbnail
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback map` to the command line."""
-    actions = commands.add_parser("map", help="build, inspect, list, split and sign reference maps").add_subparsers(
-        required=True
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback map`."""
+    actions = parser.add_subparsers(required=True)
 
     build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
     build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")

@@ -1,4 +1,4 @@
-"""`lookback record`: what the configured camera sees, written to a feed, with the autopilot's position and distance."""
+"""`lookback record`: record a traverse as a feed: the camera's frames, the autopilot's positions and distance."""
 
 from __future__ import annotations
 
@@ -44,9 +44,8 @@ class Recording:
     why: Why
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback record` to the command line."""
-    parser = commands.add_parser("record", help="record a traverse: the camera's frames and positions, as a feed")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback record`."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="config file (TOML)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FEED", help="folder of the new feed")
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="stop after S seconds")

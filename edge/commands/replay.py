@@ -1,4 +1,4 @@
-"""`lookback replay`: a recorded feed through the same recognizer as `run`, as fast as it goes, always the same."""
+"""`lookback replay`: recognize the places of a recording; prints events as JSON lines, always the same ones."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ from edge.reference_map.store import MapHeader
 CHECK_BYTES = 64 << 20
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback replay` to the command line."""
-    parser = commands.add_parser("replay", help="recognize the places of a recording; prints events as JSON lines")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback replay`."""
     parser.add_argument(
         "feed",
         type=Path,

@@ -1,4 +1,4 @@
-"""`lookback run`: the daemon, until it is stopped or its camera comes to its end."""
+"""`lookback run`: recognize places and send positions to the autopilot, until stopped or the camera ends."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from edge.health.service import on_stop_signal
 log = logging.getLogger(__name__)
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback run` to the command line."""
-    parser = commands.add_parser("run", help="recognize places and send positions to the autopilot, until stopped")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback run`."""
     parser.add_argument("config", type=Path, metavar="CONFIG")
     parser.set_defaults(run=_run)
 

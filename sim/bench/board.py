@@ -1,4 +1,4 @@
-"""`lookback bench`: how fast the recognizer runs on this board, as a row of docs/boards.md.
+"""`lookback bench`: measure this board: one row for docs/boards.md.
 
 It needs no package beyond those of `lookback run`, and measures with the code of `make bench`.
 """
@@ -35,14 +35,12 @@ SLOWER = 1.1
 """Ratio of the frame times at the end and at the beginning from which a board counts as throttled."""
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback bench` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser(
-        "bench",
-        help="measure this board: one row for docs/boards.md",
-        description="Recognizes random pictures on one core, without a pause, on a map of random places in a temporary"
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback bench`."""
+    parser.description = (
+        "Recognizes random pictures on one core, without a pause, on a map of random places in a temporary"
         " folder. Stop the service first; leave the board in its housing, and cool it as on the vehicle. Times are CPU"
-        " times of one thread, in milliseconds.",
+        " times of one thread, in milliseconds."
     )
     parser.add_argument(
         "--seconds", type=float, default=300.0, metavar="S", help="how long (default 300, since heat takes time)"

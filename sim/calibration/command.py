@@ -1,4 +1,4 @@
-"""`lookback calibrate`: measures, prints the lines for the config, and writes them into it when asked to."""
+"""`lookback calibrate`: measure the camera's offset and the acceptance threshold; writes them into a config."""
 
 from __future__ import annotations
 
@@ -45,13 +45,11 @@ WHY_DEFAULT = (
 )
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback calibrate` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="measure the camera's offset and the acceptance threshold",
-        description="Measure the camera's offset along the route from recorded drives with GPS, and the acceptance"
-        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback calibrate`."""
+    parser.description = (
+        "Measure the camera's offset along the route from recorded drives with GPS, and the acceptance"
+        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone."
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, required=True, help="the map's folder")

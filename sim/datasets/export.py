@@ -1,4 +1,4 @@
-"""`lookback export`: the recognized places of a journal or a replay, for maps, GPS tools, Google Earth and evo."""
+"""`lookback export`: write the recognized places of a journal or a replay as GeoJSON, GPX, KML or TUM."""
 
 from __future__ import annotations
 
@@ -52,9 +52,8 @@ class TrackPoint:
         return datetime.fromtimestamp(self.stamp_ns / 1e9, tz=timezone.utc)
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback export` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser("export", help="write recognized places as GeoJSON, GPX, KML or TUM")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback export`."""
     parser.add_argument("journal", type=Path, metavar="JOURNAL", help="a journal, or the output of replay")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=", ".join(WRITERS))
     parser.add_argument("--events-only", action="store_true", help="without the track of accepted frames")

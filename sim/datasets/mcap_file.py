@@ -1,4 +1,4 @@
-"""MCAP files with Foxglove's schemas, accepted in place of feeds; `lookback mcap write` and `read` convert them.
+"""`lookback mcap`: convert feeds to MCAP files with Foxglove's schemas, and back. They are read in place of feeds.
 
     /camera    foxglove.CompressedImage, JSON: the picture file's own bytes
     /position  foxglove.LocationFix, JSON: where the position is known
@@ -60,9 +60,9 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
 Fields: TypeAlias = dict[str, Any]
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback mcap` to the command line; an entry point of `lookback.commands`."""
-    actions = commands.add_parser("mcap", help="convert feeds to MCAP files and back").add_subparsers(required=True)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback mcap`."""
+    actions = parser.add_subparsers(required=True)
     write = actions.add_parser("write", help="convert a feed to an MCAP file for Foxglove")
     write.add_argument("feed", type=Path, metavar="FEED")
     write.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")

@@ -1,4 +1,4 @@
-"""The steps of the demo: take me home in one drive; then out by day, again at dusk and home at night."""
+"""`lookback demo`: the main task in simulation: take me home in one drive; then map, dusk, and home at night."""
 
 from __future__ import annotations
 
@@ -46,9 +46,8 @@ WITH_GPS = (
 )
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback demo` to the command line; the entry point of `lookback.commands`."""
-    parser = commands.add_parser("demo", help="the main task in simulation: map, drive back, fixes, report")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback demo`."""
     parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="FOLDER")
     parser.add_argument(
         "--require-good", action="store_true", help="exit with 1 unless both drives gave correct fixes (CI)"

@@ -1,4 +1,7 @@
-"""The options of `lookback eval`. Each action is imported when it runs: matplotlib alone takes half a second."""
+"""`lookback eval`: run the paper's comparisons on your traverses.
+
+Each action is imported when it runs: matplotlib alone takes half a second.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,9 @@ import argparse
 from pathlib import Path
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback eval`; the entry point of `lookback.commands`."""
-    actions = commands.add_parser("eval", help="run the paper's comparisons on your traverses").add_subparsers(
-        required=True, metavar="COMMAND"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback eval`."""
+    actions = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(actions.add_parser("run", help="run a plan and write its report"))
     _add_networks(actions.add_parser("networks", help="compare networks on the traverses of a plan"))
     _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))

@@ -1,4 +1,6 @@
-"""`lookback golden`: a recording as a test. A folder keeps what to replay, and the output when it was right.
+"""`lookback golden`: make a recording a test of the recognizer, or run it.
+
+A folder keeps what to replay, and the output when it was right.
 
     golden.toml     the reference feeds, the query feed and the settings; paths are relative to the folder
     expected.jsonl  a line for every frame, as `replay --all` writes it
@@ -42,9 +44,8 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sampling: SamplingConfig = SamplingConfig()
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback golden` to the command line; an entry point of `lookback.commands`."""
-    parser = commands.add_parser("golden", help="make a recording a test of the recognizer, or run it")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback golden`."""
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make a test: the feeds of its map")
     parser.add_argument("--query", type=Path, metavar="FEED", help="and the feed to be recognized")

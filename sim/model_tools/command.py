@@ -1,4 +1,4 @@
-"""`lookback model import | info | verify | providers`: from published weights to a vehicle's int8 network."""
+"""`lookback model`: import, inspect and verify networks."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from sim.model_tools.import_command import add_import
 from sim.model_tools.weights import read_weights
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback model` to the command line."""
-    actions = commands.add_parser("model", help="import, inspect and verify networks").add_subparsers(required=True)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback model`."""
+    actions = parser.add_subparsers(required=True)
 
     add_import(actions.add_parser("import", help="make the network file of a vehicle from a network or from weights"))
 

@@ -1,4 +1,4 @@
-"""`lookback train`: a folder of pictures for each class to weights for `lookback model import`."""
+"""`lookback train`: train AlexNet on labeled images, to weights for `lookback model import`."""
 
 from __future__ import annotations
 
@@ -18,15 +18,13 @@ from sim.training.recipe import Recipe
 SMALLEST_SIDE_PX = 32
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `lookback train`; the entry point of `lookback.commands`."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback train`."""
     usual = Recipe()
-    parser = commands.add_parser(
-        "train",
-        help="train AlexNet on labeled images",
-        description="Train AlexNet on a folder of images for each class, such as MiniPlaces' images/train, as the"
+    parser.description = (
+        "Train AlexNet on a folder of images for each class, such as MiniPlaces' images/train, as the"
         " shipped network was trained. Beside WEIGHTS.npz come WEIGHTS.labels.txt and WEIGHTS.ranges.json, which"
-        " `lookback model import` takes. A training that was cut off goes on when the same command is given again.",
+        " `lookback model import` takes. A training that was cut off goes on when the same command is given again."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with a subfolder of images for each class")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="WEIGHTS.npz")

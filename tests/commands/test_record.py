@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 import resource
 import signal
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from edge.commands import record
+from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
 from edge.errors import CameraLost, ConfigError, FeedError
 from edge.feed import FeedHeader, FeedImages, FeedWriter, read_feed
@@ -167,8 +167,7 @@ def test_a_signal_closes_the_feed_whole(config_file: Path, tmp_path: Path, numbe
 
 
 def test_the_command_names_a_wrong_config(tmp_path: Path) -> None:
-    parser = argparse.ArgumentParser()
-    record.add_command(parser.add_subparsers())
-    args = parser.parse_args(["record", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")])
+    argv = ["record", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]
+    args = build_parser(argv).parse_args(argv)
     with pytest.raises(ConfigError, match=r"none\.toml: cannot read it"):
         args.run(args)

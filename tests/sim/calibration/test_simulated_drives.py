@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +15,7 @@ from msgspec.structs import replace
 pytest.importorskip("panda3d")
 
 from edge.commands.map_build import build_map
+from edge.commands.parser import build_parser
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
@@ -145,10 +145,9 @@ def test_the_command_prints_the_lines_and_writes_them(
 ) -> None:
     config = tmp_path / "lookback.toml"
     config.write_text("[sequence]\nlength = 20 # short\n")
-    parser = argparse.ArgumentParser()
-    command.add_command(parser.add_subparsers())
     argv = ["calibrate", str(again[8.0].path), "--map", str(maps["front"].path), "--precision", "95 %"]
-    args = parser.parse_args([*argv, "--write", str(config), "--curve", str(tmp_path / "curve.csv")])
+    argv += ["--write", str(config), "--curve", str(tmp_path / "curve.csv")]
+    args = build_parser(argv).parse_args(argv)
     assert args.run(args) == 0
     printed = capsys.readouterr().out
     assert "the default is kept: lower ones may reach this precision" in printed  # the drive never left the map
@@ -179,9 +178,8 @@ def test_a_config_that_cannot_be_written_is_named_before_anything_is_measured(
 ) -> None:
     if text is not None:
         (tmp_path / name).write_text(text)
-    parser = argparse.ArgumentParser()
-    command.add_command(parser.add_subparsers())
-    args = parser.parse_args(["calibrate", "--map", str(tmp_path / "no_map"), "--write", str(tmp_path / name)])
+    argv = ["calibrate", "--map", str(tmp_path / "no_map"), "--write", str(tmp_path / name)]
+    args = build_parser(argv).parse_args(argv)
     with pytest.raises(ConfigError, match=says):
         args.run(args)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import resource
 import sys
 from collections.abc import Callable, Iterator
@@ -15,10 +14,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.commands.parser import build_parser
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import FeedImages, FeedRow, read_feed
-from sim.commands import add_command
 from sim.datasets import KINDS, ReadOptions, Traverse, open_dataset
 from sim.datasets.importing import choose_rows, write_feed
 from sim.datasets.pictures import PictureFiles
@@ -176,10 +175,9 @@ def test_every_kind_has_a_reader_and_takes_options_that_there_are() -> None:
 
 
 def test_the_command_is_part_of_lookback_sim(capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
-    add_command(parser.add_subparsers())
+    words = ["sim", "import", "--help"]
     with pytest.raises(SystemExit):
-        parser.parse_args(["sim", "import", "--help"])
+        build_parser(words).parse_args(words)
     said = capsys.readouterr().out
     for name, kind in KINDS.items():
         assert name in said

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -10,18 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
+from edge.commands.parser import build_parser
 from edge.descriptor.network import Head, Network
 from edge.errors import FeedError, ModelError
 from edge.feed import FeedHeader, FeedWriter
-from sim.model_tools import command
 
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
 
 def lookback_model(*argv: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_command(parser.add_subparsers())
-    args = parser.parse_args(["model", *map(str, argv)])
+    words = ["model", *map(str, argv)]
+    args = build_parser(words).parse_args(words)
     return int(args.run(args))
 
 

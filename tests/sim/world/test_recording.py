@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,10 @@ import pytest
 
 pytest.importorskip("panda3d")
 
+from edge.commands.parser import build_parser
 from edge.errors import ConfigError, FeedError
 from edge.feed import FeedImages, read_feed
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
-from sim.commands import add_command
 from sim.world.recording import record_drive, times_by_distance, times_by_rate
 from sim.world.scenario import Scenario
 
@@ -20,9 +19,7 @@ HOME = Scenario(seed=3, length_m=200.0, direction="reverse", light="dusk", view=
 
 
 def run(argv: list[str]) -> int:
-    parser = argparse.ArgumentParser()
-    add_command(parser.add_subparsers())
-    args = parser.parse_args(argv)
+    args = build_parser(argv).parse_args(argv)
     return int(args.run(args))
 
 
