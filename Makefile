@@ -40,7 +40,7 @@ soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults tests/localization
-	$(BIN)/lookback sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED -o soak
+	$(BIN)/lookback sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(nproc) -o soak
 	$(BIN)/lookback sim gps -o soak/gps
 
 check: lint test smoke

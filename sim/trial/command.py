@@ -1,21 +1,34 @@
-"""`lookback sim fixes`: seeded drives over the named courses, each judged by its rules."""
+"""`lookback sim fixes`: seeded drives over the named courses, on several roads, each judged by its rules."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
+from typing import NamedTuple
 
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run
 from sim.trial.run import drive
-from sim.trial.table import HEADER, CourseScore, line
+from sim.trial.table import HEADER, CourseScore, line, put_results
 from sim.trial.views import RoadLibrary
 
-WORLD, LENGTH_M, SHORTEST_M = 21, 1000.0, 500.0
+WORLDS = (21, 5, 11, 303, 911)
+"""Nothing was set on the last two. 911 was driven on real autopilots."""
+LENGTH_M, SHORTEST_M = 1000.0, 500.0
+
+
+class Planned(NamedTuple):
+    """A drive of a course; world: the seed of its road."""
+
+    course: str
+    seed: int
+    world: int
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,10 +51,23 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         "--length-m", type=float, default=LENGTH_M, metavar="M", help=f"of the road, from {SHORTEST_M:g} (default 1000)"
     )
     parser.add_argument(
-        "--world", type=int, default=WORLD, metavar="SEED", help=f"seed of the road (default {WORLD}, as flown)"
+        "--worlds",
+        type=_worlds,
+        default=WORLDS,
+        metavar="SEEDS",
+        help=f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})",
+    )
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE", help="write the table into this page, in place of its last one"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER", help="keeps journals and rendered views"
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("trial"),
+        metavar="FOLDER",
+        help="keeps rendered views, and the journal of each road's last drive",
     )
     parser.set_defaults(run=_run)
 
@@ -54,26 +80,83 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
-    seeds = range(args.first_seed, args.first_seed + args.runs)
-    if args.case is None:
-        names = list(COURSES) if args.course == "all" else [args.course]
-        scores = run_courses([(name, seed) for name in names for seed in seeds], args)
-    else:
-        scores = []
-        for case in CASES if args.case == "all" else [args.case]:
-            of_courses = run_courses(drives_of(case, seeds), args)
-            together = tuple(run for score in of_courses for run in score.runs)
-            scores += [CourseScore(f"**{case}: {CASES[case]}**", together), *of_courses]
-    print("\n" + HEADER)
-    for score in scores:
-        print(score.row())
+    planned = plan(args)
+    scores = judge(planned, drive_all(planned, args))
+    text = "\n".join([HEADER, *(score.row() for score in scores)])
+    print("\n" + text)
+    if args.page is not None:
+        put_results(args.page, text)
     return 1 if any(score.failures for score in scores) else 0
 
 
-def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int]]:
-    """The drives of a case: each seed with the next of its courses."""
+def plan(args: argparse.Namespace) -> list[Planned]:
+    """The drives that are asked for: of each course over the next of the roads, and of a case each seed's course."""
+    seeds = range(args.first_seed, args.first_seed + args.runs)
+    if args.case is not None:
+        drives = [drive for case in (CASES if args.case == "all" else args.case) for drive in drives_of(case, seeds)]
+    else:
+        names = list(COURSES) if args.course == "all" else [args.course]
+        drives = [(name, seed, seed - 1 + number) for number, name in enumerate(names) for seed in seeds]
+    return [Planned(name, seed, args.worlds[turn % len(args.worlds)]) for name, seed, turn in drives]
+
+
+def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
+    """The drives of a case, each seed with the next of its courses; and a number by which its road is chosen."""
     names = courses_of(case)
-    return [(names[seed % len(names)], seed) for seed in seeds]
+    return [(names[seed % len(names)], seed, seed % len(names) + seed // len(names)) for seed in seeds]
+
+
+def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseScore]:
+    """A score for each course; before those of a case one of them together, and first of all one of everything."""
+    together, scores = tuple(runs[one] for one in planned), []
+    for case, about in CASES.items():
+        of_courses = [
+            CourseScore(name, tuple(runs[one] for one in planned if one.course == name))
+            for name in dict.fromkeys(one.course for one in planned)
+            if COURSES[name].case == case
+        ]
+        if len(of_courses) > 1:
+            scores.append(CourseScore(f"**{case}: {about}**", tuple(run for one in of_courses for run in one.runs)))
+        scores += of_courses
+    return (
+        scores
+        if len({COURSES[one.course].case for one in planned}) == 1
+        else [CourseScore("**all**", together), *scores]
+    )
+
+
+def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, Run]:
+    """Drive, road after road or several side by side; print a line for each drive."""
+    args.output.mkdir(parents=True, exist_ok=True)
+    parts = [[one for one in planned if one.world == world] for world in dict.fromkeys(one.world for one in planned)]
+    if args.jobs == 1:
+        found = [drive_road(part, args.length_m, args.output) for part in parts]
+    else:
+        with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
+            count = len(parts)
+            found = list(pool.map(drive_road, parts, [args.length_m] * count, [args.output] * count))
+    return {one: run for part, runs in zip(parts, found, strict=True) for one, run in zip(part, runs, strict=True)}
+
+
+def drive_road(planned: Sequence[Planned], length_m: float, folder: Path) -> list[Run]:
+    """Drives over one road."""
+    logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
+    journals = folder / f"road-{planned[0].world}"
+    journals.mkdir(exist_ok=True)
+    library, runs = RoadLibrary(Network.load(), folder / "views"), []
+    try:
+        for name, seed, world in planned:
+            runs.append(drive(name, seed, length_m, world, journals, library))
+            print(line(name, runs[-1]), flush=True)
+    finally:
+        library.save()
+        library.close()
+    return runs
+
+
+def _worlds(text: str) -> tuple[int, ...]:
+    """Seeds of roads, separated by commas."""
+    return tuple(int(world) for world in text.split(","))
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -83,20 +166,7 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError(f"--case: {args.case!r} is not one of {', '.join(CASES)} and all")
     if args.runs < 1:
         raise ConfigError("--runs: at least 1")
+    if args.jobs < 1:
+        raise ConfigError("--jobs: at least 1")
     if not SHORTEST_M <= args.length_m <= 20000:
         raise ConfigError(f"--length-m: {args.length_m:g} is not between {SHORTEST_M:g} and 20000")
-
-
-def run_courses(drives: Sequence[tuple[str, int]], args: argparse.Namespace) -> list[CourseScore]:
-    """Drive courses with seeds, print a line for each drive, and collect those of each course."""
-    args.output.mkdir(parents=True, exist_ok=True)
-    runs: dict[str, list[Run]] = {name: [] for name, _ in drives}
-    library = RoadLibrary(Network.load(), args.output / "views")
-    try:
-        for name, seed in drives:
-            runs[name].append(drive(name, seed, args.length_m, args.world, args.output, library))
-            print(line(name, runs[name][-1]), flush=True)
-    finally:
-        library.save()
-        library.close()
-    return [CourseScore(name, tuple(of_course)) for name, of_course in runs.items()]

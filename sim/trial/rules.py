@@ -50,15 +50,14 @@ class Track:
 
 @dataclass(frozen=True)
 class Sent:
-    """Positions as they arrived: when, and for the moment of each its error and the sigma that it claimed.
+    """Positions as they arrived: when, and for the moment of each its error and its sigma.
 
-    is_stream: whether they share the information of one correlation length, so that each claims less than is known.
+    sigma_m: what is known of the position, or what its message says if that is less.
     """
 
     time_s: Array
     error_m: Array
     sigma_m: Array
-    is_stream: bool = False
 
     @property
     def sigmas(self) -> Array:
@@ -75,6 +74,7 @@ class Run:
     """
 
     seed: int
+    world: int
     track: Track
     alone: Track
     sent: Sent

@@ -55,6 +55,8 @@ from sim.world.scenario import Scenario
 
 MAP_SIGMA_M = math.sqrt(2)
 """Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
+RECORDED_EVERY_S = 1.2
+"""A stream's positions are recorded once per second."""
 RIG = RigConfig(
     ahead_forward_swapped_m=32.0,
     sigma_forward_swapped_m=4.1,
@@ -87,7 +89,7 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
         alone.step()
         if draft.origin_m is not None:
             alone.autopilot.set_origin(*draft.origin_m)  # which somebody else sets then
-    return _judged(seed, draft, simulation, alone)
+    return _judged(seed, draft, simulation, alone, folder / JOURNAL)
 
 
 def drafted(name: str, seed: int, length_m: float, world: int) -> Draft:
@@ -202,7 +204,7 @@ def _place(draft: Draft, route: Route, stretch: Stretch, row: int, route_m: floa
     return Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps")
 
 
-def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) -> Run:
+def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation, journal: Path) -> Run:
     inputs = simulation.autopilot.inputs
     texts = tuple(
         (simulation.time_s(item.time_s), item.message.severity, item.message.text)
@@ -211,9 +213,10 @@ def _judged(seed: int, draft: Draft, simulation: Simulation, alone: Simulation) 
     )
     run = Run(
         seed,
+        draft.world,
         _track(draft, simulation),
         _track(draft, alone),
-        _sent(draft, simulation),
+        _sent(draft, simulation, journal),
         np.array([item.error_after_m for item in (*inputs.resets, *inputs.fused)]),
         texts,
         inputs.source_set,
@@ -244,9 +247,10 @@ def _track(draft: Draft, simulation: Simulation) -> Track:
     return Track(time_s, along_m, left_m, error_m, gps != 0, expected, end_off_m)
 
 
-def _sent(draft: Draft, simulation: Simulation) -> Sent:
+def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
     rows = np.array(simulation.rows)
-    found, is_stream = [], False
+    known_s, known_m = _known_sigmas(journal, simulation)
+    found = []
     for item in simulation.autopilot.received:
         position = read_position(item.message, simulation.autopilot.origin_m or (0.0, 0.0), draft.lon_shift_deg)
         if position is not None:
@@ -254,10 +258,21 @@ def _sent(draft: Draft, simulation: Simulation) -> Sent:
             at_s = simulation.time_s(item.time_s) - age_s
             true_m = [np.interp(at_s, rows[:, 0], rows[:, column]) for column in (3, 4)]
             error_m = math.hypot(east_m - true_m[0], north_m - true_m[1])
-            found.append((simulation.time_s(item.time_s), error_m, sigma_m))
-            is_stream = item.message.get_msgId() != mavlink.MAVLINK_MSG_ID_COMMAND_INT
+            arrived_s = simulation.time_s(item.time_s)
+            last = int(np.searchsorted(known_s, arrived_s + STEP_S, side="right")) - 1
+            if last >= 0 and arrived_s - known_s[last] <= RECORDED_EVERY_S:
+                sigma_m = min(sigma_m, known_m[last])
+            found.append((arrived_s, error_m, sigma_m))
     columns: Array = np.array(found).reshape(-1, 3).T
-    return Sent(columns[0], columns[1], columns[2], is_stream)
+    return Sent(columns[0], columns[1], columns[2])
+
+
+def _known_sigmas(journal: Path, simulation: Simulation) -> Array:
+    """When positions were recorded as sent, in seconds, and their standard deviations (2, n): of a stream, of some."""
+    boot_s = simulation.time_s(simulation.autopilot.booted_s)
+    events = (msgspec.json.decode(line) for line in journal.read_bytes().splitlines())
+    found = [(boot_s + one["send_boot_s"], one["sigma_m"]) for one in events if one["event"] == "fix_sent"]
+    return np.array(found).reshape(-1, 2).T
 
 
 def read_position(

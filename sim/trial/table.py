@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from edge.errors import ConfigError
 from sim.trial.rules import Array, Run, lane_off_m
 
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
@@ -26,11 +27,15 @@ def line(name: str, run: Run) -> str:
     """One drive, for people."""
     verdict = "; ".join(f"{failure.rule}: {failure.found}" for failure in run.failures) or "passed"
     ends = ", ".join(f"{track.end_off_m:.0f} m" for track in (run.track, run.alone))
+    sent = run.sent
     lanes = ", ".join(f"{lane_off_m(track):.1f} m" for track in (run.track, run.alone))
     return (
-        f"{name:<26} seed {run.seed:3d}  {len(run.sent.time_s):4d} positions  {_spread(run.sent.error_m)}"
+        f"{name:<26} seed {run.seed:3d} road {run.world:3d}  {len(sent.time_s):4d} positions  {_spread(sent.error_m)}"
         f"  first after {run.first_after_m:.0f} m  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
     )
+
+
+MARKS = "<!-- results: begin -->", "<!-- results: end -->"
 
 
 @dataclass(frozen=True)
@@ -48,17 +53,19 @@ class CourseScore:
     @property
     def failures(self) -> list[str]:
         """What is not as required, of single drives and of all together, each with how often."""
-        counted = Counter(failure.rule for run in self.runs for failure in run.failures)
-        found = [f"{rule} ({count})" for rule, count in counted.items()]
+        counted: dict[str, list[str]] = {}
+        for run in self.runs:
+            for failure in run.failures:
+                counted.setdefault(failure.rule, []).append(f"{run.world}")
+        found = [f"{rule} ({len(worlds)}, road {', '.join(dict.fromkeys(worlds))})" for rule, worlds in counted.items()]
         sigmas = self.sigmas
         if not len(sigmas):
             return found
         if (sigmas > BEYOND_SIGMAS).mean() > BEYOND_SHARE:
             found.append(f"{1000 * (sigmas > BEYOND_SIGMAS).mean():.0f} in 1,000 beyond 3 sigma")
-        one_by_one = np.concatenate([run.sent.sigmas for run in self.runs if not run.sent.is_stream] or [np.empty(0)])
         least = RMS[0] if len(self.runs) >= ENOUGH_RUNS else 0.0
-        if len(one_by_one) and not least <= _rms(one_by_one) <= RMS[1]:
-            found.append(f"rms {_rms(one_by_one):.2f} sigma")
+        if not least <= _rms(sigmas) <= RMS[1]:
+            found.append(f"rms {_rms(sigmas):.2f} sigma")
         return found
 
     def row(self) -> str:
@@ -76,6 +83,15 @@ class CourseScore:
             "; ".join(self.failures),
         )
         return "| " + " | ".join(cells) + " |"
+
+
+def put_results(page: Path, text: str) -> None:
+    """Replace what stands between the two marks of a page; ConfigError where they are missing."""
+    before, begin, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
+    _, end, after = rest.partition(MARKS[1])
+    if not end:
+        raise ConfigError(f"--page: {page} has no lines {MARKS[0]!r} and {MARKS[1]!r} to write the table between")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
 
 
 def _rms(values: Array) -> float:

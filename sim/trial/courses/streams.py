@@ -5,6 +5,7 @@ from __future__ import annotations
 from sim.trial.courses.registry import COURSES, course
 from sim.trial.draft import Draft
 from sim.trial.rules import (
+    close,
     first_in_time,
     no_false_place,
     not_worse,
@@ -38,13 +39,14 @@ def _px4_aided(draft: Draft, value: str) -> None:
     draft.firmware = "px4"
     draft.emit = "external_position" if value else "auto"
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (within_sigmas, no_false_place, not_worse, close, sends)
 
 
 @course("H", "vision")
 def _vision(draft: Draft) -> None:
     """ArduPilot with VISION_POSITION_ESTIMATE, whose stream turns the filter's heading."""
     draft.emit = "vision_position"
+    draft.rules = (within_sigmas, no_false_place, not_worse, close, sends)
 
 
 @course("H", "stream-unused")

@@ -295,6 +295,23 @@ def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> No
     assert turned_m == pytest.approx(SPEED_MPS * (wheels[-1].time_usec - wheels[0].time_usec) / 1e6, rel=0.03)
 
 
+def test_a_reboot_without_gps_ends_at_the_origin_wherever_the_vehicle_is() -> None:
+    bench = Bench("ardupilot")
+    bench.drive(2.0)
+    bench.autopilot.gps = False
+    bench.drive(60.0)
+    bench.autopilot.reboot(silent_s=3.0)
+    heard = len(bench.heard)
+    bench.drive(2.0)
+    assert len(bench.heard) == heard
+    bench.drive(2.0)
+    assert bench.autopilot.origin_m is None
+    bench.tell(encoders.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
+    estimate = bench.autopilot.estimate
+    assert math.hypot(estimate.east_m, estimate.north_m) < 5 * SPEED_MPS
+    assert estimate.error_m > 50 * SPEED_MPS
+
+
 def test_a_reboot_forgets_an_origin_that_was_set() -> None:
     bench = Bench("ardupilot", gps=False, has_origin=False)
     bench.tell(encoders.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
