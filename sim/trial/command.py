@@ -15,7 +15,7 @@ from edge.errors import ConfigError
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run
 from sim.trial.run import drive
-from sim.trial.table import HEADER, CourseScore, line, put_results
+from sim.trial.table import HEADER, CourseScore, in_short, line, put_results
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -82,10 +82,12 @@ def _run(args: argparse.Namespace) -> int:
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     planned = plan(args)
     scores = judge(planned, drive_all(planned, args))
-    text = "\n".join([HEADER, *(score.row() for score in scores)])
-    print("\n" + text)
+    print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
-        put_results(args.page, text)
+        roads = ", ".join(str(world) for world in args.worlds)
+        what = f"--course {args.course}" if args.case is None else f"--case {args.case}"
+        what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
+        put_results(args.page, f"`lookback sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
     return 1 if any(score.failures for score in scores) else 0
 
 

@@ -46,6 +46,11 @@ class CourseScore:
     runs: tuple[Run, ...]
 
     @property
+    def is_several(self) -> bool:
+        """Whether it is of several courses."""
+        return self.name.startswith("**")
+
+    @property
     def sigmas(self) -> Array:
         """Error over sigma of all positions."""
         return np.concatenate([run.sent.sigmas for run in self.runs])
@@ -83,6 +88,13 @@ class CourseScore:
             "; ".join(self.failures),
         )
         return "| " + " | ".join(cells) + " |"
+
+
+def in_short(scores: Sequence[CourseScore]) -> str:
+    """A table of cases and of courses that did not pass; and a list of those that did, with their drives."""
+    passed = ", ".join(f"`{one.name}`" for one in scores if not one.is_several and not one.failures)
+    rows = [one.row() for one in scores if one.is_several or one.failures]
+    return "\n".join([HEADER, *rows, "", f"All drives of these courses pass: {passed or 'none'}."])
 
 
 def put_results(page: Path, text: str) -> None:

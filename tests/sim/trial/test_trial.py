@@ -18,7 +18,7 @@ from sim.trial import command, rules
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run, Sent, Track
 from sim.trial.run import drafted, drive, map_scenario
-from sim.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, line, put_results
+from sim.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_results
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
 from sim.vehicle.daemon_drive import JOURNAL
@@ -40,7 +40,7 @@ SMALL = (
     "gps-spoofed-jump",
     "gps-spoofed-drag-2-left",
     "daemon-killed",
-    "px4-aided",
+    "px4-failsafe",
     "px4-no-velocity-aid-43003",
 )
 """Courses driven in every test run."""
@@ -249,6 +249,15 @@ def test_each_seed_of_a_case_drives_the_next_of_its_courses_on_the_next_road() -
 def test_the_drives_of_a_course_have_one_road_after_the_other() -> None:
     assert [one.world for one in command.plan(_options(["--runs", "6"]))] == [*command.WORLDS, command.WORLDS[0]]
     assert {one.world for one in command.plan(_options(["--world", "7", "--runs", "2"]))} == {7}
+
+
+def test_in_short_courses_that_pass_are_only_named() -> None:
+    failed = replace(run_of(error_m=10.0), failures=(rules.Failure("close", "10 m"),))
+    several, passed = CourseScore("**all**", (run_of(), failed)), CourseScore("home", (run_of(),))
+    scores = [several, passed, CourseScore("tow", (failed,))]
+    found = in_short(scores).splitlines()
+    assert [row.split(" | ")[0] for row in found[2:4]] == ["| **all**", "| tow"]
+    assert found[4:] == ["", "All drives of these courses pass: `home`."]
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
