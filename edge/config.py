@@ -7,18 +7,20 @@ structs. Paths are relative to the folder of the config file that names them.
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from edge.errors import ConfigError
 from edge.path_access import check_access
-from edge.toml_file import parse_toml, read_toml
+from edge.toml_file import convert_toml, read_text, toml_values
 
+log = logging.getLogger(__name__)
 MOST_CROPPED = 0.9
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 
@@ -28,6 +30,18 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
 Left = Annotated[float, Meta(ge=-50, le=50)]
 Share = Annotated[float, Meta(ge=0, le=0.9)]
+
+
+OUTDATED: dict[tuple[str, str, str | None], str | None] = {
+    ("gates", "doubted_gps", "tell"): "report",
+    ("gates", "far_matches", None): None,
+    ("gates", "far_sigmas", None): None,
+    ("gates", "near_matches", None): None,
+    ("gates", "near_sigmas", None): None,
+    ("telemetry", "sigma_m", None): None,
+    ("tracking", "matches", None): None,
+}
+"""Section, key and value (None: any) of earlier versions, and what the value is called now (None: the key is gone)."""
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -292,14 +306,34 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
 
 def load_config(path: Path) -> Config:
     """Read and check a config file; ConfigError names the file and the key, in one line."""
-    config = _checked(read_toml(path, Config), path)
+    config = parse_config(read_text(path), path)
     with naming(path):
         return change_paths(config, check_access)
 
 
 def parse_config(text: str, path: Path) -> Config:
     """Check the text of a config file; `path` is for messages and for resolving relative paths."""
-    return _checked(parse_toml(text, path, Config), path)
+    values, notes = brought_up_to_date(toml_values(text, path))
+    for note in notes:
+        log.warning("%s: %s", path, note)
+    return _checked(convert_toml(values, path, Config), path)
+
+
+def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """A file's tables with the keys and values of OUTDATED as they are now, and a line about each that was found."""
+    values = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in values.items()}
+    notes: list[str] = []
+    for (section, key, value), now in OUTDATED.items():
+        keys = values.get(section)
+        if not isinstance(keys, dict) or key not in keys or value not in (None, keys[key]):
+            continue
+        if now is None:
+            del keys[key]
+            notes.append(f"[{section}] {key}: nothing reads this key any more; remove it")
+        else:
+            keys[key] = now
+            notes.append(f'[{section}] {key}: "{value}" is called "{now}" now; the old name is accepted until 0.3')
+    return values, notes
 
 
 def _checked(config: Config, path: Path) -> Config:

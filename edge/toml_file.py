@@ -1,13 +1,17 @@
-"""TOML files as typed records; every error is one line that names the file and the key."""
+"""TOML files as typed records; each mistake is one line that names the file, the key, and what it may be."""
 
 from __future__ import annotations
 
+import copy
+import difflib
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+from msgspec.inspect import LiteralType, Metadata, StructType, UnionType, type_info
 
 from edge.errors import ConfigError, SetupError
 
@@ -17,47 +21,151 @@ else:
     import tomli as tomllib
 
 Record = TypeVar("Record", bound=msgspec.Struct)
+WORDS = {
+    "array": "a list",
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "object": "a section",
+    "str": "text in quotes",
+}
+"""msgspec's names of types, for people."""
 
 
 def read_toml(path: Path, kind: type[Record], error: type[SetupError] = ConfigError) -> Record:
     """The file as a record of that kind; `error` where it cannot be read or is not one."""
+    return parse_toml(read_text(path, error), path, kind, error)
+
+
+def read_text(path: Path, error: type[SetupError] = ConfigError) -> str:
+    """The text of a file; `error` where it cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except OSError as failure:
         raise error(f"{path}: cannot read it: {failure.strerror}") from None
     except UnicodeDecodeError:
         raise error(f"{path}: not UTF-8 text") from None
-    return parse_toml(text, path, kind, error)
 
 
 def parse_toml(text: str, path: Path, kind: type[Record], error: type[SetupError] = ConfigError) -> Record:
-    """The text of a file as a record of that kind; `path` is for the errors."""
-    values: dict[str, Any] = {}
+    """The text of a file as a record of that kind; `path` is for the errors, of which each mistake has a line."""
+    return convert_toml(toml_values(text, path, error), path, kind, error)
+
+
+def toml_values(text: str, path: Path, error: type[SetupError] = ConfigError) -> dict[str, Any]:
+    """The text of a file as nested tables."""
     try:
-        values = tomllib.loads(text)
-        return msgspec.convert(values, kind)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as failure:
         raise error(f"{path}: not TOML: {failure}") from None
-    except msgspec.ValidationError as failure:
-        raise error(f"{path}: {explain(str(failure), values)}") from None
 
 
-def explain(message: str, values: dict[str, Any]) -> str:
-    """Turn msgspec's "Expected `int` - at `$.camera.fps`" into "[camera] fps: expected `int`".
+def convert_toml(
+    values: dict[str, Any], path: Path, kind: type[Record], error: type[SetupError] = ConfigError
+) -> Record:
+    """Nested tables as a record of that kind."""
+    mistakes = list(mistakes_in(values, kind))
+    if mistakes:
+        raise error("\n".join(f"{path}: {mistake}" for mistake in mistakes))
+    return msgspec.convert(values, kind)
 
-    values: the whole file, to distinguish sections from keys.
+
+def mistakes_in(values: dict[str, Any], kind: type[msgspec.Struct]) -> Iterator[str]:
+    """Every mistake in nested tables, each as one line.
+
+    What is missing, and a rule between keys, is only judged where all that is there is right.
     """
-    what, _, where = message.partition(" - at `$")
-    unknown = re.fullmatch(r"Object contains unknown field `(.*)`", what)
-    what = what[:1].lower() + what[1:]
-    section, _, key = where.strip(".`").partition(".")
-    if unknown:
-        is_section = not section and isinstance(values.get(unknown[1]), dict)
-        what = f"unknown {'section' if is_section else 'key'} `{unknown[1]}`"
-    if not section:
+    values, is_first = copy.deepcopy(values), True
+    while True:
+        try:
+            msgspec.convert(values, kind)
+        except msgspec.ValidationError as failure:
+            where, unknown = _place(str(failure))
+            is_of_value = bool(unknown) or str(failure).startswith(("Expected `", "Invalid enum value"))
+            if is_of_value or is_first:
+                yield explain(str(failure), values, kind)
+            if not (is_of_value and _remove(values, [*where, unknown] if unknown else where)):
+                return
+            is_first = False
+        else:
+            return
+
+
+def explain(message: str, values: dict[str, Any], kind: type[msgspec.Struct]) -> str:
+    """Turn msgspec's "Expected `int` - at `$.camera.fps`" into "[camera] fps: expected a whole number".
+
+    values: the whole file, to distinguish sections from keys. kind: what it should be, to name what is allowed.
+    """
+    where, unknown = _place(message)
+    what = message.partition(" - at `$")[0]
+    what = re.sub("`(\\w+)`", lambda word: WORDS.get(word[1], word[1]), what[:1].lower() + what[1:])
+    if missing := re.fullmatch("object missing required field `(.*)`", what):
+        what = f"the key `{missing[1]}` is missing"
+    elif unknown:
+        is_section = not where and isinstance(values.get(unknown), dict)
+        near = _nearest(unknown, list(_fields_of(_type_at(kind, where))))
+        what = f"unknown {'section' if is_section else 'key'} `{unknown}`{near}"
+    elif (wrong := re.fullmatch("invalid enum value '?(.*?)'?", what)) and (allowed := _allowed(kind, where)):
+        what = f'"{wrong[1]}" is none of {", ".join(f"{chr(34)}{one}{chr(34)}" for one in allowed)}'
+        what += _nearest(wrong[1], allowed)
+    if not where:
         return what
-    if isinstance(values.get(section), dict):
+    section, key = where[0], ".".join(where[1:])
+    if isinstance(values.get(section), dict) or (not key and (unknown or what.startswith("expected a section"))):
         return f"[{section}] {key}: {what}" if key else f"[{section}] {what}"
-    if unknown or (not key and what.startswith("expected `object`")):
-        return f"[{section}] {what}"
-    return f"{section}{'.' if key else ''}{key}: {what}"
+    if unknown:
+        return f"[{'.'.join(where)}] {what}"
+    return f"{'.'.join(where)}: {what}"
+
+
+def _place(message: str) -> tuple[list[str], str]:
+    """Where msgspec found a mistake, as keys from the top, an index being part of its key; and an unknown field."""
+    what, _, where = message.partition(" - at `$")
+    unknown = re.fullmatch("Object contains unknown field `(.*)`", what)
+    return [key for key in where.strip(".`").split(".") if key], unknown[1] if unknown else ""
+
+
+def _remove(values: dict[str, Any], where: list[str]) -> bool:
+    """Remove the value at a place, a list as a whole; False if there is none."""
+    table: Any = values
+    for key in where:
+        name, is_item, _ = key.partition("[")
+        if not isinstance(table, dict) or name not in table:
+            return False
+        if is_item or key == where[-1] or not isinstance(table[name], dict):
+            del table[name]
+            return True
+        table = table[name]
+    return False
+
+
+def _type_at(kind: type[msgspec.Struct], where: list[str]) -> Any:
+    """The type of the value at a place, None where nothing is known of it."""
+    info: Any = type_info(kind)
+    for key in where:
+        name, *items = key.split("[")
+        info = _fields_of(info).get(name)
+        for _ in items:
+            info = getattr(info, "item_type", None) or getattr(info, "value_type", None)
+    return info.type if isinstance(info, Metadata) else info
+
+
+def _fields_of(info: Any) -> dict[str, Any]:
+    """The fields of a struct, none of what is no struct."""
+    for one in info.types if isinstance(info, UnionType) else (info,):
+        if isinstance(one, StructType):
+            return {field.encode_name: field.type for field in one.fields}
+    return {}
+
+
+def _allowed(kind: type[msgspec.Struct], where: list[str]) -> list[str]:
+    """The texts that the value at a place may be, none where it may be any."""
+    info = _type_at(kind, where)
+    kinds = info.types if isinstance(info, UnionType) else (info,)
+    return [str(value) for one in kinds if isinstance(one, LiteralType) for value in one.values]
+
+
+def _nearest(word: str, known: list[str]) -> str:
+    """A question about the known word that is spelled most like another, "" if none is."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean `{near[0]}`?" if near else ""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
-from edge.config import DEFAULT_TOML, Config, SequenceConfig, checked_option, load_config, parse_config
+from edge.config import DEFAULT_TOML, OUTDATED, Config, SequenceConfig, checked_option, load_config, parse_config
 from edge.errors import ConfigError
 
 HERE = Path("/etc/lookback/lookback.toml")
@@ -30,24 +31,27 @@ def test_every_line_of_the_default_is_explained() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[camera]\nfsp = 15.0", "[camera] unknown key `fsp`"),
-        ("[camra]\nfps = 15.0", "unknown section `camra`"),
-        ('[camera]\nfps = "fast"', "[camera] fps: expected `float`, got `str`"),
-        ("[camera]\nfps = 0", "[camera] fps: expected `float` > 0"),
-        ("[camera]\nfourcc = 'MJPEG'", "[camera] fourcc: expected `str` matching"),
-        ("[camera]\nwidth = 640.5", "[camera] width: expected `int`, got `float`"),
-        ("[sequence]\nlength = 1", "[sequence] length: expected `int` >= 2"),
-        ("[sequence]\nlength = true", "[sequence] length: expected `int`, got `bool`"),
-        ("[sequence]\ndirections = 'backwards'", "[sequence] directions: invalid enum value 'backwards'"),
-        ("[acceptance]\nuniqueness_min = 0.5", "[acceptance] uniqueness_min: expected `float` >= 1"),
-        ("sequence = 3", "[sequence] expected `object`, got `int`"),
+        ("[camera]\nfsp = 15.0", "[camera] unknown key `fsp`; did you mean `fps`?"),
+        ("[camra]\nfps = 15.0", "unknown section `camra`; did you mean `camera`?"),
+        ('[camera]\nfps = "fast"', "[camera] fps: expected a number, got text in quotes"),
+        ("[camera]\nfps = 0", "[camera] fps: expected a number > 0"),
+        ("[camera]\nfourcc = 'MJPEG'", "[camera] fourcc: expected text in quotes matching"),
+        ("[camera]\nwidth = 640.5", "[camera] width: expected a whole number, got a number"),
+        ("[sequence]\nlength = 1", "[sequence] length: expected a whole number >= 2"),
+        ("[sequence]\nlength = true", "[sequence] length: expected a whole number, got true or false"),
+        (
+            "[sequence]\ndirections = 'backwards'",
+            '[sequence] directions: "backwards" is none of "both", "forward", "reverse"',
+        ),
+        ("[acceptance]\nuniqueness_min = 0.5", "[acceptance] uniqueness_min: expected a number >= 1"),
+        ("sequence = 3", "[sequence] expected a section, got a whole number"),
         ("[camera\n", "not TOML"),
         (
             "[mapping]\nfolder = 'm'\n[sampling]\nby = 'time'",
             '[mapping] folder: mapping needs [sampling] by = "distance"',
         ),
         ("[mapping.camera]\nview = 'rear'", "[mapping] folder: is empty; name the folder of maps"),
-        ("[mapping]\nfolder = 'm'\n[mapping.camera]\nfps = 0", "[mapping] camera.fps: expected `float` > 0"),
+        ("[mapping]\nfolder = 'm'\n[mapping.camera]\nfps = 0", "[mapping] camera.fps: expected a number > 0"),
         (
             "[mapping]\nfolder = 'm'\nrecognize = true",
             "[mapping] recognize: needs a second camera; add [mapping.camera]",
@@ -66,6 +70,36 @@ def test_every_mistake_is_one_line_with_file_and_key(text: str, told: str) -> No
     assert message.startswith(f"{HERE}: ")
     assert told in message
     assert "\n" not in message
+
+
+def test_each_mistake_has_its_line() -> None:
+    text = "[camera]\nfps = 'fast'\nwidth = 3\n[gates]\nmax_movem = 3\n[mapping]\nrecognize = true"
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, HERE)
+    assert str(caught.value).splitlines() == [
+        f"{HERE}: [camera] fps: expected a number, got text in quotes",
+        f"{HERE}: [camera] width: expected a whole number >= 16",
+        f"{HERE}: [gates] unknown key `max_movem`; did you mean `max_move_m`?",
+    ], "and not the rule between keys, which may be broken only because one of them was not read"
+
+
+def test_what_an_earlier_version_wrote_is_accepted_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    text = "[gates]\ndoubted_gps = 'tell'\nnear_matches = 3\n[tracking]\nmatches = 2"
+    assert parse_config(text, HERE) == parse_config("", HERE)
+    assert [record.message.removeprefix(f"{HERE}: ") for record in caplog.records] == [
+        '[gates] doubted_gps: "tell" is called "report" now; the old name is accepted until 0.3',
+        "[gates] near_matches: nothing reads this key any more; remove it",
+        "[tracking] matches: nothing reads this key any more; remove it",
+    ]
+
+
+def test_every_outdated_key_is_in_the_changelog_and_no_key_of_today() -> None:
+    changelog = (Path(__file__).parents[1] / "CHANGELOG.md").read_text(encoding="utf-8")
+    for (section, key, value), now in OUTDATED.items():
+        assert f"`[{section}] {key}`" in changelog
+        kinds = get_type_hints(getattr(Config(), section).__class__)
+        assert (key in kinds) == (now is not None)
+        assert now is None or (value not in get_args(kinds[key]) and now in get_args(kinds[key]))
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:

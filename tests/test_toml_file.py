@@ -24,13 +24,13 @@ class Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("count = 'x'", "count: expected `int`, got `str`"),
+        ("count = 'x'", "count: expected a whole number, got text in quotes"),
         ("cuont = 1", "unknown key `cuont`"),
         ("[sektion]\nsize = 1", "unknown section `sektion`"),
-        ("[section]\nsize = 'x'", "[section] size: expected `int`, got `str`"),
+        ("[section]\nsize = 'x'", "[section] size: expected a whole number, got text in quotes"),
         ("[section]\nsise = 1", "[section] unknown key `sise`"),
-        ("section = 1", "[section] expected `object`, got `int`"),
-        ("[[items]]\nsize = 'x'", "items[0].size: expected `int`, got `str`"),
+        ("section = 1", "[section] expected a section, got a whole number"),
+        ("[[items]]\nsize = 'x'", "items[0].size: expected a whole number, got text in quotes"),
         ("count = ", "not TOML: "),
     ],
 )

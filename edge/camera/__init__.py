@@ -18,7 +18,7 @@ from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import Frame
 
-__all__ = ["Camera", "CameraHealth", "Frame", "Frames", "open_camera"]
+__all__ = ["Camera", "CameraHealth", "Frame", "Frames", "check_kind", "open_camera"]
 
 
 def open_camera(config: CameraConfig) -> Camera:
@@ -47,10 +47,14 @@ def _open_live(config: CameraConfig) -> Camera:
         from edge.camera.stream import StreamCamera
 
         return StreamCamera(config)
-    found = entry_points(group="lookback.cameras", name=config.kind)
-    if not found:
-        plugins = sorted(point.name for point in entry_points(group="lookback.cameras"))
-        known = ", ".join(["v4l2", "oak", "stream", "feed", *plugins])
-        raise ConfigError(f"[camera] kind: unknown camera {config.kind!r}; use one of {known}")
-    camera: Camera = next(iter(found)).load()(config)
+    check_kind(config)
+    point = next(iter(entry_points(group="lookback.cameras", name=config.kind)))
+    camera: Camera = point.load()(config)
     return camera
+
+
+def check_kind(config: CameraConfig) -> None:
+    """ConfigError, which names those that there are, if no camera is of the kind that the config names."""
+    known = ["v4l2", "oak", "stream", "feed", *sorted(entry_points(group="lookback.cameras").names)]
+    if config.kind not in known:
+        raise ConfigError(f"[camera] kind: unknown camera {config.kind!r}; use one of {', '.join(known)}")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 
+from edge.camera import check_kind
 from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.commands.doctor_autopilot import check_autopilot
 from edge.commands.doctor_computer import (
@@ -27,8 +28,9 @@ from edge.commands.doctor_computer import (
 )
 from edge.commands.doctor_service import act_as_service, check_home_folders
 from edge.commands.doctor_setup import check_links, check_mapping, check_model_and_map
-from edge.config import Config, load_config
+from edge.config import Config, brought_up_to_date, load_config
 from edge.errors import EXIT_SETUP, LookbackError
+from edge.toml_file import read_text, toml_values
 
 MARKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
 
@@ -60,10 +62,10 @@ def examine(
     """
     acting = list(act_as_service(path)) if path else []
     yield from acting
-    config, finding = _config(path)
+    config, findings = _config(path)
     if not offline:
         yield check_computer()
-    yield finding
+    yield from findings
     if not offline:
         yield from check_cameras(dev, config.camera if config else None)
         yield from check_ports(dev)
@@ -82,17 +84,24 @@ def examine(
         yield from check_autopilot(config.telemetry, seconds)
 
 
-def _config(path: Path | None) -> tuple[Config | None, Diagnostic]:
-    """The config, None where there is none or a wrong one, and the finding about it."""
+def _config(path: Path | None) -> tuple[Config | None, list[Diagnostic]]:
+    """The config, None where there is none or a wrong one, and the findings about it."""
     if path is None:
         words = "no config file was named, so no camera, map or autopilot is checked"
         remedy = "lookback doctor CONFIG; `lookback check --default > lookback.toml` writes one to start from"
-        return None, note("config", words, remedy)
+        return None, [note("config", words, remedy)]
     try:
-        return load_config(path), good("config", f"{path}: every key is valid")
+        config = load_config(path)
+        check_kind(config.camera)
+        _, outdated = brought_up_to_date(toml_values(read_text(path), path))
     except LookbackError as error:
         remedy = "`lookback check --default` prints every key with its range"
-        return None, bad("config", str(error), remedy if path.exists() else "name the config file of `lookback run`")
+        remedy = remedy if path.exists() else "name the config file of `lookback run`"
+        return None, [bad("config", mistake, remedy) for mistake in str(error).splitlines()]
+    return config, [
+        good("config", f"{path}: every key is valid"),
+        *(note("config", one, f"edit {path}") for one in outdated),
+    ]
 
 
 def diagnose(args: argparse.Namespace) -> int:

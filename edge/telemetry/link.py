@@ -61,7 +61,7 @@ def parse_connection(connection: str, where: str = "[telemetry] connection") -> 
     """Check a connection string without opening anything; ConfigError names the key, which is at `where`."""
     kind, _, rest = connection.partition(":")
     target, _, number = rest.rpartition(":")
-    if kind not in ("serial", "udp", "udpin") or not target:
+    if kind not in ("serial", "udp", "udpin") or not target or target.startswith("//"):
         raise ConfigError(f"{where}: {connection!r} is not serial:DEVICE:BAUD, udp:HOST:PORT or udpin:HOST:PORT")
     limit = 12_000_000 if kind == "serial" else 65_535
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):

@@ -87,14 +87,14 @@ def test_a_mask_of_another_shape_is_a_bad_frame_that_names_the_key(image: NDArra
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ('flip = "left"', r"\[camera\] flip: invalid enum value 'left'"),
-        ("crop = [0.1, 0.2]", r"\[camera\] crop: expected `array` of length 4"),
-        ("crop = [0.1, 0.2, -0.1, 0]", r"\[camera\] crop\[2\]: expected `float` >= 0"),
+        ('flip = "left"', r'\[camera\] flip: "left" is none of "both", "horizontal"'),
+        ("crop = [0.1, 0.2]", r"\[camera\] crop: expected a list of length 4"),
+        ("crop = [0.1, 0.2, -0.1, 0]", r"\[camera\] crop\[2\]: expected a number >= 0"),
         ("crop = [0.5, 0, 0.5, 0]", r"\[camera\] crop: left and right together, and top and bottom, can be 0.9 at"),
-        ('crop = "all"', r"\[camera\] crop: expected `array`"),
-        ("mask = 3", r"\[camera\] mask: expected `str`"),
+        ('crop = "all"', r"\[camera\] crop: expected a list"),
+        ("mask = 3", r"\[camera\] mask: expected text in quotes"),
         ('mask = "a\\u0000b"', r"\[camera\] mask: has a null character"),
-        ("latency_s = -1", r"\[camera\] latency_s: expected `float` >= 0"),
+        ("latency_s = -1", r"\[camera\] latency_s: expected a number >= 0"),
     ],
 )
 def test_a_bad_value_is_one_line_with_the_key(text: str, why: str) -> None:

@@ -76,7 +76,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("feed.toml", 'view = "front"', 'view = "side"', r"feed\.toml: view: .*'side'"),
+        ("feed.toml", 'view = "front"', 'view = "side"', r'feed\.toml: view: "side" is none of'),
         ("feed.toml", "width = 64", "width = 0", r"feed\.toml: width: .*>= 1"),
         ("feed.toml", "width = 64", "width = ", r"feed\.toml: .*line 3"),
         ("feed.toml", "width = 64", "", r"feed\.toml: .*missing.*width"),

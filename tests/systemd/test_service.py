@@ -167,7 +167,7 @@ def test_never_ready_with_a_bad_config(manager: Manager, config: Path) -> None:
     config.write_text(config.read_text().replace("length = 4", "length = 1"))
     process = manager.start(config)
     assert list(manager.words()) == []
-    assert process.communicate()[1] == f"lookback: {config}: [sequence] length: expected `int` >= 2\n"
+    assert process.communicate()[1] == f"lookback: {config}: [sequence] length: expected a whole number >= 2\n"
     assert process.returncode == EXIT_SETUP
 
 

@@ -41,10 +41,10 @@ def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> 
     ("old", "new", "says"),
     [
         ('title = "t"', "titel = 1", "unknown key `titel`"),
-        ("length = 5", "length = 0", r"pairs\[0\].length: expected `int` >= 1"),
+        ("length = 5", "length = 0", r"pairs\[0\].length: expected a whole number >= 1"),
         ("length = 5", "length_m = 5.0", "by = .distance."),
         ("length = 5", "", "needs length"),
-        ('"rows"', '"gps"', "invalid enum value 'gps'"),
+        ('"rows"', '"gps"', '"gps" is none of '),
         ('"rows"', '"anchors"', "two or more anchors"),
         ('"rows"', '"anchors"\nanchors = [[4, 1], [3, 2]]', "in order"),
         ('query = "here"', 'query = "nowhere"', "query: no 'nowhere'; there are here, there"),
