@@ -1,6 +1,6 @@
 """Live mapping: the drive becomes a map while it is driven, and can be searched a fixed distance behind the vehicle.
 
-`place_log`  the file that a drive's places are appended to: whole after a crash at any moment
+`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole
 `live_map`   which frames become places; the file and the map in memory together
 `missed_places` places that were passed without a frame
 `completion` the file of an earlier drive becomes an ordinary map

@@ -19,7 +19,8 @@ from edge.errors import MapError
 from edge.geodesy import VehiclePosition
 from edge.mapping.completion import complete, log_of, logs_in, map_of, source_of
 from edge.mapping.missed_places import MappedPlace, missed_places
-from edge.mapping.place_log import DriveBegun, LogHeader, OpenLog, PlaceLog, create_log
+from edge.mapping.place_log import OpenLog, PlaceLog, create_log
+from edge.mapping.place_log_records import DriveBegun, LogHeader
 from edge.mapping.quota import retire
 from edge.mapping.status import MappingStatus, MappingView
 from edge.mapping.way_home import SelfComparison
@@ -191,7 +192,7 @@ class LiveMap:
     def _add(self, new: MappedPlace) -> None:
         """To the file and to the memory, or, where the disk is behind or the map is full, to neither. OSError."""
         place = replace(new.place, row=self._growing.count)
-        if self._log is None or self._growing.is_full or not self._log.add(new.raw, place):
+        if self._log is None or self._growing.is_full or not self._log.add(new.raw, place, self._unix_time_s()):
             self._last = None
             return
         self._last = new
@@ -250,7 +251,7 @@ class LiveMap:
         made, now = found.header, self._header
         alike = (made.model, made.regions, made.sampling) == (now.model, now.regions, now.sampling)
         # Without a battery the computer's clock may have fallen behind the file: then it was just now.
-        age_s = self._unix_time_s() - found.path.stat().st_mtime
+        age_s = self._unix_time_s() - found.written_unix_s
         return alike and bool(found.places_at) and age_s < 60 * self._config.resume_min and self._config.resume_min > 0
 
     def _resume(self, found: OpenLog) -> None:

@@ -1,9 +1,8 @@
-"""The file of a map that is being made: one record after another, each with its checksum, never written twice.
+"""The file of a map that is being made: opened after any crash, and written by a thread of its own.
 
-A record is 4 bytes of mark, the length and CRC-32 of what follows, and that: a tagged union in MessagePack. The first
-is the header. A process that is killed leaves whole records and at most one that is cut off, which is removed when the
-file is opened again. Bytes are handed to the kernel with every record, and flushed to the disk once a second by a
-thread of their own: a power cut costs the places of the last moments, and a slow disk costs no frame.
+A process that is killed leaves whole records and at most one that is cut off, which is removed when the file is opened
+again. What is damaged elsewhere is skipped, and stays. Bytes are handed to the kernel with every record, and flushed
+to the disk once a second: a power cut costs the places of the last moments, and a slow disk costs no frame.
 """
 
 from __future__ import annotations
@@ -16,28 +15,31 @@ import os
 import queue
 import shutil
 import signal
-import struct
 import threading
 import time
-import zlib
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.atomic_file import replacing
-from edge.config import SamplingConfig
 from edge.errors import MapError
-from edge.reference_map import ModelKey, Place, RegionsKey
+from edge.mapping.place_log_records import (
+    FORMAT,
+    HEAD,
+    VERSION,
+    DriveBegun,
+    LogHeader,
+    LogRecord,
+    PlacePassed,
+    encoded,
+    record_at,
+    whole_records,
+)
+from edge.reference_map import Place
 
-FORMAT, VERSION = "lookback-places", 1
-MARK = b"LBPL"
-HEAD = struct.Struct("<4sII")
-MAX_BODY_BYTES = 4 << 20
 QUEUE_PLACES = 32
 RECENT = 2 * QUEUE_PLACES
 """Raw descriptors that are kept in memory: more than can be waiting to be written."""
@@ -48,68 +50,12 @@ DISK_FULL = "the disk is nearly full"
 log = logging.getLogger(__name__)
 
 
-class LogHeader(msgspec.Struct, frozen=True, tag="header"):
-    """How the places were made; a map is made of places that were made alike."""
-
-    model: ModelKey
-    regions: RegionsKey
-    sampling: SamplingConfig
-    lookback: str
-    format: str = FORMAT
-    version: int = VERSION
-
-
-class DriveBegun(msgspec.Struct, frozen=True, tag="drive"):
-    """The places that follow were passed one after another, by a camera that looked that way."""
-
-    view: Literal["front", "rear"]
-
-
-class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
-    """A place, and its raw descriptor (R, D) as little-endian float16."""
-
-    place: Place
-    raw: bytes
-
-
-LogRecord = LogHeader | DriveBegun | PlacePassed
-_decoder = msgspec.msgpack.Decoder(LogRecord)
-
-
-def encoded(record: LogRecord) -> bytes:
-    """The bytes of a record."""
-    body = msgspec.msgpack.encode(record)
-    return HEAD.pack(MARK, len(body), zlib.crc32(body)) + body
-
-
-def whole_records(descriptor: int) -> Iterator[tuple[int, int, LogRecord]]:
-    """The records of an open file up to the first that is not whole: where each begins and ends."""
-    at = 0
-    while (record := _record_at(descriptor, at)) is not None:
-        size = HEAD.unpack(os.pread(descriptor, HEAD.size, at))[1]
-        yield at, at + HEAD.size + size, record
-        at += HEAD.size + size
-
-
-def _record_at(descriptor: int, at: int) -> LogRecord | None:
-    head = os.pread(descriptor, HEAD.size, at)
-    if len(head) < HEAD.size:
-        return None
-    mark, size, checksum = HEAD.unpack(head)
-    if mark != MARK or size > MAX_BODY_BYTES:
-        return None
-    body = os.pread(descriptor, size, at + HEAD.size)
-    if len(body) < size or zlib.crc32(body) != checksum:
-        return None
-    try:
-        record: LogRecord = _decoder.decode(body)
-    except msgspec.DecodeError:
-        return None
-    return record
-
-
 class OpenLog:
-    """A file of places that this process alone has open: the records that were in it, and where to write on."""
+    """A file of places that this process alone has open: the records that were in it, and where to write on.
+
+    places_at: where each place is. drives: with which place each drive begins. written_unix_s: when the last place was
+    written.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open it, and cut off what is not whole. MapError if it is no such file, or another process has it."""
@@ -120,35 +66,55 @@ class OpenLog:
             raise MapError(f"{path}: cannot open it: {error.strerror}") from None
         try:
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.header, self.places_at, self.drives, self.end = self._read()
-            cut_bytes = os.fstat(self.descriptor).st_size - self.end
-            if cut_bytes:
-                os.ftruncate(self.descriptor, self.end)
-                log.warning("%s: %d bytes of a place that was not written whole were removed", path, cut_bytes)
+            self.places_at: list[int] = []
+            self.drives: list[tuple[int, DriveBegun]] = []
+            self.written_unix_s = os.fstat(self.descriptor).st_mtime
+            self.header, self.end = self._read()
+            self._remove_what_was_cut_off()
         except OSError as error:
             os.close(self.descriptor)
             why = "another process is writing it" if isinstance(error, BlockingIOError) else error.strerror
             raise MapError(f"{path}: cannot open it: {why}") from None
 
-    def _read(self) -> tuple[LogHeader, list[int], list[tuple[int, DriveBegun]], int]:
-        """Its header, where each place is, with which place each drive begins, and where the last record ends."""
+    def _read(self) -> tuple[LogHeader, int]:
+        """Its header, and where the last whole record ends. Keeps where each place is, and which begins a drive."""
         records = whole_records(self.descriptor)
-        _, end, header = next(records, (0, 0, None))
-        if not isinstance(header, LogHeader) or (header.format, header.version) != (FORMAT, VERSION):
+        start, end, header = next(records, (0, 0, None))
+        if start or not isinstance(header, LogHeader) or (header.format, header.version) != (FORMAT, VERSION):
             raise OSError(errno.EINVAL, f"damaged, or not a file of places of version {VERSION}; remove it")
-        places_at: list[int] = []
-        drives: list[tuple[int, DriveBegun]] = []
+        damaged = 0
         for start, stop, record in records:
-            if isinstance(record, PlacePassed) and drives:
-                places_at.append(start)
-            elif isinstance(record, DriveBegun):
-                drives.append((len(places_at), record))
-            end = stop
-        return header, places_at, drives, end
+            if isinstance(record, DriveBegun):
+                self.drives.append((len(self.places_at), record))
+            elif isinstance(record, PlacePassed):
+                if start > end and (record.view or self.drives):
+                    # What was lost may have been more than one place: no line runs over it.
+                    begun = DriveBegun(record.view) if record.view else self.drives[-1][1]
+                    if not self.drives or self.drives[-1][0] < len(self.places_at):
+                        self.drives.append((len(self.places_at), begun))
+                if self.drives:
+                    self.places_at.append(start)
+                    self.written_unix_s = record.unix_s or self.written_unix_s
+            damaged, end = damaged + start - end, stop
+        if damaged:
+            log.warning("%s: %d damaged bytes were skipped, %d places kept", self.path, damaged, len(self.places_at))
+        return header, end
+
+    def _remove_what_was_cut_off(self) -> None:
+        """Remove the last record if the file ends within it; one that is damaged otherwise stays."""
+        size = os.fstat(self.descriptor).st_size
+        head = os.pread(self.descriptor, HEAD.size, self.end)
+        is_cut_off = len(head) < HEAD.size or self.end + HEAD.size + HEAD.unpack(head)[1] > size
+        if size > self.end and is_cut_off:
+            os.ftruncate(self.descriptor, self.end)
+            log.warning("%s: %d bytes of a place that was not written whole were removed", self.path, size - self.end)
+        elif size > self.end:
+            log.warning("%s: the last %d bytes are damaged and were skipped", self.path, size - self.end)
+            self.end = size
 
     def place(self, row: int) -> PlacePassed:
         """One of the places; OSError if it cannot be read any more."""
-        record = _record_at(self.descriptor, self.places_at[row])
+        record = record_at(self.descriptor, self.places_at[row])
         if not isinstance(record, PlacePassed):
             raise OSError(errno.EIO, f"{self.path}: place {row} is damaged")
         return record
@@ -190,6 +156,7 @@ class PlaceLog:
         self.count = len(file.places_at)
         """Places that were handed over, or were there."""
         self.stopped = ""
+        self._view = file.drives[-1][1].view if file.drives else None
         self._thread = threading.Thread(target=self._run, name="mapping", daemon=True)
         self._thread.start()
 
@@ -200,12 +167,16 @@ class PlaceLog:
 
     def begin_drive(self, drive: DriveBegun) -> bool:
         """Hand over the beginning of a drive; False if the disk is too far behind."""
+        self._view = drive.view
         return self._put(drive)
 
-    def add(self, raw: NDArray[np.float32], place: Place) -> bool:
-        """Hand a place over without waiting; False if the disk is too far behind, and the place is not in the map."""
+    def add(self, raw: NDArray[np.float32], place: Place, unix_s: float = 0.0) -> bool:
+        """Hand a place over without waiting; False if the disk is too far behind, and the place is not in the map.
+
+        unix_s: the time now.
+        """
         values = raw.astype("<f2")
-        if not self._put(PlacePassed(place, values.tobytes())):
+        if not self._put(PlacePassed(place, values.tobytes(), unix_s, self._view)):
             return False
         self._recent.append(values.astype(np.float32))
         self.count += 1

@@ -16,7 +16,8 @@ from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition
 from edge.mapping import LiveMap, header_of
 from edge.mapping.completion import log_of
-from edge.mapping.place_log import DriveBegun, LogHeader, PlacePassed, create_log, encoded
+from edge.mapping.place_log import create_log
+from edge.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
 from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.reference_map import Place, RegionsKey, open_map_set
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG

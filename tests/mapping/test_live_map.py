@@ -144,7 +144,6 @@ def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
     first.close()
     (file,) = logs_in(tmp_path)
     os.truncate(file, file.stat().st_size - 1)  # as a power cut would leave it
-    os.utime(file, (START_S, START_S))
     again = live(tmp_path, START_S + 600)
     assert again.status.places == again.searchable == 59
     drive(again, range(30))
@@ -172,7 +171,6 @@ def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
     drive(first, range(60))
     first.close()
     (file,) = logs_in(tmp_path / "maps")
-    os.utime(file, (START_S, START_S))
     live(tmp_path / "maps", START_S + 3600).close()
     assert not logs_in(tmp_path / "maps")
     made = open_map(tmp_path / "maps" / first.status.name, every_file=True)

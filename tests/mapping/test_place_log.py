@@ -10,7 +10,8 @@ import pytest
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
-from edge.mapping.place_log import DriveBegun, LogHeader, OpenLog, PlaceLog, create_log
+from edge.mapping.place_log import OpenLog, PlaceLog, create_log
+from edge.mapping.place_log_records import DriveBegun, LogHeader
 from edge.reference_map import ModelKey, Place, RegionsKey
 
 HEADER = LogHeader(ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set"), SamplingConfig(), "test")
@@ -81,9 +82,12 @@ def test_a_file_cut_off_at_any_byte_has_every_place_that_was_written_whole(
         assert bool(caplog.records) == (path.stat().st_size < length), "what is cut off is said"
 
 
-def test_no_flipped_bit_becomes_a_place(tmp_path: Path) -> None:
+def test_a_flipped_bit_costs_one_place_and_no_later_one(tmp_path: Path) -> None:
     path = tmp_path / "log"
-    written(path, 2)
+    written(path, 3)
+    found = OpenLog(path)
+    begins = [*found.places_at, found.end]
+    found.close()
     whole = path.read_bytes()
     for at in range(len(whole)):
         damaged = whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :]
@@ -94,8 +98,49 @@ def test_no_flipped_bit_becomes_a_place(tmp_path: Path) -> None:
             assert path.read_bytes() == damaged, "what may be another's is left as it is"
             continue
         found = OpenLog(path)
-        assert [found.place(row).place for row in range(len(found.places_at))] in ([], [place_of(0)])
+        kept = [found.place(row).place for row in range(len(found.places_at))]
+        assert kept == [place_of(row) for row in range(3) if not begins[row] <= at < begins[row + 1]]
+        assert {drive.view for _, drive in found.drives} == {"rear"}
+        assert [first for first, _ in found.drives] == ([0, 1] if begins[1] <= at < begins[2] else [0])
         found.close()
+
+
+def test_places_after_a_damaged_byte_stay_and_are_appended_to(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "log"
+    written(path, 400)
+    found = OpenLog(path)
+    at = found.places_at[10] + 40
+    found.close()
+    whole = path.read_bytes()
+    path.write_bytes(whole[:at] + b"\xff" + whole[at + 1 :])
+    file = PlaceLog(OpenLog(path))
+    assert file.count == 399
+    assert "399 places kept" in caplog.text
+    assert file.add(raw_of(400), place_of(400))
+    file.close(timeout_s=30)
+    found = OpenLog(path)
+    assert [found.place(row).place.row for row in range(400)] == [*range(10), *range(11, 401)]
+    found.close()
+
+
+def test_the_time_of_the_last_place_is_in_the_file(tmp_path: Path) -> None:
+    """Neither a cut nor a copy makes a drive of ten days ago the drive of today."""
+    path = tmp_path / "log"
+    file = PlaceLog(create_log(path, HEADER))
+    assert file.begin_drive(DriveBegun("rear"))
+    for row in range(3):
+        while not file.add(raw_of(row), place_of(row), unix_s=1000.0 + row):
+            assert not file.stopped
+    file.close(timeout_s=30)
+    os.truncate(path, path.stat().st_size - 5)
+    found = OpenLog(path)
+    assert found.written_unix_s == 1001.0
+    found.close()
+    written(path, 3)
+    os.utime(path, (2000.0, 2000.0))
+    found = OpenLog(path)
+    assert found.written_unix_s == 2000.0, "of an earlier version: the time of the file"
+    found.close()
 
 
 def test_places_are_appended_after_a_cut(tmp_path: Path) -> None:
