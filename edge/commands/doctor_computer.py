@@ -21,9 +21,9 @@ from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError
 from edge.extras import install_command
+from edge.mapping.quota import CLOCK_SET_UNIX_S
 
 LEAST_FREE_MB = 500
-BUILT_UNIX_S = 1_763_000_000  # November 2025: an earlier clock was never set
 OAK_VENDOR = "03e7"
 
 
@@ -88,7 +88,7 @@ def _user() -> str:
 def check_clock() -> Iterator[Diagnostic]:
     """Whether the wall clock was ever set."""
     now_s = time.time()
-    if now_s < BUILT_UNIX_S:
+    if now_s < CLOCK_SET_UNIX_S:
         today = time.strftime("%Y-%m-%d", time.gmtime(now_s))
         yield note(
             "clock", f"it says {today}", "set it (NTP, or a clock with a battery): the journal's times are wrong"

@@ -1,12 +1,14 @@
 """The journal: what happened, one record of `records` per line as a JSON object, only ever appended.
 
 A crash can tear the last line and no other: each line goes out in a single write, and a file that ends in half a
-line gets a new line started at the next opening. A full disk costs the lines that do not fit, and is reported. A file
-that has grown to its share of the journal's space is renamed (`rotation`), and the next one begins.
+line gets a new line started at the next opening. A disk that is full or read-only costs the lines that it does not
+take, and is reported; the daemon runs on. A file that has grown to its share of the journal's space is renamed
+(`rotation`), and the next one begins.
 """
 
 from __future__ import annotations
 
+import errno
 import itertools
 import logging
 import math
@@ -27,6 +29,8 @@ from edge.journal.rotation import FILES, open_all, rotate
 
 log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Record)
+OF_THE_DISK = (errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of a disk, not of the path: navigation goes on without a journal."""
 
 
 class Journal:
@@ -40,7 +44,7 @@ class Journal:
         sync: bool = False,
         unix_time_s: Callable[[], float] = time.time,
     ) -> None:
-        """ConfigError when the file cannot be opened for appending.
+        """ConfigError where the path can be no journal. A disk that cannot be written is tried again with each line.
 
         max_bytes: of all files of the journal. sync: wait for the disk after each line.
         """
@@ -51,14 +55,18 @@ class Journal:
         self.lost = 0
         """Lines that could not be written."""
         self.why_lost = ""
+        self._fd, self._is_closed, self._size, self._torn = -1, False, 0, False
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
         except OSError as error:
-            raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
-        self.write(JournalOpened(SCHEMA, edge.__version__))
+            if error.errno not in OF_THE_DISK:
+                raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
+            self._report_lost(error.strerror or str(error))
+        else:
+            self.write(JournalOpened(SCHEMA, edge.__version__))
 
     def _open(self) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
         self._fd = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._torn = _ends_torn(self._fd)
         _give_to_owner_of(self._path.parent, self._fd)
@@ -82,6 +90,8 @@ class Journal:
 
     def write(self, record: Record) -> bool:
         """Append one record with the wall clock as `unix_s`; False, and reported, when it does not fit on the disk."""
+        if self._fd < 0 and (self._is_closed or not self._is_open_again()):
+            return False
         self._rotate_if_due()
         fields = {"unix_s": round(self._unix_time_s(), 3), **msgspec.to_builtins(record)}
         line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
@@ -102,6 +112,15 @@ class Journal:
         self._torn, self.lost = False, 0
         return True
 
+    def _is_open_again(self) -> bool:
+        """Open the file that could not be opened before; False while it still cannot."""
+        try:
+            self._open()
+        except OSError as error:
+            self._report_lost(error.strerror or str(error))
+            return False
+        return self.write(JournalOpened(SCHEMA, edge.__version__))
+
     def _report_lost(self, why: str) -> None:
         if not self.lost:
             log.error("%s: cannot write the journal: %s", self._path, why)
@@ -109,7 +128,8 @@ class Journal:
         self.lost += 1
 
     def close(self) -> None:
-        """Close the file; more than once is harmless."""
+        """Close the file, to which nothing is written any more; more than once is harmless."""
+        self._is_closed = True
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

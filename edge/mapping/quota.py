@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ USAGE_FILE = ".usage.json"
 KEEP_FILE = "keep"
 DELETED = ".being-deleted"
 WRITTEN_EACH_NS = 60_000_000_000
+CLOCK_SET_UNIX_S = 1_763_000_000
+"""November 2025: a clock that says less was never set, as after a start without a battery and without a network."""
 log = logging.getLogger(__name__)
 
 
@@ -74,6 +77,12 @@ class StoredMap:
         """Whether live mapping made it, and it has the name that it was given."""
         return all(segment.source == source_of(self.path) for segment in self.header.segments)
 
+    @property
+    def needed_unix_s(self) -> float:
+        """When it was made or last recognized; infinite, so that it goes last, where no clock was set then."""
+        newest_s = max(self.made_unix_s, self.used.last_unix_s)
+        return newest_s if newest_s >= CLOCK_SET_UNIX_S else math.inf
+
 
 def stored_maps(folder: Path) -> list[StoredMap]:
     """All maps of a folder that can be read, in the order of their names. MapError if the folder cannot be read."""
@@ -100,7 +109,7 @@ def retire(folder: Path, quota_bytes: float) -> list[Path]:
     total = sum(one.size_bytes for one in maps)
     may_go = [one for one in maps if one.is_from_drive and not one.is_kept]
     deleted = []
-    for one in sorted(may_go, key=lambda one: max(one.made_unix_s, one.used.last_unix_s)):
+    for one in sorted(may_go, key=lambda one: one.needed_unix_s):
         if total <= quota_bytes:
             break
         try:

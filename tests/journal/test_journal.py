@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import get_args
 
@@ -115,6 +117,32 @@ def test_a_disk_that_fills_inside_a_line_leaves_the_next_line_whole(
 def test_a_journal_that_cannot_be_opened_is_a_config_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"\[telemetry\] journal: {tmp_path}: cannot append to it: Is a directory"):
         Journal(tmp_path)
+
+
+READ_ONLY = """
+import subprocess, sys
+from pathlib import Path
+from edge.journal.journal import Journal, records_of
+from edge.journal.records import StateChanged
+disk = Path(sys.argv[1])
+mount = lambda *options: subprocess.run(["mount", *options], check=True)
+mount("-t", "tmpfs", "-o", "ro", "none", disk)
+journal = Journal(disk / "folder" / "events.jsonl")
+assert not journal.write(StateChanged("lost")) and journal.why_lost == "Read-only file system", journal.why_lost
+mount("-o", "remount,rw", disk)
+assert journal.write(StateChanged("kept")) and not journal.lost
+journal.close()
+print([record.state for record in records_of(disk / "folder" / "events.jsonl", StateChanged)])
+"""
+
+
+def test_a_disk_that_is_read_only_at_the_start_is_written_when_it_can_be(tmp_path: Path) -> None:
+    """Navigation comes before the log: an error of the disk ends no daemon."""
+    if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode:
+        pytest.skip("this user may not make a mount namespace")
+    command = ["unshare", "-rm", sys.executable, "-c", READ_ONLY, str(tmp_path)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.stdout == "['kept']\n", done.stderr
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, who may give files away")

@@ -170,7 +170,7 @@ def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
     first = live(tmp_path / "maps")
     drive(first, range(60))
     first.close()
-    (file,) = logs_in(tmp_path / "maps")
+    assert len(logs_in(tmp_path / "maps")) == 1
     live(tmp_path / "maps", START_S + 3600).close()
     assert not logs_in(tmp_path / "maps")
     made = open_map(tmp_path / "maps" / first.status.name, every_file=True)
@@ -279,3 +279,10 @@ def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: P
     assert retire(tmp_path, 0.0) == [paths[5], paths[3]]
     assert {path for path in tmp_path.iterdir() if path.is_dir()} == {paths[0], paths[1], own}
     assert Usage(tmp_path).maps[paths[3].name].recognized == 1
+
+
+def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp_path: Path) -> None:
+    by_clock = make_drive(tmp_path, START_S)
+    without = make_drive(tmp_path, 1000.0)
+    assert retire(tmp_path, 1.5 * stored_maps(tmp_path)[0].size_bytes) == [by_clock]
+    assert without.is_dir()
