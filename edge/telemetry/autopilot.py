@@ -29,6 +29,7 @@ from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.velocity_aid import NO_AID, velocity_aid
 
+DOUBLED = "two autopilots have the same ids"
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
 log = logging.getLogger(__name__)
@@ -67,6 +68,7 @@ class AutopilotConnection:
         ]
         self._history = PositionHistory()
         self._session = 0
+        self._was_doubled = False
         self._has_warned = False  # in this session, that nothing measures velocity
         self._system_status: int = mavlink.MAV_STATE_ACTIVE
 
@@ -109,8 +111,8 @@ class AutopilotConnection:
 
     @property
     def gps_fault(self) -> str:
-        """What is wrong with GPS by the places, for people; "" where nothing is."""
-        return self._positions.doubted_gps.words
+        """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
+        return "GPS is wrong" if self._positions.doubted_gps.is_wrong else ""
 
     def speed_mps(self) -> float | None:
         """How fast the vehicle moves, None where nobody knows."""
@@ -210,14 +212,15 @@ class AutopilotConnection:
 
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
-        return self._positions.due(self._clock_ns()) if self.state == "up" else None
+        is_known = self.state == "up" and not self.vehicle.is_doubled
+        return self._positions.due(self._clock_ns()) if is_known else None
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Send the autopilot a position, by the message of [telemetry] emit and if [gates] allow; True if it was sent.
 
         The fix is of the moment that `position_due` returned.
         """
-        if self.state != "up":
+        if self.position_due() is None:
             return False
         messages = self._positions.send(fix, self._clock_ns())
         self._send(messages)
@@ -233,7 +236,7 @@ class AutopilotConnection:
         """Send a heartbeat and a line on every link at once, even where no peer was heard: before the program ends."""
         for port in (self._port, *(link.port for link in self._report_links)):
             if port.open_if_due(self._clock_ns()):
-                for message in (encoders.heartbeat(self._system_status), *encoders.status_text(text, severity, 1)):
+                for message in (encoders.heartbeat(self._system_status), *encoders.status_text(text, severity)):
                     port.send(message)
         time.sleep(DRAIN_S)
 
@@ -337,6 +340,12 @@ class AutopilotConnection:
             self._has_warned = False
             self._positions.new_session()
             self._history.clear()
+        if self.vehicle.is_doubled != self._was_doubled:
+            self._was_doubled = self.vehicle.is_doubled
+            why = DOUBLED if self._was_doubled else ""
+            self._record(LinkChanged(self.state, why))
+            if why:
+                self._warn(f"Lookback: {why}")
         self._send(self._protocol.requests(self._clock_ns()))
         self._warn_without_velocity_aid(now_ns)
         self._send(self._positions.follow_up(now_ns))

@@ -45,14 +45,6 @@ class DoubtedGps:
         """Whether positions are published as if GPS were lost."""
         return self.is_wrong and self._acts
 
-    @property
-    def words(self) -> str:
-        """What is wrong with GPS, for people; "" where nothing is."""
-        if not self.is_wrong:
-            return ""
-        where = self.verdict.where if self.verdict else ""
-        return f"GPS is wrong by {where}" if where else "GPS is wrong"
-
     def judge(self, verdict: GpsVerdict, now_ns: int) -> bool:
         """Publish a verdict where it is another one; True when GPS was just called wrong."""
         was_wrong, self.verdict = self.is_wrong, verdict

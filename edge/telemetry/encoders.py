@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 
 from msgspec import UNSET
@@ -136,16 +137,11 @@ def describe(fix: PlaceFix) -> str:
     return f"Place {fix.place}{of}{direction}, {fix.category}, {fix.uniqueness:.2f}"
 
 
-def status_text(text: str, severity: int, text_id: int) -> list[Message]:
-    """STATUSTEXT, in chunks that share `text_id` (1 to 65535) when the text is longer than 50 bytes of UTF-8."""
-    data = text.encode()
-    if len(data) <= TEXT_BYTES:
-        return [mavlink.MAVLink_statustext_message(severity, data, 0, 0)]
-    # The reader knows the last chunk by a null byte: a text of exactly n x 50 bytes needs an empty one more.
-    return [
-        mavlink.MAVLink_statustext_message(severity, data[start : start + TEXT_BYTES], text_id, chunk)
-        for chunk, start in enumerate(range(0, len(data) + 1, TEXT_BYTES))
-    ]
+def status_text(text: str, severity: int) -> list[Message]:
+    """STATUSTEXT, one for each line of complete words of at most 50 bytes of UTF-8."""
+    one_byte_each = text.encode().decode("latin-1")
+    lines = textwrap.wrap(one_byte_each, TEXT_BYTES, break_on_hyphens=False)
+    return [mavlink.MAVLink_statustext_message(severity, line.encode("latin-1"), 0, 0) for line in lines]
 
 
 def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:

@@ -201,14 +201,12 @@ class StatusTexts:
 
     def __init__(self) -> None:
         self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
-        self._id = 0
         self._next_ns = 0
         self._next_place_ns = 0
 
     def put(self, text: str, severity: int) -> None:
         """Queue a line of any length."""
-        self._id = self._id % 65535 + 1
-        self._queue.append(encoders.status_text(text, severity, self._id))
+        self._queue.append(encoders.status_text(text, severity))
 
     def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
         """Queue a line about a place, but not more than one each five seconds: places come by the second."""

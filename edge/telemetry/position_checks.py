@@ -13,10 +13,11 @@ from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.vehicle import Vehicle
 
 REMEMBER_NS = 1_000_000_000
-TIMES, ACCURATE_M = 2.0, 10.0
-"""An autopilot that is so many times as certain as a position would lose by a reset to it; other messages are weighed.
-A position that is less accurate than ACCURATE_M must be so many times as certain as the autopilot, whose uncertainty by
-the distance driven is a bound, not what is expected; where nothing measures its velocity, none is sent."""
+GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
+"""A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
+another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
+BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
+measures its velocity, none is sent. Messages that are weighed need none of this."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
@@ -81,7 +82,7 @@ class PositionChecks:
         if not vehicle.is_aided:
             most_m = ACCURATE_M
         elif message.acknowledged and known_m is not None:
-            most_m = max(min(TIMES * known_m, ACCURATE_M), known_m / TIMES)
+            most_m = max(min(GROWS * known_m, ACCURATE_M), known_m / BOUND)
         return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
 
     def bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""The autopilot's position at the exposure of a frame, with its accuracy and what it rests on. No I/O.
+"""The autopilot's position at the exposure of a frame, with its accuracy and what it rests on; and whose it is. No I/O.
 
 A position comes 0.1 s before or after a frame, in which a car drives 3 m. So it is interpolated between the one before
 and the one after, which a frame has to wait for.
@@ -18,6 +18,9 @@ AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocit
 AWAITED_NS = 1_000_000_000  # how long a frame waits for the position after it
 JUMP_M, JUMP_SHARE = 3.0, 0.5
 """Two positions that differ by so many meters and that share of the distance more than by velocity: a reset."""
+TURNS, TURNS_NS = 3, 10_000_000_000
+"""How often one is back within that time before two autopilots are found: one reboots at most once in it, and where its
+filters take turns (EKF lanes), it does so less often."""
 
 
 class PositionHistory:
@@ -49,6 +52,37 @@ class PositionHistory:
         if after is None:
             return _moved_on(before, stamp_ns) if stamp_ns - before.stamp_ns <= AHEAD_NS else None
         return _between(before, after, stamp_ns)
+
+
+class Alternation:
+    """Whether two autopilots send with the same ids: their positions come in turns, or their clocks seem to go back."""
+
+    def __init__(self) -> None:
+        self._recent: deque[VehiclePosition] = deque(maxlen=2)
+        self._noticed_ns: deque[int] = deque(maxlen=TURNS)
+
+    def add(self, position: VehiclePosition, now_ns: int) -> None:
+        """A position; a reset moves it once, and it comes back only where another one sent the one between."""
+        if len(self._recent) == 2:
+            first, second = self._recent
+            if _differ(first, second) and _differ(second, position) and not _differ(first, position):
+                self.notice(now_ns)
+        self._recent.append(position)
+
+    def notice(self, now_ns: int) -> None:
+        """The positions came back to where they were, or the clock went back."""
+        self._noticed_ns.append(now_ns)
+
+    def is_found(self, now_ns: int) -> bool:
+        """Whether that was so often within TURNS_NS, until it has not been so for TURNS_NS."""
+        noticed_ns = self._noticed_ns
+        is_often = len(noticed_ns) == TURNS and noticed_ns[-1] - noticed_ns[0] <= TURNS_NS
+        return is_often and now_ns - noticed_ns[-1] <= TURNS_NS
+
+
+def _differ(first: VehiclePosition, second: VehiclePosition) -> bool:
+    """Whether two positions cannot be of one vehicle that moves by its velocity."""
+    return _jumped(first, second, (second.stamp_ns - first.stamp_ns) / 1e9)
 
 
 def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:

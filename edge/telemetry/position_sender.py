@@ -240,15 +240,12 @@ class PositionSender:
             values = encoders.protection_values(self._checks.protection_level, round(1000 * boot_s))
         self._last_sent_ns = now_ns
         vehicle.expect_pull(distance_m or 0.0, now_ns)
-        if not message.acknowledged:
+        if message.shares_information or not (message.acknowledged or vehicle.is_aided):
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending), *values]
 
     def _one_of_many(self, fix: PlaceFix, now_ns: int, period_s: float) -> PlaceFix:
-        """The fix with a sigma that suits a filter to which each position of a stream is a measurement of its own.
-
-        All within a correlation length have the same error, so their information is divided among them.
-        """
+        """The fix with a larger sigma: all within a correlation length have one error, and share its information."""
         speed_mps = self._vehicle.speed_mps(now_ns) or 0.0
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
         return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)

@@ -19,6 +19,7 @@ from edge.localization import PULLED_NS, DeadReckoning, Displacement, ReportedMo
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.gps import Gps
+from edge.telemetry.position_history import Alternation
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -79,6 +80,9 @@ class Vehicle:
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
         self.origin: Origin | None = None
         """None until GPS_GLOBAL_ORIGIN arrived: the autopilot may have none."""
+        self.is_doubled = False
+        """Whether another autopilot sends with the same ids: then nothing is known of either."""
+        self._alternation = Alternation()
         self._heard_ns: dict[int, int] = {}  # heartbeats, by system
         self._message_ns: dict[int, int] = {}  # of this session, by message id
         self._clock = BootClock()
@@ -128,9 +132,16 @@ class Vehicle:
             return False
         self._message_ns[message.get_msgId()] = now_ns
         reader = self._handlers.get(message.get_msgId())
-        if reader is not None:
+        if reader is not None and (not self.is_doubled or reader == self._read_global_position):
             reader(message, now_ns)
+            self._notice_double(now_ns)
         return True
+
+    def _notice_double(self, now_ns: int) -> None:
+        if self._alternation.is_found(now_ns) != self.is_doubled:
+            self.is_doubled = not self.is_doubled
+            log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
+            self._start_session()
 
     @property
     def drives_itself(self) -> bool | None:
@@ -251,10 +262,11 @@ class Vehicle:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC."""
         boot_ms = self._clock.unwrapped_ms(boot_ms, now_ns)
         if boot_ms < self._newest_boot_ms - REBOOT_BACK_MS:
-            log.warning(
-                "the autopilot has rebooted: its clock went back from %d to %d ms", self._newest_boot_ms, boot_ms
-            )
-            self._start_session()
+            self._alternation.notice(now_ns)
+            self._newest_boot_ms = -1
+            if not self.is_doubled:
+                log.warning("the autopilot has rebooted: its clock went back to %d ms", boot_ms)
+                self._start_session()
         self._newest_boot_ms = max(boot_ms, self._newest_boot_ms)
         self._clock.add_stamp(boot_ms * 1_000_000, now_ns)
         return min(self._clock.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)
@@ -265,9 +277,7 @@ class Vehicle:
             return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
-        self._add_speed(stamp_ns, signed_speed(message.vy / 100, message.vx / 100, heading_deg), source=1)
-        before = self._position
-        self._position = VehiclePosition(
+        now = VehiclePosition(
             stamp_ns,
             message.lat / 1e7,
             message.lon / 1e7,
@@ -277,7 +287,12 @@ class Vehicle:
             message.vx / 100,
             message.vy / 100,
         )
-        self._add_velocity(stamp_ns, *self._east_north_mps(before, self._position), heading_deg)
+        self._alternation.add(now, now_ns)
+        if self.is_doubled:
+            return
+        self._add_speed(stamp_ns, signed_speed(now.east_mps, now.north_mps, heading_deg), source=1)
+        before, self._position = self._position, now
+        self._add_velocity(stamp_ns, *self._east_north_mps(before, now), heading_deg)
 
     def _east_north_mps(self, before: VehiclePosition | None, now: VehiclePosition) -> tuple[float, float]:
         """Velocity by two positions, while no position of ours has moved them; else, and over jumps, as reported.

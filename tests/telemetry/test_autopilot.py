@@ -104,7 +104,7 @@ def test_report_sends_text_and_no_position(rig: Rig) -> None:
     rig.run(2.0)
     assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, street, 1.31"]
     values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}
-    assert values == {"uniqueness": pytest.approx(1.31), "fix_sigma": pytest.approx(6.0)}
+    assert values == {"uniqueness": pytest.approx(1.31), "fix_sigma": pytest.approx(3.0)}
     assert [(message.name, message.value) for message in rig.received("NAMED_VALUE_INT")] == [("place", 42)]
     assert not rig.received("COMMAND_INT")
 
@@ -118,7 +118,7 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
     assert (command.command, command.frame, command.target_system, command.target_component) == (43003, 0, 1, 1)
     assert command.z != command.z, "z must be NaN"
     assert command.param2 == pytest.approx(1.5, abs=0.02)
-    assert command.param3 == pytest.approx(6.0)
+    assert command.param3 == pytest.approx(3.0)
     assert [reset.error_after_m for reset in rig.autopilot.resets] == [pytest.approx(0.0, abs=0.3)]
     assert [(record.place, record.result) for record in rig.journalled(FixAnswered)] == [(42, "ACCEPTED")]
 

@@ -77,20 +77,24 @@ def test_a_fix_fits_into_one_status_text() -> None:
     assert encoders.describe(of_tile) == "Place 7 of tile-3 backwards, residential_street, 1.23"
     text = encoders.describe(FIX)
     assert text == "Place 1207 backwards, residential_street, 1.23"
-    assert len(encoders.status_text(text, 6, 1)) == 1
+    assert len(encoders.status_text(text, 6)) == 1
 
 
-@pytest.mark.parametrize("size", [0, 1, 49, 50, 51, 99, 100, 101, 250])
-def test_status_text_of_any_length(size: int) -> None:
-    text = ("abcdefghij" * 25)[:size]
-    chunks = [carried(message) for message in encoders.status_text(text, mavlink.MAV_SEVERITY_NOTICE, 77)]
-    assert "".join(chunk.text for chunk in chunks) == text
-    assert {chunk.severity for chunk in chunks} == {5}
-    if size <= 50:
-        assert [(chunk.id, chunk.chunk_seq) for chunk in chunks] == [(0, 0)]
-    else:
-        assert [(chunk.id, chunk.chunk_seq) for chunk in chunks] == [(77, index) for index in range(len(chunks))]
-        assert len(chunks[-1].text) < 50, "the last chunk ends with a null byte"
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("x" * 50, ["x" * 50]),
+        (
+            "Lookback degraded: blind, camera: the picture is black; warming up",
+            ["Lookback degraded: blind, camera: the picture is", "black; warming up"],
+        ),
+        ("/a" * 30, ["/a" * 25, "/a" * 5]),
+    ],
+)
+def test_a_status_text_is_lines_of_complete_words(text: str, lines: list[str]) -> None:
+    sent = [carried(message) for message in encoders.status_text(text, mavlink.MAV_SEVERITY_NOTICE)]
+    assert [one.text for one in sent] == lines
+    assert {(one.severity, one.id, one.chunk_seq) for one in sent} == {(5, 0, 0)}
 
 
 def test_plotted_values() -> None:

@@ -10,10 +10,12 @@ from typing import Any, TypeAlias
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import LinkConfig
+from edge.config import GatesConfig, LinkConfig
 from edge.errors import ConfigError
 from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry.codec import MavlinkCodec
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
 
 OpenRig: TypeAlias = Callable[..., Any]
 
@@ -124,3 +126,38 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
 def test_a_wrong_link_is_named(open_rig: OpenRig) -> None:
     with pytest.raises(ConfigError, match=r"^\[\[telemetry\.links\]\] connection: 'tcp:here:1' is not"):
         open_rig(config={"links": (LinkConfig("udp:127.0.0.1:1"), LinkConfig("tcp:here:1"))})
+
+
+class Overheard:
+    """What arrives for one vehicle, heard by another that speaks on the same radio."""
+
+    def __init__(self, rig: Any) -> None:
+        self._rig, self._heard, self._receive = rig, b"", rig.wire.receive
+        rig.wire.receive = self._overhear
+        self.send, self.fileno, self.close = rig.wire.send, rig.wire.fileno, rig.wire.close
+
+    def _overhear(self) -> bytes:
+        data = self._receive()
+        self._heard += data
+        return bytes(data)
+
+    def receive(self) -> bytes:
+        data, self._heard = self._heard, b""
+        return data
+
+
+def test_a_second_autopilot_with_the_same_ids_stops_positions_and_is_reported(open_rig: OpenRig) -> None:
+    """Another vehicle 22 m ahead on the same radio."""
+    rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0), gps=False)
+    pose_at = straight_line(8.0, 60.0, rig.now_ns / 1e9 - 22 / 8)
+    ahead = SimulatedAutopilot(Overheard(rig), pose_at, lambda: rig.now_ns, gps=False)
+    rig.run(6.0, lambda: bool(ahead.step()))
+    assert rig.connection.position() is None
+    assert rig.connection.position_due() is None
+    assert not rig.connection.send_position(rig.fix())
+    assert [one.text for one in rig.received("STATUSTEXT")].count("Lookback: two autopilots have the same ids") == 1
+    assert rig.journalled(LinkChanged)[-1] == LinkChanged("up", "two autopilots have the same ids")
+    rig.run(12.0)
+    assert rig.connection.position() is not None
+    assert rig.connection.position_due() is not None
+    assert rig.journalled(LinkChanged)[-1] == LinkChanged("up", "")

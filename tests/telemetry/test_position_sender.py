@@ -149,8 +149,8 @@ def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(op
 
 
 def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open_rig: OpenRig) -> None:
-    """One stretch alone, at a thousandth an hour."""
-    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=1e-3), gps=True)
+    """One stretch alone, at a ten-thousandth an hour."""
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=1e-4), gps=True)
     rig.run(9.0)
     rig.autopilot.gps = False
     assert offer_for(rig, 3.0)

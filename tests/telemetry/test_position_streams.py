@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -87,6 +88,24 @@ def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmwar
     rig.run(120.0)
     own = rig.connection.position()
     assert rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
+
+
+@pytest.mark.parametrize(
+    ("firmware", "emit", "times"),
+    [("px4", "global_position_sensor", 1.0), ("ardupilot", "vision_position", math.sqrt(37.5))],
+)
+def test_a_stream_has_the_standard_deviation_that_its_filter_follows(
+    open_rig: OpenRig, firmware: str, emit: str, times: float
+) -> None:
+    """At 8 m/s 37.5 messages share an error. An aided PX4 would not follow them; ArduPilot would turn its heading."""
+    rig = open_rig(emit=emit, gates=GatesConfig(risk=1.0), firmware=firmware)
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(6.0)
+    assert offer_for(rig, 2.0)
+    sent = rig.received("GLOBAL_POSITION_SENSOR") + rig.received("VISION_POSITION_ESTIMATE")
+    sigmas_m = [one.eph if firmware == "px4" else (3 * one.covariance[0] ** 2) ** (1 / 3) for one in sent]
+    assert sigmas_m == pytest.approx([times * rig.fix().sigma_m] * len(sent), rel=0.02)
 
 
 def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(open_rig: OpenRig) -> None:

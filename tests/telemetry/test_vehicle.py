@@ -286,3 +286,34 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
     vehicle.handle(speaker.position(2_000), 3 * S)
     assert vehicle.origin is None and vehicle.version is None
     assert vehicle.accuracy_m(3 * S) is None
+
+
+@pytest.mark.parametrize(("apart_m", "apart_ms"), [(22.0, 0), (22.0, 40), (0.0, 3_600_000)])
+def test_of_two_autopilots_with_the_same_ids_nothing_is_known(apart_m: float, apart_ms: int) -> None:
+    """Their positions come in turns; in one place, their clocks do. Once one of them is silent the other is known."""
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for tick in range(100):
+        now_ns, first_ms = 2 * S + tick * S // 10, 10_000 + 100 * tick
+        vehicle.handle(speaker.fix(first_ms, 0.8 * tick, 8.0, 0.0), now_ns)
+        vehicle.handle(speaker.fix(first_ms + apart_ms, apart_m + 0.8 * tick, 8.0, 0.0), now_ns)
+        assert vehicle.is_doubled or tick < 3
+    assert vehicle.position(now_ns) is None
+    assert vehicle.speed_mps(now_ns) is None
+    assert vehicle.displacement(now_ns) is None
+    assert vehicle.connected
+    for tick in range(100, 220):
+        vehicle.handle(speaker.fix(10_000 + 100 * tick, 0.8 * tick, 8.0, 0.0), 2 * S + tick * S // 10)
+    assert not vehicle.is_doubled
+    assert vehicle.position(2 * S + tick * S // 10) is not None
+
+
+def test_an_autopilot_that_is_reset_each_second_is_one(steps: int = 60) -> None:
+    """By positions up to 10 m off to either side, and a reboot in the middle."""
+    speaker, rng = Speaker(), random.Random(7)
+    vehicle, off_m = connect(speaker), 0.0
+    for tick in range(10 * steps):
+        off_m = rng.uniform(-10.0, 10.0) if tick % 10 == 0 else off_m
+        boot_ms = 100 * tick + (500_000 if tick < 5 * steps else 0)
+        vehicle.handle(speaker.fix(boot_ms, 0.8 * tick + off_m, 8.0, 0.0), 2 * S + tick * S // 10)
+        assert not vehicle.is_doubled
