@@ -50,7 +50,7 @@ class LinkStatus:
 
 
 def open_link(connection: str) -> Link:
-    """Open `serial:DEVICE:BAUD`, `udp:HOST:PORT` or `udpin:HOST:PORT`.
+    """Open `serial:DEVICE:BAUD`, or `udp`, `udpin`, `tcp` or `tcpin`, each with `:HOST:PORT`.
 
     Raises ConfigError for a malformed string, and LinkLost when the port is missing, in use or not permitted.
     """

@@ -3,6 +3,8 @@
 serial:DEVICE:BAUD   a serial port, or anything that looks like one (USB, a pseudo-terminal)
 udp:HOST:PORT        sends to that peer, and receives only from it
 udpin:HOST:PORT      listens on that port, and sends to the peer that was received last, or to the one that is kept
+tcp:HOST:PORT        connects to a server, such as mavlink-router or a simulated autopilot
+tcpin:HOST:PORT      waits for one client at a time
 """
 
 from __future__ import annotations
@@ -13,12 +15,13 @@ import os
 import socket
 import termios
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import serial
 
 from edge.errors import ConfigError, LinkLost
 
+KINDS: TypeAlias = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
 READ_SIZE = 65536
 MOST_FROM_OTHERS = 1000  # datagrams that one call drops
 
@@ -43,7 +46,7 @@ class Link(Protocol):
 class Connection:
     """A parsed connection string. `target` is a device or a host, `number` its baud rate or port."""
 
-    kind: Literal["serial", "udp", "udpin"]
+    kind: KINDS
     target: str
     number: int
 
@@ -51,6 +54,8 @@ class Connection:
         """Open it; LinkLost when it cannot be opened now."""
         if self.kind == "serial":
             return SerialLink(self.target, self.number)
+        if self.kind in ("tcp", "tcpin"):
+            return TcpLink(self.target, self.number, listen=self.kind == "tcpin")
         return UdpLink(self.target, self.number, listen=self.kind == "udpin")
 
     def __str__(self) -> str:
@@ -61,8 +66,8 @@ def parse_connection(connection: str, where: str = "[telemetry] connection") -> 
     """Check a connection string without opening anything; ConfigError names the key, which is at `where`."""
     kind, _, rest = connection.partition(":")
     target, _, number = rest.rpartition(":")
-    if kind not in ("serial", "udp", "udpin") or not target or target.startswith("//"):
-        raise ConfigError(f"{where}: {connection!r} is not serial:DEVICE:BAUD, udp:HOST:PORT or udpin:HOST:PORT")
+    if kind not in get_args(KINDS) or not target or target.startswith("//"):
+        raise ConfigError(f"{where}: {connection!r} is not serial:DEVICE:BAUD, or udp, udpin, tcp or tcpin:HOST:PORT")
     limit = 12_000_000 if kind == "serial" else 65_535
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):
         what = "baud rate" if kind == "serial" else "port"
@@ -190,3 +195,105 @@ class UdpLink:
     def close(self) -> None:
         """See Link."""
         self._socket.close()
+
+
+class TcpLink:
+    """A stream to a server, or from one client at a time; the next client is accepted when that one has gone."""
+
+    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+        self._name = f"{host}:{port}"
+        self._server: socket.socket | None = None
+        self._peer: socket.socket | None = None
+        self._unsent = b""
+        """The rest of a message of which the kernel took only a part: it goes first."""
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            opened = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise LinkLost(f"{self._name}: cannot find this host: {error.strerror}") from None
+        opened.setblocking(False)
+        try:
+            if listen:
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                opened.bind(address)
+                opened.listen(1)
+                self._server = opened
+            else:
+                number = opened.connect_ex(address)
+                if number not in (0, errno.EINPROGRESS):
+                    raise OSError(number, os.strerror(number))
+                opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._peer = opened
+        except OSError as error:
+            opened.close()
+            raise LinkLost(f"{self._name}: cannot open it: {error.strerror}") from None
+
+    def receive(self) -> bytes:
+        """See Link. LinkLost when the server has gone; a client that has gone makes room for the next."""
+        if self._peer is None and not self._accept():
+            return b""
+        assert self._peer is not None
+        try:
+            data = self._peer.recv(READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno == errno.ENOTCONN:  # still connecting
+                return b""
+            return self._lose(error.strerror or str(error))
+        return data or self._lose("the other side has closed it")
+
+    def send(self, data: bytes) -> bool:
+        """See Link. False while nobody is connected."""
+        if self._peer is None and not self._accept():
+            return False
+        assert self._peer is not None
+        try:
+            if self._unsent:
+                self._unsent = self._unsent[self._peer.send(self._unsent) :]
+            if self._unsent or not data:
+                return False
+            self._unsent = data[self._peer.send(data) :]
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            if error.errno != errno.ENOTCONN:
+                self._lose(error.strerror or str(error))
+            return False
+        return True
+
+    def _accept(self) -> bool:
+        if self._server is None:
+            raise LinkLost(f"{self._name}: it is closed")
+        try:
+            self._peer, _ = self._server.accept()
+        except (BlockingIOError, ConnectionAbortedError):
+            return False
+        except OSError as error:
+            raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
+        self._peer.setblocking(False)
+        self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._unsent = b""
+        return True
+
+    def _lose(self, why: str) -> bytes:
+        """A client makes room for the next; without the server there is no link."""
+        if self._server is None:
+            raise LinkLost(f"{self._name}: {why}")
+        if self._peer is not None:
+            self._peer.close()
+        self._peer = None
+        return b""
+
+    def fileno(self) -> int:
+        """See Link."""
+        opened = self._peer or self._server
+        if opened is None:
+            raise LinkLost(f"{self._name}: it is closed")
+        return opened.fileno()
+
+    def close(self) -> None:
+        """See Link."""
+        for one in (self._peer, self._server):
+            if one is not None:
+                one.close()

@@ -17,7 +17,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import Connection, Link, UdpLink
 
 RETRY_FIRST_NS = 500_000_000
-RETRY_LAST_NS = {"serial": 1_000_000_000, "udp": 8_000_000_000, "udpin": 8_000_000_000}
+RETRY_LAST_NS = dict.fromkeys(("udp", "udpin", "tcp", "tcpin"), 8_000_000_000) | {"serial": 1_000_000_000}
 """Trying a device costs nothing; looking up the name of a host is a packet on the network."""
 SIGNED_SILENCE_NS = 3_000_000_000
 """With signing, receive first: the peer's timestamp may be ahead of our clock, and it drops what is older."""

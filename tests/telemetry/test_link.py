@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import socket
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,8 @@ def receive(link: Link, size: int) -> bytes:
         "serial:/dev/ttyACM0:fast",
         "serial:/dev/ttyACM0:0",
         "serial::57600",
-        "tcp:localhost:5760",
+        "tls:localhost:5760",
+        "udp://127.0.0.1:14550",
         "udp:14550",
         "udp:localhost:70000",
         "udpin:0.0.0.0:-1",
@@ -171,3 +173,59 @@ def test_a_taken_udp_port_and_an_unknown_host_are_lost_links() -> None:
     first.close()
     with pytest.raises(LinkLost, match=r"no-such-host\.invalid:14550: cannot find this host"):
         open_link("udp:no-such-host.invalid:14550")
+
+
+def test_tcp_both_ways_and_the_next_client_is_accepted_when_one_has_gone() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    server = open_link(f"tcpin:127.0.0.1:{port}")
+    assert not server.send(b"to nobody")
+    assert server.receive() == b""
+    for _ in range(2):
+        client = open_link(f"tcp:127.0.0.1:{port}")
+        assert select.select([], [client], [], 5.0)[1], "it is connected"
+        assert client.send(b"hello")
+        assert select.select([server], [], [], 5.0)[0]
+        assert receive(server, 5) == b"hello"
+        assert server.send(b"you")
+        assert receive(client, 3) == b"you"
+        client.close()
+        assert select.select([server], [], [], 5.0)[0], "that it has gone can be read"
+        assert server.receive() == b""
+    server.close()
+
+
+def test_a_server_that_refuses_or_goes_away_is_a_lost_link() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    refused = open_link(f"tcp:127.0.0.1:{port}")
+    assert select.select([refused], [], [], 5.0)[0]
+    with pytest.raises(LinkLost, match=f"127.0.0.1:{port}: Connection refused"):
+        refused.receive()
+    refused.close()
+    server = open_link(f"tcpin:127.0.0.1:{port}")
+    client = open_link(f"tcp:127.0.0.1:{port}")
+    assert select.select([server], [], [], 5.0)[0]
+    assert server.receive() == b""
+    server.close()
+    assert select.select([client], [], [], 5.0)[0]
+    with pytest.raises(LinkLost, match=r"the other side has closed it|Connection reset"):
+        client.receive()
+    client.close()
+
+
+def test_a_message_that_a_full_buffer_cuts_is_finished_before_the_next() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    server = open_link(f"tcpin:127.0.0.1:{port}")
+    client = open_link(f"tcp:127.0.0.1:{port}")
+    assert select.select([server], [], [], 5.0)[0]
+    assert server.receive() == b""
+    messages = [bytes([number % 251]) * 10_000 for number in range(2000)]
+    sent = [message for message in messages if client.send(message)]
+    assert len(sent) < len(messages), "a peer that reads nothing costs messages, and blocks nothing"
+    got = b""
+    while len(got) < sum(map(len, sent)):
+        assert select.select([server], [], [], 5.0)[0], f"only {len(got)} bytes came"
+        got += server.receive()
+        client.send(b"")
+    assert got == b"".join(sent)
+    client.close()
+    server.close()
