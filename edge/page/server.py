@@ -5,8 +5,8 @@ requests within FRESH_S share it. What goes out is drawn here, in this thread, o
 takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
 
 Only GET, no files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of
-[page] hosts, so that no foreign web site can read the page by a name that it points here. Who sends or reads slower
-than PATIENCE_S is cut off, and there are at most CONNECTIONS at once.
+[page] hosts, so that no foreign web site can read the page by a name that it points here; nor may one have a job begun.
+Who has not sent a request after HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from edge.page.snapshot import Snapshot
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
 ANSWER_S = 2.0  # how long the daemon's loop may take to hand over a snapshot
-PATIENCE_S = 10.0
+PATIENCE_S, HEAD_S = 10.0, 1.0
 CONNECTIONS = 24
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
@@ -93,9 +93,10 @@ class StatusPage:
         self._thread.start()
 
     def show(self, snapshot: Snapshot) -> None:
-        """Hand over what was wanted; called by the daemon's loop."""
+        """Hand over what was wanted, unless the page has stopped; called by the daemon's loop."""
         self.wanted = False
-        self._loop.call_soon_threadsafe(self._receive, snapshot)
+        with contextlib.suppress(RuntimeError):  # its thread has ended, and the loop with it
+            self._loop.call_soon_threadsafe(self._receive, snapshot)
 
     def show_map(self, map_view: MapView) -> None:
         """Show other maps from now on, after one was excluded."""
@@ -170,6 +171,9 @@ class StatusPage:
             return Response(self._map.as_json(), media_type="application/json")
 
         async def coverage(request: Request) -> Response:
+            # Browsers name the kind of site that asks; other programs do not, and need not.
+            if request.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
+                return PlainTextResponse("only for this page itself\n", 403)
             asked = {name: request.query_params.get(name, "") for name in ("for", "light", "view")}
             for name, allowed in (("for", WAYS), ("light", LIGHTS), ("view", VIEWS)):
                 if asked[name] not in allowed:
@@ -275,7 +279,9 @@ class _OnlyForUs:
 
 
 class _ImpatientProtocol(H11Protocol):
-    """HTTP/1.1 that ends a connection on which no answer was completed for `patience_s`; uvicorn waits for ever."""
+    """HTTP/1.1 that ends a connection without a whole request after HEAD_S, or without a whole answer after
+    `patience_s`; uvicorn waits for ever.
+    """
 
     def __init__(self, patience_s: float, config: uvicorn.Config, **others: Any) -> None:
         super().__init__(config, **others)
@@ -284,14 +290,23 @@ class _ImpatientProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._deadline = self.loop.call_later(self._patience_s, transport.abort)
+        self._deadline = self.loop.call_later(min(HEAD_S, self._patience_s), transport.abort)
+
+    def data_received(self, data: bytes) -> None:
+        is_first = self.cycle is None
+        super().data_received(data)
+        if is_first and self.cycle is not None:
+            self._wait_for_answer()
 
     def on_response_complete(self) -> None:
+        self._wait_for_answer()
+        super().on_response_complete()
+
+    def _wait_for_answer(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
         if not self.transport.is_closing():
             self._deadline = self.loop.call_later(self._patience_s, self.transport.abort)
-        super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._deadline is not None:

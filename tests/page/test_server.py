@@ -308,6 +308,29 @@ def test_many_idle_connections_keep_nobody_out_for_long(page: StatusPage, loop: 
     assert get(page, "/status.json")[0] == 200
 
 
+def test_half_sent_requests_keep_nobody_out_for_long() -> None:
+    """However patient the page is with those who read slowly."""
+    with closing(StatusPage(PageConfig(port=0), MAP, patience_s=100 * CUT_OFF_S)) as page:
+        half = [raw(page, b"GET / HTTP/1.1\r\n") for _ in range(CONNECTIONS)]
+        for connection in half:
+            with closing(connection):
+                wait_for_end(connection)
+        assert get(page, "/")[0] == 200
+
+
+def test_a_foreign_site_begins_no_job(page: StatusPage) -> None:
+    path = "/coverage.json?for=home&light=day&view=front"
+    for site in ("cross-site", "same-site"):
+        assert get(page, path, **{"Sec-Fetch-Site": site})[0] == 403
+    assert get(page, path, **{"Sec-Fetch-Site": "same-origin"})[0] == 200
+
+
+def test_what_is_shown_to_a_page_that_has_stopped_is_dropped(page: StatusPage, loop: Loop) -> None:
+    get(page, "/status.json")
+    page.close()
+    page.show(snapshot(1))
+
+
 def test_a_restart_takes_the_same_port_at_once(page: StatusPage, loop: Loop) -> None:
     get(page, "/status.json")
     page.close()
