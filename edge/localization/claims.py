@@ -109,7 +109,9 @@ class Claims:
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
         times = SAME_DRIVE if one.segment == other.segment else 1.0
-        return _apart_m(one, other.displacement) >= times * self._gates.confirm_m
+        # By a velocity that may be too large, so that a whole stretch that is wrong is not two.
+        further = 1 + self._gates.drift_percent / 100
+        return _apart_m(one, other.displacement) >= times * further * self._gates.confirm_m
 
 
 def wrong_by_confidence(confidence: float) -> float:
@@ -137,7 +139,12 @@ def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement)
     if before.displacement.leg != displacement.leg:
         return False
     off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
-    return math.hypot(off_east_m, off_north_m) <= ALIKE_M + (ALIKE_SHARE + fix.velocity_error) * driven_m
+    return math.hypot(off_east_m, off_north_m) <= alike_m(driven_m, fix.velocity_error)
+
+
+def alike_m(driven_m: float, velocity_error: float) -> float:
+    """By how much two fixes that far apart may differ from the vehicle's displacement and count as one claim."""
+    return ALIKE_M + (ALIKE_SHARE + velocity_error) * driven_m
 
 
 def _apart_m(observation: Observation, displacement: Displacement) -> float:

@@ -22,9 +22,9 @@ from typing import Literal, TypeAlias
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.claims import ALIKE_M, ALIKE_SHARE, SAME_DRIVE, Claim, Claims, stretch_wrong
+from edge.localization.claims import SAME_DRIVE, STRETCH_WRONG, Claim, Claims, alike_m, stretch_wrong
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.protection_level import ProtectionLevel, Reckoned, Wrong, protection_level
+from edge.localization.protection_level import ProtectionLevel, Reckoned, Unnoticed, Wrong, protection_level
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
@@ -50,6 +50,9 @@ BOUND_WRONG, ONE_MORE = 0.1, 20.0
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 SHIFT_SIGMAS = 3.0
+UNNOTICED = Unnoticed(STRETCH_WRONG, alike_m(CORRELATION_M, 0.0))
+"""Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
+velocity's error besides, that error needs itself."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,7 @@ class Integrity:
         """
         reckoned, newest = situation.reckoned, stretches[-1]
         wrong = [stretch_wrong(stretch) for stretch in stretches]
-        alike = 2 * (ALIKE_M + ALIKE_SHARE * CORRELATION_M) / SPREAD_M
+        alike = 2 * UNNOTICED.most_m / SPREAD_M
         shifted = MAP_SHIFTED
         if reckoned is not None:
             shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
@@ -169,7 +172,8 @@ class Integrity:
 
     def _level(self, fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, situation: Situation) -> ProtectionLevel:
         gates, speed_mps = self._gates, situation.speed_mps or 0.0
-        return protection_level(fix, wrong, reckoned, speed_mps, gates.risk_per_hour, SAME_DRIVE * gates.confirm_m)
+        stretch_m = SAME_DRIVE * gates.confirm_m
+        return protection_level(fix, wrong, UNNOTICED, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:

@@ -1,9 +1,10 @@
 """How far a position may be from the truth at a stated risk, along the road and across it. Pure.
 
-A protection level is exceeded with at most the stated probability in an hour of driving. Two hypotheses share it:
+A protection level is exceeded with at most the stated probability in an hour of driving. Three hypotheses share it:
 
-    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving, and what it
-            does not know of
+    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving
+    shifted its stretch of the map is shifted by no more than what passes for the vehicle's own motion: the errors are
+            that, and those of the filter
     wrong   all stretches of the map that speak for the place are wrong. Then only what no place had a part in bounds
             the position: where GPS had it last, and how the vehicle has moved since by its own velocity. As in RAIM by
             solution separation, the level is the distance from there, and what that position may be wrong by.
@@ -23,11 +24,11 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 
-MODEL_ERROR, UNNOTICED_M = 1.2, 2.5
-"""Times by which errors may be larger than the filter states, and by which a stretch of the map may be shifted besides
-without a disagreement: counted on simulated drives."""
-OF_PLACE, OF_MAP, OF_ERRORS = 0.5, 0.25, 0.125
-"""Shares of the risk: of wrong places, of a shifted map, and of errors in each of the two directions."""
+MODEL_ERROR = 1.2
+"""Times by which errors may be larger than the filter states: counted on simulated drives."""
+OF_PLACE, OF_MAP, OF_ERRORS, OF_SHIFT = 0.375, 0.125, 0.125, 0.125
+"""Shares of the risk: of wrong places, of a shifted map, and in each of the two directions of errors on a right stretch
+and on a shifted one."""
 LEAST_MPS = 1.0
 """A slower vehicle counts as driving at this speed."""
 NEVER = 1e-300
@@ -113,8 +114,22 @@ class Wrong:
     bound: float
 
 
+@dataclass(frozen=True)
+class Unnoticed:
+    """How often a stretch of the map is shifted, and by how many meters at most without a disagreement."""
+
+    probability: float
+    most_m: float
+
+
 def protection_level(
-    fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, speed_mps: float, risk_per_hour: float, stretch_m: float
+    fix: PlaceFix,
+    wrong: Wrong,
+    unnoticed: Unnoticed,
+    reckoned: Reckoned | None,
+    speed_mps: float,
+    risk_per_hour: float,
+    stretch_m: float,
 ) -> ProtectionLevel:
     """Of a fix.
 
@@ -123,9 +138,14 @@ def protection_level(
     """
     driven_m = 3600 * max(speed_mps, LEAST_MPS)
     by_errors = MODEL_ERROR * _sigmas(OF_ERRORS * risk_per_hour * CORRELATION_M / driven_m)
-    along_m, across_m = (UNNOTICED_M + by_errors * sigma_m for sigma_m in (fix.sigma_along_m, fix.sigma_across_m))
+    of_a_stretch = risk_per_hour * stretch_m / driven_m
+    by_shift = MODEL_ERROR * _sigmas(OF_SHIFT * of_a_stretch / unnoticed.probability)
+    along_m, across_m = (
+        max(by_errors * sigma_m, unnoticed.most_m + by_shift * sigma_m)
+        for sigma_m in (fix.sigma_along_m, fix.sigma_across_m)
+    )
     # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
-    by_place = OF_PLACE * risk_per_hour * stretch_m / driven_m / max(wrong.place, NEVER)
+    by_place = OF_PLACE * of_a_stretch / max(wrong.place, NEVER)
     allowed = min(by_place, OF_MAP * risk_per_hour / max(wrong.map, NEVER))
     if allowed >= 1:
         return ProtectionLevel(along_m, across_m)

@@ -15,7 +15,7 @@ from edge.errors import ConfigError
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run
 from sim.trial.run import drive
-from sim.trial.table import HEADER, CourseScore, in_short, line, put_results
+from sim.trial.table import HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -87,7 +87,7 @@ def _run(args: argparse.Namespace) -> int:
         roads = ", ".join(str(world) for world in args.worlds)
         what = f"--course {args.course}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
-        put_results(args.page, f"`lookback sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
+        put_between(MARKS, args.page, f"`lookback sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
     return 1 if any(score.failures for score in scores) else 0
 
 

@@ -97,12 +97,12 @@ def in_short(scores: Sequence[CourseScore]) -> str:
     return "\n".join([HEADER, *rows, "", f"All drives of these courses pass: {passed or 'none'}."])
 
 
-def put_results(page: Path, text: str) -> None:
+def put_between(marks: tuple[str, str], page: Path, text: str) -> None:
     """Replace what stands between the two marks of a page; ConfigError where they are missing."""
-    before, begin, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
-    _, end, after = rest.partition(MARKS[1])
+    before, begin, rest = page.read_text(encoding="utf-8").partition(marks[0])
+    _, end, after = rest.partition(marks[1])
     if not end:
-        raise ConfigError(f"--page: {page} has no lines {MARKS[0]!r} and {MARKS[1]!r} to write the table between")
+        raise ConfigError(f"--page: {page} has no lines {marks[0]!r} and {marks[1]!r} to write between")
     page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
 
 

@@ -13,8 +13,8 @@ from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, Integrity, PlaceFix, Situation, Uncertainty
 from edge.localization.claims import wrong_by_confidence
-from edge.localization.integrity import distance_from, wrong_probability
-from edge.localization.protection_level import UNNOTICED_M, Reckoned
+from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
+from edge.localization.protection_level import Reckoned
 
 S = 1_000_000_000
 NOW_NS = 100 * S
@@ -208,7 +208,8 @@ def test_stretches_that_agree_make_a_level_of_the_errors_alone() -> None:
     assert drive(one, range(500, 1200))[-1] is None
     level = one.protection_level
     assert level is not None
-    assert level.along_m - UNNOTICED_M == pytest.approx(1.5 * (level.across_m - UNNOTICED_M))
+    shift_m = UNNOTICED.most_m
+    assert level.along_m - shift_m == pytest.approx(1.5 * (level.across_m - shift_m))
 
 
 def test_what_is_not_published_has_no_protection_level() -> None:

@@ -18,7 +18,7 @@ from sim.trial import command, rules
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run, Sent, Track
 from sim.trial.run import drafted, drive, map_scenario
-from sim.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_results
+from sim.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
 from sim.vehicle.daemon_drive import JOURNAL
@@ -263,12 +263,12 @@ def test_in_short_courses_that_pass_are_only_named() -> None:
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
     page = tmp_path / "trial.md"
     page.write_text(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n")
-    put_results(page, "new")
-    put_results(page, "newer")
+    put_between(MARKS, page, "new")
+    put_between(MARKS, page, "newer")
     assert page.read_text() == f"before\n{MARKS[0]}\n\nnewer\n\n{MARKS[1]}\nafter\n"
     page.write_text("no marks")
     with pytest.raises(ConfigError, match="no lines"):
-        put_results(page, "new")
+        put_between(MARKS, page, "new")
 
 
 def test_the_courses_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
