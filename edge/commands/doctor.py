@@ -81,7 +81,7 @@ def examine(
     if not offline:
         yield from check_camera(config.camera)
         yield from check_disk(config)
-        yield from check_autopilot(config.telemetry, seconds)
+        yield from check_autopilot(config.telemetry, config.gates, seconds)
 
 
 def _config(path: Path | None) -> tuple[Config | None, list[Diagnostic]]:

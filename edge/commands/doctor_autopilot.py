@@ -13,14 +13,14 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.commands.diagnostic import Diagnostic, bad, good, note
-from edge.config import LinkConfig, TelemetryConfig
+from edge.config import GatesConfig, LinkConfig, TelemetryConfig
 from edge.errors import LookbackError
 from edge.localization import GpsState
 from edge.telemetry import stream_check
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link_protocol import LinkProtocol
 from edge.telemetry.position_messages import NAMES, suitable_message
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle import DOUBLED, Vehicle
 from edge.telemetry.velocity_aid import NO_AID, PARAMETERS, velocity_aid
 
 TURN_S = 0.01
@@ -66,6 +66,7 @@ class Requirement:
         return f"set its bits {self.bits}" if self.bits else f"set it to {' or '.join(map(str, self.values))}"
 
 
+GPS_MODE = "EKF2_GPS_MODE"
 MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param"
 WHEEL_PARAMETERS = ("WENC_TYPE", "WENC_POS_Y", "WENC_RADIUS", "WENC_CPR")
 VISUAL_ODOMETRY = 1 << 0 | 1 << 18  # of ARMING_CHECK: all checks, and that one
@@ -127,7 +128,7 @@ class Probe:
         self.position_known = vehicle.position(now_ns) is not None
 
 
-def check_autopilot(config: TelemetryConfig, seconds: float) -> Iterator[Diagnostic]:
+def check_autopilot(config: TelemetryConfig, gates: GatesConfig, seconds: float) -> Iterator[Diagnostic]:
     """Listen to the autopilot for up to `seconds` and judge what it reports."""
     try:
         probe = probe_autopilot(config, seconds)
@@ -135,11 +136,15 @@ def check_autopilot(config: TelemetryConfig, seconds: float) -> Iterator[Diagnos
         return  # the links have a finding of their own
     if probe.why_closed and not probe.vehicle.connected:
         yield bad("autopilot", probe.why_closed, "see firmware_config/README.md for wiring and permissions")
+    elif probe.vehicle.is_doubled:
+        yield bad("autopilot", f"{config.connection}: {DOUBLED}", "give each vehicle a system id of its own")
     elif not probe.vehicle.connected:
         silent = f"{config.connection}: no heartbeat in {seconds:g} s"
         yield bad("autopilot", silent, SERIAL if config.connection.startswith("serial:") else NETWORK)
     else:
         yield from _judge(config, probe)
+        if config.emit != "report" and gates.doubted_gps != "report":
+            yield from _judge_doubted_gps(config, gates, probe.vehicle)
 
 
 def probe_autopilot(
@@ -187,6 +192,8 @@ def wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> tuple[str, .
     names = [one.parameter for one in requirements(config, vehicle.autopilot, vehicle.version)]
     if vehicle.autopilot == ARDUPILOT:
         names += ["EK3_SRC1_POSXY", *WHEEL_PARAMETERS]
+    if vehicle.autopilot == PX4:
+        names.append(GPS_MODE)
     return (*names, *PARAMETERS.get(vehicle.autopilot or 0, ()))
 
 
@@ -264,3 +271,13 @@ def _judge_velocity_aid(config: TelemetryConfig, vehicle: Vehicle) -> Iterator[D
         yield bad("autopilot", words, AIDS.get(vehicle.autopilot or 0, ""))
     else:
         yield good("autopilot", f"velocity without GPS: {aid}")
+
+
+def _judge_doubted_gps(config: TelemetryConfig, gates: GatesConfig, vehicle: Vehicle) -> Iterator[Diagnostic]:
+    """Whether positions can replace a GPS that the places contradict."""
+    if velocity_aid(vehicle, 2 if config.emit == "vision_position" else 1) in (None, NO_AID):
+        words = f'[gates] doubted_gps = "{gates.doubted_gps}" sends no position: only GPS is known to measure velocity'
+        yield bad("autopilot", words, AIDS.get(vehicle.autopilot or 0, ""))
+    if vehicle.parameters.get(GPS_MODE) == 0:
+        words = f"{GPS_MODE} = 0: PX4 goes back to GPS between positions, though the places contradict it"
+        yield bad("parameter", words, "set it to 1, see firmware_config/px4_velocity_aid.params")

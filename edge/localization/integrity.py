@@ -227,6 +227,11 @@ class Uncertainty:
         self.by_gps = False
         """Whether GPS set it last."""
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether anything has set it since the autopilot's boot."""
+        return self._bound is not None
+
     def bind(self, sigma_m: float, driven_m: float | None, *, by_gps: bool = False) -> None:
         """Set the standard deviation at a distance driven."""
         if driven_m is not None:

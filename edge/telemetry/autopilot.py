@@ -26,10 +26,9 @@ from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender
 from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle import DOUBLED, Vehicle
 from edge.telemetry.velocity_aid import NO_AID, velocity_aid
 
-DOUBLED = "two autopilots have the same ids"
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
 log = logging.getLogger(__name__)
@@ -107,7 +106,7 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        self._positions.judge_gps(verdict, self._clock_ns())
+        self._positions.judge_gps(verdict, self._clock_ns(), is_aided=self._velocity_aid not in (None, NO_AID))
 
     @property
     def gps_fault(self) -> str:

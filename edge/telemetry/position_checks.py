@@ -46,6 +46,11 @@ class PositionChecks:
         """Of the newest fix that was checked; None where its place is not certain enough to be sent."""
         return self._integrity.protection_level
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether GPS or a position of ours has bounded the autopilot's since its boot."""
+        return self._uncertainty.is_bounded
+
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
         vehicle = self._vehicle

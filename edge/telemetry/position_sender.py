@@ -47,6 +47,7 @@ from edge.telemetry.position_use import PositionUse
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
+UNCONFIRMED = "not confirmed by another place yet"
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
 log = logging.getLogger(__name__)
@@ -95,6 +96,7 @@ class PositionSender:
         self._sent_stamp_ns: int | None = None
         self.sent: SentPosition | None = None
         """The newest one, of a steady stream about one per second."""
+        self._had_gps = False
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._use.new_session()
 
@@ -141,11 +143,13 @@ class PositionSender:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
         return self._checks.uncertainty_m(now_ns)
 
-    def judge_gps(self, verdict: GpsVerdict, now_ns: int) -> None:
-        """What the places say of GPS now."""
+    def judge_gps(self, verdict: GpsVerdict, now_ns: int, *, is_aided: bool) -> None:
+        """What the places say of GPS now. is_aided: whether anything besides GPS measures the autopilot's velocity."""
         was_called = self.doubted_gps.judge(verdict, now_ns)
         if was_called and self.doubted_gps.is_ignored:
             self._checks.leave_gps(now_ns)
+            if not is_aided:
+                self._send_text("Lookback: no velocity aid, sends no position")
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -195,6 +199,8 @@ class PositionSender:
         self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
         if why not in ("", f": {UNSTEADY}"):
             self._send_text(f"Lookback: {self._withheld}")
+        if refused.reason == UNCONFIRMED and not self._checks.is_bounded:
+            self._send_text("Lookback: waits for a second place to be sure")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
             self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")
 
@@ -294,10 +300,15 @@ class PositionSender:
             self._checks.bind(bound_m, now_ns, by_gps=True)
             if self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS:
                 vehicle.has_our_position = False
+        receivers = vehicle.gps.receiver_state(now_ns)
+        if self._had_gps and receivers == "not healthy" and not self._checks.is_bounded:
+            log.warning("GPS is lost, and the autopilot had not used it yet: nothing bounds its position")
+            self._send_text("Lookback: GPS lost before the autopilot used it")
+        self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
         if self.doubted_gps.is_ignored:
             messages += self._leave_gps(now_ns)
         # Whether or not the filter uses GPS: with the second set it does not.
-        elif vehicle.gps.receiver_state(now_ns) == "healthy" and not self._gates.with_gps:
+        elif receivers == "healthy" and not self._gates.with_gps:
             messages += self._select_sources(GPS_SET, now_ns) or self._return_to_gps(now_ns)
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)

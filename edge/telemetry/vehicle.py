@@ -38,6 +38,7 @@ PULLS_KEPT = 16
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
 REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
+DOUBLED = "two autopilots have the same ids"
 HEADING_UNKNOWN = 65535
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -151,6 +151,17 @@ def test_a_px4_that_nothing_but_gps_gives_a_velocity(
     assert "px4_velocity_aid.params" in told(findings, "autopilot", "bad")
 
 
+def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    values = {"EKF2_EV_CTRL": 0.0, "EKF2_GPS_MODE": 0.0}
+    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "send"})
+    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
+    assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
+
+
 def test_integers_of_px4_come_as_bytes(
     fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

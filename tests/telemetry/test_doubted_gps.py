@@ -11,6 +11,7 @@ from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, FixWithheld, GpsJudged
 from edge.localization import GpsVerdict
+from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import GpsReport
 
 Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
@@ -86,6 +87,17 @@ def test_by_default_nothing_else_happens(open_rig: OpenRig) -> None:
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.journalled(FixSent)
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is healthy"
+
+
+@pytest.mark.parametrize(("source", "sends"), [("velocity sensor", True), ("none", False)])
+def test_without_a_velocity_aid_the_pilot_reads_that_nothing_is_sent(
+    open_rig: OpenRig, source: Any, sends: bool
+) -> None:
+    rig = spoofed(open_rig, "send", firmware="px4", errors=OdometryErrors(source))
+    rig.connection.judge_gps(WRONG)
+    offer(rig, 5.0)
+    assert bool(rig.journalled(FixSent)) == sends
+    assert ("Lookback: no velocity aid, sends no position" in texts(rig)) != sends
 
 
 def test_switch_selects_the_second_set_and_positions_move_the_autopilot_back(open_rig: OpenRig) -> None:
