@@ -87,6 +87,7 @@ class DriveMapper:
         self._takes_s = 0.0  # what the second camera's last frame took
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
+        self._gaps = autopilot.distance_gaps
         self._told: tuple[str, str] = (self.status.state, self.status.why)
 
     @property
@@ -108,6 +109,11 @@ class DriveMapper:
     def whole(self) -> MapSoFar:
         """The map of this drive up to the vehicle."""
         return self._live.whole()
+
+    def driven_m(self) -> float | None:
+        """How far the vehicle has driven by the odometer of the map of this drive; None where that is not known."""
+        self._notice_gap()
+        return self._live.driven_m(self._autopilot.distance_m(self._clock_ns()))
 
     def map_recognized(
         self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int
@@ -151,6 +157,7 @@ class DriveMapper:
             frame = described.frame
             position = autopilot.position_at(frame.stamp_ns)
             known = position, described.distance_m, autopilot.gps_fault, described.missed
+            self._notice_gap()
             self._live.add(described.raw, frame.image, *known)
         self._publish_change()
 
@@ -158,6 +165,11 @@ class DriveMapper:
         """A place was recognized: what is used stays longest on a disk that is full."""
         if match.map is not None:
             self._usage.count(match.map, time.time(), self._clock_ns())
+
+    def _notice_gap(self) -> None:
+        if self._gaps != self._autopilot.distance_gaps:
+            self._gaps = self._autopilot.distance_gaps
+            self._live.interrupt()
 
     def _publish_change(self) -> None:
         status = self.status

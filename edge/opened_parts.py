@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 from edge.camera import Frames
@@ -18,7 +19,7 @@ from edge.health.stage_times import StageTimes
 from edge.journal.journal import Journal
 from edge.journal.records import Record
 from edge.map_verification import MapVerification
-from edge.mission import plan_way_home
+from edge.mission import Start, WayHome, plan_way_home
 from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet
@@ -109,7 +110,12 @@ class OpenedParts:
 
     def _open_home(self, parts: ExitStack) -> None:
         home, left_m = self._config.home, self._config.rig.left_reverse_m
-        self.autopilot.plan_home_by(lambda start: plan_way_home(self._maps_to_here(), start, home, left_m))
+
+        def plan(start: Start) -> WayHome:
+            driven_m = self.mapper.driven_m() if self.mapper is not None else None
+            return plan_way_home(self._maps_to_here(), replace(start, route_m=driven_m), home, left_m)
+
+        self.autopilot.plan_home_by(plan)
         self.home_socket: LocalSocket | None = None
         if home.enabled and home.socket:
             self.home_socket = parts.enter_context(closing(LocalSocket(Path(home.socket))))

@@ -191,6 +191,8 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
         lon_shift_deg: float = 0.0,
         source: str = "drive_{}",
         sigma_m: Callable[[int], float] = lambda row: 1.5,
+        alt_m: Callable[[int], float] = lambda row: np.nan,
+        heading_deg: Callable[[int], float] = lambda row: np.nan,
     ) -> Path:
         path, rng = tmp_path / name, np.random.default_rng(1)
         model, regions = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")
@@ -203,7 +205,15 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
                     lat_deg, lon_deg = (
                         geodetic(*point_m, lon_shift_deg) if np.isfinite(point_m).all() else (np.nan, np.nan)
                     )
-                    place = Place(row, lat_deg, lon_deg, route_m=float(route_m), position_sigma_m=sigma_m(row))
+                    place = Place(
+                        row,
+                        lat_deg,
+                        lon_deg,
+                        alt_m(row),
+                        heading_deg(row),
+                        float(route_m),
+                        position_sigma_m=sigma_m(row),
+                    )
                     new.add(rng.random((1, 4), dtype=np.float32), place)
             new.finish(normalize, "test")
         return path

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import edge
 from edge.config import MappingConfig, SamplingConfig
 from edge.errors import MapError
-from edge.geodesy import VehiclePosition
+from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.mapping.completion import complete, log_of, logs_in, map_of, source_of
 from edge.mapping.missed_places import MappedPlace, missed_places
 from edge.mapping.place_log import OpenLog, PlaceLog, create_log
@@ -24,7 +24,7 @@ from edge.mapping.place_log_records import DriveBegun, LogHeader
 from edge.mapping.quota import retire
 from edge.mapping.status import MappingStatus, MappingView
 from edge.mapping.way_home import SelfComparison
-from edge.reference_map import GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
+from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
 
 STEP_PLACES = 16
 """Places that become searchable at once: a larger map is made of the map so far, which costs some milliseconds."""
@@ -36,6 +36,7 @@ RESUMED_AT_ONCE = 256
 LINE_POINTS = 500
 SLOWEST_S = 0.01
 """For a place of an earlier drive, on a small computer with a slow card; it took 0.0003 s on a desk's."""
+GPS_MOVES = "GPS moves otherwise than the vehicle"
 BY_GPS = ("gps", "dgps", "rtk_float", "rtk_fixed", "ppp", "estimate", "survey")
 log = logging.getLogger(__name__)
 
@@ -65,6 +66,9 @@ class LiveMap:
         self._log: PlaceLog | None = None
         self._base_m = self._driven_m = self._mapped_m = 0.0
         self._last: MappedPlace | None = None  # the place before, of the same drive
+        self._is_continuous = False  # whether all that was driven since the last place is known
+        self._motion = GpsMotion()
+        self._origin: Origin | None = None  # of its meters
         self._comparison = SelfComparison()
         self.searchable = 0
         """How many of the places are searched."""
@@ -103,7 +107,12 @@ class LiveMap:
         gps_fault: what is wrong with GPS by the places that were recognized, "" where nothing is. missed: places that
         were passed without a frame since the last one that was handed over.
         """
+        if distance_m is not None:
+            heading_deg = position.heading_deg if position is not None else None
+            self._motion.move(self._route_m(distance_m), np.nan if heading_deg is None else heading_deg)
         self._why = gps_fault or self._why_not(position, distance_m)
+        if not self._why and position is not None and self._is_elsewhere(position):
+            self._why = GPS_MOVES
         if self._why or position is None or distance_m is None or self.status.state == "stopped":
             self._last = None
             return
@@ -150,6 +159,15 @@ class LiveMap:
         """The map with all places, also those that are not searched yet."""
         return self._growing.first(self._growing.count)
 
+    def interrupt(self) -> None:
+        """The odometer was silent: nobody knows how far the vehicle has driven meanwhile."""
+        self._is_continuous, self._motion = False, GpsMotion()
+
+    def driven_m(self, distance_m: float | None) -> float | None:
+        """Where the vehicle is, in meters along all drives of the map; None without a place, or after a restart."""
+        route_m = None if distance_m is None else self._route_m(distance_m)
+        return route_m if self._is_continuous else None
+
     def close(self) -> None:
         """Write what is left; more than once is harmless."""
         if self._log is not None:
@@ -164,11 +182,18 @@ class LiveMap:
             return "the distance driven is not known"
         return "the map is full" if self._growing.is_full else _why_no_truth(position, self._config)
 
+    def _is_elsewhere(self, position: VehiclePosition) -> bool:
+        """Whether a position disagrees with the odometer and the heading."""
+        self._origin = self._origin or (position.lat_deg, position.lon_deg)
+        point_m = east_north_of(position.lat_deg, position.lon_deg, self._origin)
+        return self._motion.disagreement(point_m, position.sigma_m or 0.0) is not None
+
     def _route_m(self, distance_m: float) -> float:
         """Meters along all drives of the map, which go on over a restart of the odometer."""
         if distance_m < self._driven_m - RESTARTED_M:
             self._base_m += self._driven_m - distance_m
             self._driven_m, self._last = distance_m, None
+            self.interrupt()
         self._driven_m = max(self._driven_m, distance_m)
         return self._base_m + distance_m
 
@@ -195,7 +220,7 @@ class LiveMap:
         if self._log is None or self._growing.is_full or not self._log.add(new.raw, place, self._unix_time_s()):
             self._last = None
             return
-        self._last = new
+        self._last, self._is_continuous = new, True
         self._growing.add(new.raw, place)
 
     def _place(self, position: VehiclePosition, route_m: float, picture: bytes) -> Place:

@@ -1,6 +1,7 @@
 """The way home: a drive of a reference map, reversed into a mission that an autopilot can follow. Pure.
 
 `drive_line`  the positions of one drive of a map, as a line on the ground
+`passes`      which pass of that drive the vehicle is on
 `way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome
 `checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
 `simplify`    fewer points of a line within a stated distance of it (Douglas-Peucker)

@@ -7,17 +7,16 @@ find where it may not have driven from one position to the next, or cannot drive
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import HomeConfig
+from edge.mission.drive_line import DriveLine
+from edge.reference_map import GpsMotion
 
-JUMP_M = 5.0
-"""Positions may be so much further apart than the odometer says, besides JUMP_SHARE."""
-JUMP_SHARE = 0.2
 MEETS_M = 8.0
 """A way that comes so near to itself meets itself: about the width of a road."""
 MEETS_AGAIN_M = 40.0
@@ -61,22 +60,24 @@ def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig)
         )
 
 
-def gap_check(way_m: NDArray[np.float64], driven_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
-    """Stretches between places, at (N,) meters of the way, without a position, and positions that jumped.
-
-    driven_m: (N,) by the odometer of the drive, NaN where not known.
-    """
+def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+    """Stretches between places, at (N,) meters of the way, without a position."""
     apart_m = np.diff(way_m)
     for run in _runs(apart_m > config.max_gap_m):
         text = f"no position for {apart_m[run].max():.0f} m; max_gap_m is {config.max_gap_m:g}"
         yield Finding(True, f"{_stretch(way_m[run[0]], way_m[run[-1] + 1])}: {text}")
-    moved_m = np.abs(np.diff(driven_m))  # NaN, where not known, is no jump
-    for row in np.flatnonzero(apart_m > moved_m * (1 + JUMP_SHARE) + JUMP_M):
-        stretch = _stretch(way_m[row], way_m[row + 1])
-        yield Finding(
-            True,
-            f"{stretch}: the GPS position jumped by {apart_m[row]:.0f} m where the vehicle drove {moved_m[row]:.0f} m",
-        )
+
+
+def motion_check(line: DriveLine, rows: int, length_m: float) -> Iterator[Finding]:
+    """Where positions of the first rows of a drive do not move as the vehicle did. length_m: of the way home."""
+    motion, was_off = GpsMotion(), False
+    for row in range(rows):
+        motion.move(float(line.driven_m[row]), float(line.heading_deg[row]))
+        found = motion.disagreement(tuple(line.points_m[row]), float(line.sigma_m[row]))
+        if found is not None and not was_off:
+            first_m, last_m = length_m - line.along_m[[row, row - found.since]]
+            yield Finding(True, f"{_stretch(first_m, last_m)}: {found}")
+        was_off = found is not None
 
 
 def accuracy_check(way_m: NDArray[np.float64], sigma_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
@@ -107,6 +108,17 @@ def turn_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64], config
             True,
             f"{_stretch(way_m[row], way_m[row + 1])}: needs a turning radius of {radius_m[row]:.1f} m;"
             f" turning_radius_m is {config.turning_radius_m:g}",
+        )
+
+
+def pass_check(along_m: Sequence[float]) -> Iterator[Finding]:
+    """Passes of the drive, in meters from its start, between which nothing decides: none, or more than one."""
+    if along_m:
+        places = " and ".join(f"{meters:.0f} m" for meters in along_m)
+        yield Finding(
+            True,
+            f"the vehicle may be where the drive was at {places} from its start, which are not one road: drive on to"
+            " where it passed once",
         )
 
 

@@ -20,15 +20,18 @@ STANDING_M = 0.01
 class DriveLine:
     """The places of a drive that have a position, in its order.
 
-    name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. driven_m: (N,) by the odometer
-    of the drive, NaN where the map has none. sigma_m: (N,) one standard deviation of each position, which is assumed
-    where the map has none.
+    name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. along_m: (N,) meters along them.
+    driven_m, heading_deg, alt_m: (N,) by the odometer of the drive, of the vehicle, and above sea level; NaN where the
+    map has none. sigma_m: (N,) one standard deviation of each position, which is assumed where the map has none.
     """
 
     name: str
     origin: Origin
     points_m: NDArray[np.float64]
+    along_m: NDArray[np.float64]
     driven_m: NDArray[np.float64]
+    heading_deg: NDArray[np.float64]
+    alt_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
 
 
@@ -51,7 +54,14 @@ def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
     points_m = east_north(places["lat_deg"], places["lon_deg"], origin)
     moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > STANDING_M]
     places, points_m = places[moves], points_m[moves]
-    return DriveLine(name, origin, points_m, np.ascontiguousarray(places["route_m"]), sigmas_m(places))
+    driven_m, heading_deg, alt_m = (np.ascontiguousarray(places[key]) for key in ("route_m", "heading_deg", "alt_m"))
+    return DriveLine(name, origin, points_m, along(points_m), driven_m, heading_deg, alt_m, sigmas_m(places))
+
+
+def along(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Meters (N,) along a line (N, 2)."""
+    legs_m = np.diff(points_m, axis=0)
+    return np.concatenate([[0.0], np.cumsum(np.hypot(legs_m[:, 0], legs_m[:, 1]))])
 
 
 def _drives(maps: MapSet) -> list[tuple[int, int, str]]:

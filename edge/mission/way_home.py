@@ -12,24 +12,27 @@ from edge.config import HomeConfig
 from edge.geodesy import east_north_of, moved, wrapped
 from edge.mission import checks
 from edge.mission.checks import Finding
-from edge.mission.drive_line import DriveLine, drive_line
-from edge.mission.simplify import nearest_on, simplified
+from edge.mission.drive_line import DriveLine, along, drive_line
+from edge.mission.passes import SAME_PASS_M, SIGMAS, chosen, passes_by
+from edge.mission.simplify import simplified
 from edge.reference_map import MapSet
 
-SAME_PASS_M = 5.0
-"""A drive that passes the vehicle several times, each as near as this to the nearest: the shortest way is used."""
 MIN_LEG_M = 0.5
 """A leg to the first place that is shorter has no direction."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the vehicle is, in degrees. sigma_m: one standard deviation of that; None for a position of the user's."""
+    """Where the vehicle is, in degrees. sigma_m: one standard deviation of that; None for a position of the user's.
+
+    route_m: how far it has driven by the odometer of the newest drive; None where that is not known.
+    """
 
     lat_deg: float
     lon_deg: float
     heading_deg: float | None = None
     sigma_m: float | None = None
+    route_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,51 +83,31 @@ def plan_way_home(
     MapError where no drive has positions.
     """
     line = drive_line(maps, drive)
-    start = start or Start(*_degrees(line, line.points_m[-1]))
+    start = start or Start(*_degrees(line, line.points_m[-1]), route_m=float(line.driven_m[-1]))
     here_m = np.array(east_north_of(start.lat_deg, start.lon_deg, line.origin))
-    row, nearest_m = _shortest_pass(line.points_m, here_m)
+    passes = passes_by(line, here_m, start.sigma_m or 0.0)
+    first, unsure = chosen(line, passes, start.route_m, max(SAME_PASS_M, SIGMAS * (start.sigma_m or 0.0)))
+    row, nearest_m = first.row, first.point_m
     points_m = np.vstack([nearest_m, line.points_m[row::-1]])
-    driven_m = np.r_[math.nan, line.driven_m[row::-1]]
     sigma_m = np.r_[line.sigma_m[row], line.sigma_m[row::-1]]
     if np.hypot(*(points_m[1] - points_m[0])) < MIN_LEG_M and len(points_m) > 2:
-        points_m, driven_m, sigma_m = (np.delete(values, 1, axis=0) for values in (points_m, driven_m, sigma_m))
-    way_m = along_m(points_m)
+        points_m, sigma_m = np.delete(points_m, 1, axis=0), np.delete(sigma_m, 1)
+    way_m = along(points_m)
     kept = simplified(points_m, config.tolerance_m)
     waypoints_m = shifted_left(points_m[kept], left_m)
-    away_m = float(np.hypot(*(here_m - nearest_m)))
     turn_rad = _turn_rad(start.heading_deg, waypoints_m)
     findings = (
-        *checks.start_check(away_m, start.sigma_m, turn_rad, config),
+        *checks.pass_check([float(line.along_m[one.row]) for one in unsure]),
+        *checks.start_check(first.away_m, start.sigma_m, turn_rad, config),
         *checks.length_check(way_m, len(kept), config),
-        *checks.gap_check(way_m, driven_m, config),
+        *checks.gap_check(way_m, config),
+        *checks.motion_check(line, row + 1, float(way_m[-1])),
         *checks.accuracy_check(way_m, sigma_m, config),
         *checks.turn_check(waypoints_m, way_m[kept], config),
         *checks.loop_check(points_m, way_m),
     )
     positions_deg = tuple(_degrees(line, point) for point in waypoints_m)
     return WayHome(line.name, positions_deg, tuple(way_m[kept].tolist()), len(points_m), findings)
-
-
-def along_m(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Meters (N,) along a line (N, 2)."""
-    legs_m = np.diff(points_m, axis=0)
-    return np.concatenate([[0.0], np.cumsum(np.hypot(legs_m[:, 0], legs_m[:, 1]))])
-
-
-def _shortest_pass(points_m: NDArray[np.float64], here_m: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]]:
-    """The point of a line (N, 2) at which it passes a position, and the row of the line before it.
-
-    Where it passes several times, the first: a drive that came back on the road on which it went out is not driven a
-    second time.
-    """
-    nearest_m = nearest_on(here_m, points_m[:-1], points_m[1:])
-    away_m = np.hypot(*(nearest_m - here_m).T)
-    is_near = away_m <= away_m.min() + SAME_PASS_M
-    begin = int(is_near.argmax())
-    run = is_near[begin:]
-    end = begin + (len(run) if run.all() else int((~run).argmax()))
-    row = begin + int(away_m[begin:end].argmin())
-    return row, nearest_m[row]
 
 
 def shifted_left(points_m: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@
            the drives
 `self_similarity`  which places of a map resemble each other
 `checksums`  a piece at a time, between frames; `signature` who made a map
+`gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically (`atomic_folder`)
 `tiles`    one map cut into several; `pca` descriptors of fewer dimensions
@@ -14,6 +15,7 @@
 
 from edge.reference_map.builder import MapBuilder, Normalize, Place
 from edge.reference_map.costs import COST_ONE
+from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
@@ -33,6 +35,7 @@ __all__ = [
     "Drive",
     "Drives",
     "ExcludedMap",
+    "GpsMotion",
     "GrowingMap",
     "MapBuilder",
     "MapHeader",

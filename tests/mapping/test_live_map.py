@@ -93,6 +93,27 @@ def test_gps_that_the_places_call_wrong_enters_no_map(tmp_path: Path) -> None:
     mapped.close()
 
 
+def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
+    """By 2 m/s at 8 m/s to 100 m; also once it stays there, until the odometer begins again."""
+    mapped = live(tmp_path)
+    states = []
+    for row in range(500):
+        off_m = min(100.0, max(0.0, (row - 150) * 2.0 / 8.0 * 2.0))
+        at = replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800, lon_deg=GPS.lon_deg + off_m / 75_600)
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0)
+        states.append(mapped.status.state)
+        while mapped.waiting > 8:
+            os.sched_yield()
+    first = states.index("waiting")
+    assert 150 < first < 200
+    assert states[first + 20 :] == ["waiting"] * (480 - first)
+    assert mapped.status.why == "GPS moves otherwise than the vehicle"
+    mapped.interrupt()
+    mapped.add(raw_of(500), IMAGE, at, 1000.0)
+    assert mapped.status.state == "mapping"
+    mapped.close()
+
+
 def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
     mapped = live(tmp_path)
     for row, missed in ((0, 0), (1, 0), (5, 3), (6, 0), (17, 10), (18, 0)):
@@ -151,6 +172,22 @@ def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
     assert again.status.places == 89
     again.close()
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def test_how_far_the_vehicle_drove_is_known_from_a_place_on(tmp_path: Path) -> None:
+    """Not after a restart of this computer or of the odometer, since nobody knows how far it drove meanwhile."""
+    mapped = live(tmp_path)
+    assert mapped.driven_m(5.0) is None
+    drive(mapped, range(40))
+    assert mapped.driven_m(131.0) == 131.0, "GPS was lost at 78 m"
+    assert mapped.driven_m(None) is None
+    assert mapped.driven_m(3.0) is None, "the odometer began again"
+    drive(mapped, range(2, 12))
+    assert mapped.driven_m(40.0) == 131.0 + 40.0 - 3.0
+    mapped.close()
+    mapped = live(tmp_path, unix_s=START_S + 60)
+    assert mapped.driven_m(4.0) is None
+    mapped.close()
 
 
 def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:

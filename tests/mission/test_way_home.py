@@ -165,7 +165,20 @@ def test_a_jump_of_the_gps_is_refused(map_along: MapAlong) -> None:
     drive = np.vstack([straight(100.0), straight(100.0, 0.0, (0.0, 115.0))])
     driven_m = np.r_[np.arange(51) * 2.0, 102.0 + np.arange(51) * 2.0]
     finding = the_finding(plan(map_along(drive, driven_m=[driven_m])))
-    assert finding == "from 100 m to 115 m: the GPS position jumped by 15 m where the vehicle drove 2 m"
+    assert finding == "from 100 m to 115 m: the GPS position moved 15 m where the vehicle drove 2 m"
+
+
+@pytest.mark.parametrize("side", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
+def test_a_drive_on_which_gps_was_dragged_is_refused(map_along: MapAlong, side: tuple[float, float]) -> None:
+    """By 1 m/s at 5 m/s to 100 m, from 200 m on: no two places are far from each other."""
+    drive = joined(straight(400.0), arc(60.0, 90), straight(400.0, -90.0))
+    driven_m = np.arange(len(drive)) * SPACING_M
+    off_m = np.clip((driven_m - 200.0) / 5.0, 0.0, 100.0)[:, None] * side
+    heading_deg = np.degrees(np.arctan2(*np.gradient(drive, axis=0).T))
+    honest = map_along(drive, driven_m=[driven_m], heading_deg=lambda row: heading_deg[row])
+    assert not plan(honest).refusals
+    dragged = map_along(drive + off_m, driven_m=[driven_m], heading_deg=lambda row: heading_deg[row], name="dragged")
+    assert any("the GPS position moved" in text for text in plan(dragged).refusals)
 
 
 def test_positions_that_were_measured_badly_are_refused(map_along: MapAlong) -> None:

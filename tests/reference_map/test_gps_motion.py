@@ -1,0 +1,130 @@
+"""Positions against the odometer and the heading: honest GPS agrees, one that is dragged does not, and stays wrong."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.geodesy import east_north
+from edge.reference_map import GpsMotion
+from edge.telemetry.codec import MavlinkCodec
+
+STEP_M, PLACES, FROM = 2.0, 600, 150
+SIGMA_M = 1.4
+"""As GPS of the trial: wandering over some 60 m."""
+Drive = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def drive(
+    seed: int,
+    drag_mps: float = 0.0,
+    side: str = "left",
+    speed_mps: float = 5.0,
+    *,
+    scale: float = 1.03,
+    bend: float = 1.0,
+) -> Drive:
+    """Positions (N, 2), odometer (N,) and heading (N,) of a winding drive, on which GPS is dragged by up to 200 m.
+
+    The compass is 3 degrees off, and 2 more or less as the vehicle turns.
+    """
+    rng = np.random.default_rng(seed)
+    smooth = np.convolve(rng.normal(size=PLACES + 60), np.ones(60) / 60, "valid")[:PLACES]
+    heading = np.cumsum(0.09 * bend * smooth)
+    middle = (heading[1:] + heading[:-1]) / 2
+    truth_m = np.vstack([[0, 0], np.cumsum(STEP_M * np.column_stack([np.sin(middle), np.cos(middle)]), axis=0)])
+    wander_m = np.zeros((PLACES, 2))
+    for row in range(1, PLACES):
+        wander_m[row] = 0.97 * wander_m[row - 1] + SIGMA_M * np.sqrt(1 - 0.97**2) * rng.normal(size=2)
+    off_m = np.clip((np.arange(PLACES) - FROM) * STEP_M / speed_mps * drag_mps, 0.0, 200.0)
+    toward = heading + {"left": -np.pi / 2, "right": np.pi / 2, "ahead": 0.0}[side]
+    away_m = np.diff(off_m, prepend=0.0)[:, None] * np.column_stack([np.sin(toward), np.cos(toward)])
+    heading_deg = np.degrees(heading) + 3.0 + 2.0 * np.sin(heading)
+    return truth_m + wander_m + np.cumsum(away_m, axis=0), np.arange(PLACES) * STEP_M * scale, heading_deg
+
+
+def rejected(
+    points_m: NDArray[np.float64], driven_m: NDArray[np.float64], heading_deg: NDArray[np.float64]
+) -> list[int]:
+    """The rows that disagree."""
+    motion, rows = GpsMotion(), []
+    for row, point_m in enumerate(points_m):
+        motion.move(float(driven_m[row]), float(heading_deg[row]))
+        if motion.disagreement(tuple(point_m), SIGMA_M) is not None:
+            rows.append(row)
+    return rows
+
+
+@pytest.mark.parametrize("speed_mps", [3.0, 5.0, 8.0])
+@pytest.mark.parametrize("scale", [0.85, 1.0, 1.03])
+def test_honest_gps_agrees(speed_mps: float, scale: float) -> None:
+    """On straight and winding roads, also where the wheels count 15 % too little."""
+    for seed in range(40):
+        assert not rejected(*drive(seed, speed_mps=speed_mps, scale=scale, bend=seed % 3))
+
+
+@pytest.mark.parametrize("side", ["left", "right", "ahead"])
+@pytest.mark.parametrize("drag_mps", [1.0, 2.0, 5.0, 10.0, 20.0])
+def test_a_drag_is_found_and_what_follows_stays_rejected(drag_mps: float, side: str) -> None:
+    for seed in range(100, 110):
+        rows = rejected(*drive(seed, drag_mps, side))
+        assert FROM < rows[0] < FROM + 60, "within 120 m"
+        last = rows[0] + 200
+        assert len([row for row in rows if row < last]) > 0.95 * (last - rows[0]), "an offset that stays is no excuse"
+
+
+def test_without_a_heading_lengths_are_compared() -> None:
+    points_m, driven_m, heading_deg = drive(1)
+    unknown = np.full_like(heading_deg, np.nan)
+    assert not rejected(points_m, driven_m, unknown)
+    assert rejected(points_m + np.where(np.arange(PLACES) < 300, 0.0, 20.0)[:, None], driven_m, unknown)[0] == 300
+    assert not rejected(points_m * 3, np.full_like(driven_m, np.nan), unknown), "nothing is known of the motion"
+
+
+def test_a_gap_in_the_places_is_no_jump() -> None:
+    points_m, driven_m, heading_deg = drive(2, bend=3.0)
+    kept = np.r_[0:200, 300:PLACES]
+    assert not rejected(points_m[kept], driven_m[kept], heading_deg[kept])
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        ("ardupilot_tmh921", 0, 0),
+        ("px4_take_me_home_wrong_item_w924", 0, 0),
+        ("ardupilot_spoofL911", 100, 400),
+        ("ardupilot_spoofA912", 50, 200),
+        ("px4_gps_dragged_1mps_left_w921", 200, 400),
+    ],
+)
+def test_recorded_drives(shared: Path, name: str, least: int, most: int) -> None:
+    """Real autopilots with GPS, honest or dragged by 1 m/s; a place every 2 m while it has a fix."""
+    folder = shared / "flights_b06f79e" / name
+    if not folder.is_dir():
+        pytest.skip(f"needs the recorded drive {folder}")
+    data, codec, at = gzip.decompress((folder / "telem2.tlog.gz").read_bytes()), MavlinkCodec(1, 191), 0
+    positions, wheels, has_fix = [], [], False
+    while at < len(data):
+        size, time_s = 12 + data[at + 9] + 13 * (data[at + 10] & 1), int.from_bytes(data[at : at + 8], "big") / 1e6
+        for message in codec.decode(data[at + 8 : at + 8 + size]):
+            kind = message.get_type()
+            if kind == "GPS_RAW_INT":
+                has_fix = message.fix_type >= 3
+            elif kind == "WHEEL_DISTANCE":
+                wheels.append((time_s, sum(message.distance[:2]) / 2))
+            elif kind == "GLOBAL_POSITION_INT" and message.lat and has_fix:
+                speed_mps = float(np.hypot(message.vx, message.vy)) / 100
+                positions.append((time_s, message.lat / 1e7, message.lon / 1e7, message.hdg / 100, speed_mps))
+        at += 8 + size
+    times_s, lat_deg, lon_deg, heading_deg, speed_mps = np.array(positions).T
+    driven_m = np.r_[0.0, np.cumsum((speed_mps[1:] + speed_mps[:-1]) / 2 * np.diff(times_s))]
+    if wheels:
+        driven_m = np.interp(times_s, *np.array(wheels).T)
+    rows = np.unique(np.searchsorted(driven_m, np.arange(driven_m[0], driven_m[-1], STEP_M)))
+    assert len(rows) > 180
+    found = rejected(east_north(lat_deg[rows], lon_deg[rows]), driven_m[rows], heading_deg[rows])
+    assert least <= len(found) <= most
