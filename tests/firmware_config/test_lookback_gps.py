@@ -33,7 +33,7 @@ class ArduPilot:
         # The same Lua as ArduPilot's, where it is there.
         runtime = pytest.importorskip("lupa.lua53")
         self.lua = runtime.LuaRuntime(encoding=None)
-        self.parameters = {b"LKG_ACTION": action}
+        self.parameters = {b"LKG_ACTION": action, b"SYSID_THISMAV": 1}
         self.sets: list[int] = []
         self.modes: list[int] = []
         self.texts: list[bytes] = []
@@ -41,7 +41,7 @@ class ArduPilot:
         self._codec = MavlinkCodec(1, 191)
         table, names = self.lua.table_from, self.lua.globals()
         names[b"param"] = table(
-            {b"add_table": lambda *_: True, b"add_param": self._add, b"get": lambda _, name: self.parameters[name]}
+            {b"add_table": lambda *_: True, b"add_param": self._add, b"get": lambda _, name: self.parameters.get(name)}
         )
         names[b"mavlink"] = table(
             {b"init": lambda *_: None, b"register_rx_msgid": lambda *_: True, b"receive_chan": self._receive}
@@ -59,9 +59,14 @@ class ArduPilot:
     def _receive(self, _: Any) -> bytes | None:
         return self._waiting.popleft() if self._waiting else None
 
-    def hears(self, doubt: float | None, times: int = 1, component: int = 191) -> None:
+    def silence(self, seconds: int) -> None:
+        """Nothing is heard."""
+        for _ in range(5 * seconds):
+            self._update()
+
+    def hears(self, doubt: float | None, times: int = 1, component: int = 191, system: int = 1) -> None:
         """Lookback's values, `times` seconds long."""
-        codec = MavlinkCodec(1, component)
+        codec = MavlinkCodec(system, component)
         for _ in range(times):
             for message in encoders.gps_values(doubt, 40.0, 1000):
                 self._waiting.append(as_structure(codec.encode(message), self._wide))
@@ -94,7 +99,22 @@ def test_the_pilot_chooses_what_it_does(action: int, sets: list[int], modes: lis
     assert any(text.startswith(b"GPS is wrong") for text in autopilot.texts)
 
 
-def test_values_of_others_are_ignored() -> None:
-    autopilot = ArduPilot(action=3)
-    autopilot.hears(1.0, 10, component=1)
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize(("system", "component"), [(1, 1), (2, 191), (191, 1)])
+def test_values_of_others_are_ignored(wide: bool, system: int, component: int) -> None:
+    """Also of the Lookback of another vehicle on the same radio."""
+    autopilot = ArduPilot(action=3, wide=wide)
+    autopilot.hears(1.0, 10, component, system)
     assert (autopilot.sets, autopilot.modes) == ([], [])
+
+
+def test_a_lookback_that_falls_silent_is_named_and_changes_nothing() -> None:
+    autopilot = ArduPilot(action=1)
+    autopilot.silence(60)
+    assert autopilot.texts == [], "there is nothing to say without an action"
+    autopilot.hears(1.0, 5)
+    autopilot.silence(50)
+    assert autopilot.sets == [1], "GPS was wrong"
+    assert autopilot.texts[1:] == [b"Lookback is silent, GPS was wrong"] * 2
+    autopilot.hears(0.0, 5)
+    assert autopilot.sets == [1, 0], "it is back, and GPS agrees"
