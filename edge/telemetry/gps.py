@@ -141,7 +141,7 @@ class Gps:
         if self.state(now_ns) != "unknown":
             return ""
         if self.receiver_state(now_ns) == "healthy":
-            return "the autopilot does not use it"
+            return "unused by the autopilot"
         silent = [one.name for one in self.receivers if one.state(now_ns) == "unknown" and one.is_silent(now_ns)]
         return f"no {silent[0]}" if silent else UNSTEADY
 

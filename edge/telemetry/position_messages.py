@@ -83,4 +83,4 @@ def suitable_message(autopilot: int | None, version: tuple[int, int] | None) -> 
     for support in SUITABLE:
         if support.autopilot == autopilot and version >= support.version:
             return POSITION_MESSAGES[support.message], f"{spelled} takes {support.message}"
-    return None, f"{spelled} takes no position that we can send"
+    return None, f"{spelled} takes no position"

@@ -96,7 +96,7 @@ class PositionSender:
         self._sent_stamp_ns: int | None = None
         self.sent: SentPosition | None = None
         """The newest one, of a steady stream about one per second."""
-        self._had_gps = False
+        self._had_gps = self._has_said_that_it_waits = False
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._use.new_session()
 
@@ -199,7 +199,8 @@ class PositionSender:
         self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
         if why not in ("", f": {UNSTEADY}"):
             self._send_text(f"Lookback: {self._withheld}")
-        if refused.reason == UNCONFIRMED and not self._checks.is_bounded:
+        if refused.reason == UNCONFIRMED and not (self._checks.is_bounded or self._has_said_that_it_waits):
+            self._has_said_that_it_waits = True
             self._send_text("Lookback: waits for a second place to be sure")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
             self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")

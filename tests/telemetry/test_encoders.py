@@ -15,6 +15,7 @@ from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import Sending
+from edge.telemetry.position_messages import suitable_message
 from edge.telemetry.vehicle import Origin
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, "residential_street", 5)
@@ -185,3 +186,10 @@ def test_messages_that_the_dialect_does_not_know_are_left_out() -> None:
     unknown = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x0F, 42, 0, 0])
     beat = MavlinkCodec(1, 1).encode(encoders.heartbeat(4))
     assert [message.get_type() for message in MavlinkCodec(1, 191).decode(unknown + beat)] == ["HEARTBEAT"]
+
+
+def test_lines_about_the_message_of_a_firmware_are_one_status_text() -> None:
+    for autopilot in (3, 12, 8):
+        for version in (None, (1, 14), (1, 18), (4, 4), (4, 10)):
+            _, why = suitable_message(autopilot, version)
+            assert len(encoders.status_text(f"Lookback: {why}", mavlink.MAV_SEVERITY_WARNING)) == 1, why

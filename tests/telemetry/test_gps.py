@@ -242,7 +242,7 @@ def test_gps_that_the_filter_does_not_use_bounds_nothing_and_is_no_permission(ri
     assert rig.connection.uncertainty_m is None
     assert sky.offer(4.0) == 0
     if flags is not None:
-        assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: the autopilot does not use it"
+        assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: unused by the autopilot"
 
 
 @pytest.mark.parametrize("drag_mps", [0.5, 2.0, 5.0])
