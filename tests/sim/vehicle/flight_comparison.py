@@ -16,13 +16,15 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import Pose
 from sim.trial.recorded_drive import Columns, read_columns, read_messages
-from sim.vehicle.estimator import AS_FLOWN, Estimator, OdometryErrors
+from sim.vehicle.estimator import AS_FLOWN, Estimator, FilterNoise, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.position_inputs import Moment, PositionInputs, east_north_m
 
 STEP_S = 0.1
 SLOW = OdometryErrors(scale=0.97, heading_deg=-0.2, reported_deg=0.3, settled_deg=0.5)
 VELOCITY_SENSOR = OdometryErrors("velocity sensor", 1.03)
+EVV_NOISE = FilterNoise(position=2e-3, gate_sigmas=3.0)
+"""Of PX4 with the EKF2_EVV_NOISE of firmware_config/px4_velocity_aid.params, 0.5 instead of 0.1."""
 FLIGHTS: dict[str, OdometryErrors] = {
     "night_auto_daemon_off": AS_FLOWN,
     "vision_auto_daemon_off": SLOW,
@@ -62,8 +64,8 @@ class Comparison:
         return float(self.simulated_m[-1] / self.real_m[-1])
 
 
-def compare(folder: Path, errors: OdometryErrors) -> Comparison:
-    """Replay one recorded flight from the loss of GPS on."""
+def compare(folder: Path, errors: OdometryErrors, noise: FilterNoise | None = None) -> Comparison:
+    """Replay one recorded flight from the loss of GPS on; noise: of the filter, where not that of its firmware."""
     truth, own = (read_columns(folder / f"{name}.csv.gz") for name in ("truth", "autopilot_position"))
     is_px4 = folder.name.startswith("px4")
     messages = [(at_s, message) for at_s, _, message in read_messages(folder / "telem2.tlog.gz")]
@@ -78,7 +80,7 @@ def compare(folder: Path, errors: OdometryErrors) -> Comparison:
     at = int(np.searchsorted(times_s, lost_s))
     own_m = np.stack([np.interp(times_s, own["mono_s"], own[name]) for name in ("east_m", "north_m")])
     firmware = FIRMWARES["px4" if is_px4 else "ardupilot"]
-    estimate = Estimator(poses[at], times_s[at], errors, firmware.noise)
+    estimate = Estimator(poses[at], times_s[at], errors, noise or firmware.noise)
     estimate.reset(*own_m[:, at], times_s[at])
     inputs = PositionInputs(firmware, estimate)
     inputs.source_set = 2
