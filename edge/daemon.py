@@ -26,6 +26,7 @@ from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
 from edge.localization.dead_reckoning import ReportedMotion, TurnAround
 from edge.localization.localizer import Localizer
+from edge.localization.velocity_error import VelocityError
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
 from edge.sequence import PlaceMatch
@@ -98,6 +99,7 @@ class Daemon:
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
         motion = self._autopilot.motion(frame.stamp_ns)
+        self._use_velocity_error(self._localizer.follow_velocity(frame.stamp_ns, motion))
         is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
         if is_place:
             self._process_frame(frame, motion)
@@ -113,8 +115,7 @@ class Daemon:
         match = self._recognize(frame, distance_m, missed)
         self._localizer.update(match, frame.stamp_ns, displacement, missed)
         stands = self._recognizer.state == "standing"
-        error = self._localizer.find_velocity_error(match, frame.stamp_ns, motion, stands=stands)
-        self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
+        self._use_velocity_error(self._localizer.correct_velocity(match, frame.stamp_ns, motion, stands=stands))
         self._map_frame(frame, distance_m, missed)
         self._use_gps(match, frame.stamp_ns, missed)
         self._publish_frame(frame, match, missed)
@@ -126,6 +127,9 @@ class Daemon:
         self._frame_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
         self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._localizer.newest)
+
+    def _use_velocity_error(self, error: VelocityError) -> None:
+        self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""

@@ -58,23 +58,23 @@ class Localizer:
         if match is not None and match.accepted:
             self.newest = match
 
-    def find_velocity_error(
-        self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
-    ) -> VelocityError:
-        """What the autopilot's velocity is wrong by, while nothing measures it.
-
-        match: the answer to a frame. motion: as reported for it. stands: whether it shows what the last one did.
-        """
+    def follow_velocity(self, stamp_ns: int, motion: ReportedMotion) -> VelocityError:
+        """Go on to a frame, used or not: what the autopilot's velocity is wrong by, while nothing measures it."""
         error = self._velocity_error
         if motion.is_measured:
             error.begin()
         error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps, motion.pulled_m)
+        return error
+
+    def correct_velocity(
+        self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
+    ) -> VelocityError:
+        """The same after the answer to a used frame; stands: whether it shows what the last one did."""
+        error = self._velocity_error
         if stands:
             error.use_halt(stamp_ns, motion.velocity_mps)
-        elif motion.distance_m is None:
-            error.clear()
         else:
-            error.add_frame(stamp_ns, motion.distance_m)
+            error.add_frame(stamp_ns)
             if not motion.is_measured:
                 self._use_line(match)
         return error

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
-from itertools import islice
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,39 +23,53 @@ ANY_SPEED_MPS, ACCELERATES_MPS, REPORTED_MPS = 20.0, 1.0, 0.1
 report besides its error."""
 STANDS_NS = 1_500_000_000
 """How long a picture must stay the same."""
-ANYWHERE_M, JUMPED_M, WANDERS_M = 1000.0, 30.0, 0.3
-"""Of the odometer against a drive of the map: its standard deviation before the first line, the difference from which
-on a line lies elsewhere on the drive, and what else changes within a second."""
-LINE_M, SLOPE_MPS, HALT_MPS, LEFT_MPS = 12.0, 1.0, 0.1, 1.0
+ANYWHERE_M, JUMPED_SIGMAS, WANDERS_M = 1000.0, 2.5, 0.3
+"""Of the reported way against a drive of the map: its standard deviation before the first line; times that of a line
+(30 m, more over a pull) from which on it lies elsewhere on the drive; and what else changes within a second."""
+LINE_M, SLOPE_MPS, HALT_MPS, LEFT_MPS = 12.0, 1.0, 0.1, 0.5
 """Standard deviations of the middle of a line, of which many are alike; of the error by the slope of the first one, by
-a halt, and by the velocity to the left."""
+a halt, and by the velocity to the left within a second."""
 
 
 class _Row(NamedTuple):
-    """A frame of a line: where the vehicle headed (2,), and the error that was assumed of its velocity in that way."""
+    """A frame of a line: how far the reported velocity has led ahead by then, and where the vehicle headed (2,).
+
+    changed: variance of what the error has changed by since the frame before.
+    """
 
     stamp_ns: int
-    odometer_m: float
+    reported_m: float
     ahead: NDArray[np.float64]
-    assumed_mps: float
+    changed: float
 
 
-def _means(rows: Iterable[_Row]) -> tuple[NDArray[np.float64], float]:
-    """Of what rows have besides stamp and odometer."""
-    kept = list(rows)
-    return np.mean([row.ahead for row in kept], axis=0), sum(row.assumed_mps for row in kept) / len(kept)
+def _mean_ahead(rows: Sequence[_Row]) -> NDArray[np.float64]:
+    """(2,), over the time between the rows."""
+    times = np.diff([row.stamp_ns for row in rows]).astype(np.float64)
+    mean: NDArray[np.float64] = np.average([row.ahead for row in rows[1:]], axis=0, weights=times)
+    return mean
+
+
+def _moved_variance(rows: Sequence[_Row]) -> float:
+    """Square meters by which the way between the rows may differ from that at the error of the newest one.
+
+    Before a change of the error, as by a position of ours, the vehicle moved by another error.
+    """
+    first_ns = rows[0].stamp_ns
+    return sum(row.changed * ((row.stamp_ns - first_ns) / 1e9) ** 2 for row in rows[1:])
 
 
 class VelocityError:
     """What an autopilot's velocity is wrong by where nothing measures it, found from places: a Kalman filter.
 
-    state (6,): meters by which the odometer is ahead of the drive of the map that is matched; error in m/s east and
-    north; its growth in m/s^2 ahead and to the left; the vehicle's speed ahead in m/s.
+    state (6,): meters by which the reported velocity has led further ahead than the drive of the map that is matched;
+    error in m/s east and north; its growth in m/s^2 ahead and to the left; the vehicle's speed ahead in m/s.
 
     Such a velocity is integrated from accelerometers: its error grows slowly, but jumps where a position of ours moves
     the autopilot's. A vehicle's speed does not jump, so that most of a sudden change is error. Measured are where the
     middles of the matched lines are, the velocity to the left, since a vehicle moves the way it heads, and all of the
-    velocity while the picture stays the same, since the vehicle stands.
+    velocity while the picture stays the same, since the vehicle stands. It goes on with every frame, used or not: by
+    an error from before a jump, the vehicle may seem to stand, and then no frame is used.
     """
 
     def __init__(self, length: int) -> None:
@@ -70,6 +83,7 @@ class VelocityError:
         self._covariance = np.diag([ANYWHERE_M, BEGINS_MPS, BEGINS_MPS, GROWS_MPS2, GROWS_MPS2, ANY_SPEED_MPS]) ** 2
         self._last_ns: int | None = None
         self._ahead = np.array([0.0, 1.0])
+        self._reported_m = 0.0
         self.clear()
 
     def clear(self) -> None:
@@ -77,6 +91,7 @@ class VelocityError:
         self._rows: deque[_Row] = deque(maxlen=self._length)
         self._drive: object = None
         self._stands_ns: int | None = None
+        self._changed = 0.0  # variance of the error since the last row
 
     @property
     def error_mps(self) -> tuple[float, float]:
@@ -95,7 +110,7 @@ class VelocityError:
     def predict(
         self, stamp_ns: int, heading_rad: float, velocity_mps: tuple[float, float], pulled_m: float = 0.0
     ) -> None:
-        """Go on to a frame, at which the vehicle heads there and its velocity is reported as that, east and north.
+        """Go on to a moment, at which the vehicle heads there and its velocity is reported as that, east and north.
 
         pulled_m: how far our positions of the last PULLED_NS were from the autopilot's own.
         """
@@ -103,44 +118,48 @@ class VelocityError:
         self._last_ns = stamp_ns
         ahead = self._ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         left, reported_mps = np.array([-ahead[1], ahead[0]]), np.array(velocity_mps)
-        assumed_mps = self._ahead_mps
         wanders_mps = math.hypot(WANDERS_MPS, PULLED_MPS_PER_M * pulled_m)
         moves = np.eye(6)
         moves[0, 1:3] = elapsed_s * ahead
         moves[1:3, 3:5] = elapsed_s * np.column_stack([ahead, left])
         noise = [WANDERS_M, wanders_mps, wanders_mps, WANDERS_MPS2, WANDERS_MPS2, ACCELERATES_MPS]
         self._mean = moves @ self._mean
-        self._mean[0] -= elapsed_s * assumed_mps
         self._covariance = moves @ self._covariance @ moves.T + np.diag(elapsed_s * np.square(noise))
-        self._measure(np.array([0.0, *left, 0.0, 0.0, 0.0]), float(left @ reported_mps), LEFT_MPS)
+        self._changed += elapsed_s * wanders_mps**2
+        if elapsed_s:
+            left_mps = LEFT_MPS / math.sqrt(elapsed_s)
+            self._measure(np.array([0.0, *left, 0.0, 0.0, 0.0]), float(left @ reported_mps), left_mps)
         self._measure(np.array([0.0, *ahead, 0.0, 0.0, 1.0]), float(ahead @ reported_mps), REPORTED_MPS)
+        self._reported_m += elapsed_s * float(ahead @ reported_mps)
 
-    def add_frame(self, stamp_ns: int, odometer_m: float) -> None:
-        """A frame at which the vehicle moved; odometer_m: by the velocity less its error."""
+    def add_frame(self, stamp_ns: int) -> None:
+        """A frame at which the vehicle moved."""
         self._stands_ns = None
-        self._rows.append(_Row(stamp_ns, odometer_m, self._ahead, self._ahead_mps))
+        self._rows.append(_Row(stamp_ns, self._reported_m, self._ahead, self._changed))
+        self._changed = 0.0
 
     def use_line(self, drive: object, middle_m: float, length_m: float) -> None:
         """The believed match of the frame that was added last, by its line along that drive, in the way of travel."""
         if len(self._rows) < self._length:
             return
-        newest, middle = self._rows[-1], self._rows[self._length // 2]
-        since_s = (newest.stamp_ns - middle.stamp_ns) / 1e9
-        ahead, assumed_mps = _means(islice(self._rows, self._length // 2, None))
-        row = np.array([1.0, *(-since_s * ahead), since_s**2 / 2, 0.0, 0.0])
-        off_m = middle.odometer_m - middle_m - since_s * assumed_mps
-        if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_M:
+        rows = list(self._rows)
+        newest, half = rows[-1], rows[self._length // 2 :]
+        since_s = (newest.stamp_ns - half[0].stamp_ns) / 1e9
+        row = np.array([1.0, *(-since_s * _mean_ahead(half)), since_s**2 / 2, 0.0, 0.0])
+        off_m = half[0].reported_m - middle_m
+        sigma_m = math.hypot(LINE_M, math.sqrt(_moved_variance(half)))
+        if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_SIGMAS * sigma_m:
             self._drive = drive
-            took_s = (newest.stamp_ns - self._rows[0].stamp_ns) / 1e9
-            too_far_mps = (newest.odometer_m - self._rows[0].odometer_m - length_m) / took_s
-            ahead, assumed_mps = _means(self._rows)
-            slope = np.array([0.0, *ahead, -took_s / 2, 0.0, 0.0])
-            # Of the mean over the line, from which the newest error has wandered away.
-            self._measure(slope, too_far_mps + assumed_mps, math.hypot(SLOPE_MPS, WANDERS_MPS * math.sqrt(took_s / 3)))
+            took_s = (newest.stamp_ns - rows[0].stamp_ns) / 1e9
+            too_far_mps = (newest.reported_m - rows[0].reported_m - length_m) / took_s
+            slope = np.array([0.0, *_mean_ahead(rows), -took_s / 2, 0.0, 0.0])
+            # Of the mean over the line, from which the newest error has changed since.
+            changed_mps = math.sqrt(_moved_variance(rows)) / took_s
+            self._measure(slope, too_far_mps, math.hypot(SLOPE_MPS, changed_mps))
             self._mean[0] += off_m - row @ self._mean
             self._covariance[0, :] = self._covariance[:, 0] = 0.0
             self._covariance[0, 0] = ANYWHERE_M**2
-        self._measure(row, off_m, LINE_M)
+        self._measure(row, off_m, sigma_m)
 
     def use_halt(self, stamp_ns: int, velocity_mps: tuple[float, float]) -> None:
         """A frame that showed what the last one did, and the velocity: if the vehicle stands, that is the error.

@@ -16,7 +16,7 @@ from sim.trial.views import RoadLibrary
 
 HEADER = (
     "| drive | positions | error, median / 95 % / largest | over own sigma, rms / largest | share of the time"
-    " | first after | frames used, believed, false |\n|---|---|---|---|---|---|---|"
+    " | first after | frames used, believed, false, furthest apart |\n|---|---|---|---|---|---|---|"
 )
 
 
@@ -46,7 +46,11 @@ def _run(args: argparse.Namespace) -> int:
         for folder in folders:
             output = args.output / folder.name
             output.mkdir(parents=True, exist_ok=True)
-            print(rows(replay(read_drive(folder), output, library)), flush=True)
+            drive = read_drive(folder)
+            if drive.config.mapping.folder:
+                print(f"| {drive.name}: its map was made on the way, which is not replayed |", flush=True)
+                continue
+            print(rows(replay(drive, output, library)), flush=True)
             library.save()
     finally:
         library.save()
@@ -66,7 +70,7 @@ def rows(found: Replayed) -> str:
 
 
 def _row(positions: Positions, frames: Frames) -> str:
-    counts = f"{frames.used}, {frames.believed}, {frames.false}"
+    counts = f"{frames.used}, {frames.believed}, {frames.false}, {frames.apart_m.max(initial=0.0):.0f} m"
     errors_m = positions.error_m
     if not len(errors_m):
         return f"0 | - | - | 0.00 | - | {counts}"

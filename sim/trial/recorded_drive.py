@@ -49,7 +49,7 @@ class DaemonRun(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedDrive:
-    """One folder of recorded drives; all times in seconds of CLOCK_MONOTONIC.
+    """One folder of recorded drives; all times in seconds of CLOCK_MONOTONIC. own: by the autopilot's own position.
 
     latency_s: from an exposure to when the daemon was done with the frame.
     """
@@ -58,6 +58,7 @@ class RecordedDrive:
     config: Config
     scenario: Scenario
     truth: Columns
+    own: Columns
     link: list[LinkFrame]
     runs: list[DaemonRun]
     used: list[FrameUsed]
@@ -128,6 +129,7 @@ def read_drive(folder: Path) -> RecordedDrive:
         config=parse_toml(config_path.read_text(encoding="utf-8"), config_path, Config),
         scenario=read_toml(folder / "scenario.toml", Scenario),
         truth=read_columns(folder / TRUTH),
+        own=own,
         link=[LinkFrame(unix_s - epoch_s, data, message) for unix_s, data, message in messages],
         runs=_runs([(unix_s - epoch_s, record) for unix_s, record in lines]),
         used=[record for _, record in frames],

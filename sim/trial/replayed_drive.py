@@ -2,11 +2,12 @@
 
 The daemon's parts are those of `sim.trial.run`, in the recorded time. The pictures are rendered again where the vehicle
 truly was, and the map is made again with the positions that its places had, so that frames that the recorded daemon did
-not use can be recognized as well.
+not use can be recognized as well. Further than MOST_LEFT_M from the road there are none.
 
-It is open loop: the recorded autopilot already has in it what the positions of then did to it, and nothing that is sent
-now moves it. What follows a better or a worse position cannot be seen here, and where the positions of now differ much
-from those of then, neither is what a drive would have been. Every 43003 is accepted.
+It is open loop: nothing that is sent now moves the recorded autopilot. What the positions of then did to it is in its
+messages; the daemon learns of them as if it had sent them. What follows a better or a worse position cannot be seen
+here, and where the positions of now differ much from those of then, neither is what a drive would have been. Every
+43003 is accepted.
 """
 
 from __future__ import annotations
@@ -35,13 +36,14 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
+from edge.telemetry.vehicle import Vehicle
 from sim import ORIGIN_ALT_M, geodetic
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.rules import SENT_WITHIN_S, Array
 from sim.trial.run import MAP_SIGMA_M, map_scenario, read_position
 from sim.trial.simulation import STEP_S
-from sim.trial.views import RoadLibrary
+from sim.trial.views import MOST_LEFT_M, RoadLibrary
 from sim.trial.way import Way, along
 from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
@@ -70,11 +72,15 @@ class Positions:
 
 @dataclass(frozen=True)
 class Frames:
-    """Used frames, how many of them are believed, and how many of those are of another place than the truth."""
+    """Used frames, how many of them are believed, and how many of those are of another place than the truth.
+
+    apart_m: (n,) driven in truth from one used frame to the next, without GPS.
+    """
 
     used: int
     believed: int
     false: int
+    apart_m: Array
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,7 @@ def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed
                 settings = _settings(drive.config, link, map_path, journal)
                 daemon = Daemon(settings, parts, playback.clock_ns, frames=playback, network=network)
                 while daemon.turn():
-                    pass
+                    playback.pull(daemon._autopilot.vehicle)
                 received += playback.received
     sent, used = list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))
     then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
@@ -133,6 +139,7 @@ class Playback:
             one for one in drive.link if run.from_s <= one.time_s < run.to_s and _is_autopilots(one.message)
         )
         self._exposures_s = deque(run.exposures_s.tolist())
+        self._pulls = deque(pull for pull in _pulls(drive) if run.from_s <= pull[0] < run.to_s)
         latency_s = max(0.0, drive.latency_s)
         self._camera = TrialCamera(
             self.clock_ns, np.random.default_rng(1), latency_s=(latency_s, latency_s), hole_rate=0.0
@@ -145,6 +152,12 @@ class Playback:
     def clock_ns(self) -> int:
         """The recorded CLOCK_MONOTONIC."""
         return self.now_ns
+
+    def pull(self, vehicle: Vehicle) -> None:
+        """What was sent then moved the recorded autopilot."""
+        while self._pulls and self._pulls[0][0] <= self.now_ns / 1e9:
+            sent_s, off_m = self._pulls.popleft()
+            vehicle.expect_pull(off_m, round(sent_s * 1e9))
 
     def _step(self) -> None:
         self.now_ns += round(STEP_S * 1e9)
@@ -160,7 +173,9 @@ class Playback:
             self._link.send(self._answers.popleft()[1])
         while self._exposures_s and self._exposures_s[0] <= now_s:
             stamp_s = self._exposures_s.popleft()
-            self._camera.expose(self._views.at(stamp_s), round(stamp_s * 1e9))
+            view = self._views.at(stamp_s)
+            if abs(view.left_m) <= MOST_LEFT_M:
+                self._camera.expose(view, round(stamp_s * 1e9))
 
     @property
     def health(self) -> CameraHealth:
@@ -180,6 +195,18 @@ class Playback:
 
     def close(self) -> None:
         """See NewestFrame."""
+
+
+def _pulls(drive: RecordedDrive) -> list[tuple[float, float]]:
+    """When positions were sent then, and how far they were from the autopilot's own."""
+    own = drive.own
+    found = []
+    for one in drive.link:
+        position = read_position(one.message) if one.message.get_srcComponent() == WE else None
+        if position is not None:
+            here_m = [float(np.interp(one.time_s, own["mono_s"], own[name])) for name in ("east_m", "north_m")]
+            found.append((one.time_s, math.dist(here_m, position[:2])))
+    return found
 
 
 def _is_autopilots(message: Message) -> bool:
@@ -311,4 +338,6 @@ def _frames(drive: RecordedDrive, used: list[FrameUsed]) -> Frames:
         math.dist(east_north_m(frame.lat_deg or 0.0, frame.lon_deg or 0.0), drive.true_m(frame.stamp_ns / 1e9).tolist())
         for frame in believed
     ]
-    return Frames(len(used), len(believed), sum(off > FALSE_M for off in off_m))
+    stamp_s = np.array([frame.stamp_ns for frame in used]) / 1e9
+    apart_m: Array = np.hypot(*np.diff(drive.true_m(stamp_s[stamp_s >= drive.gps_lost_s]), axis=1))
+    return Frames(len(used), len(believed), sum(off > FALSE_M for off in off_m), apart_m)

@@ -17,7 +17,7 @@ class Unaided:
 
     def __init__(self, grows_mps2: float = 0.15) -> None:
         self.error, self.grows_mps2 = VelocityError(length=40), grows_mps2
-        self.time_s = self.along_m = self.odometer_m = self.wrong_mps = self.wrong_east_mps = 0.0
+        self.time_s = self.along_m = self.wrong_mps = self.wrong_east_mps = 0.0
 
     def drive(self, seconds: float, *, heading_deg: float = 0.0, believed: bool = True, drive: object = 1) -> None:
         """Along a drive of the map."""
@@ -28,13 +28,9 @@ class Unaided:
             self.wrong_mps += 0.25 * self.grows_mps2 * cos
             self.wrong_east_mps += 0.25 * self.grows_mps2 * sin
             self.along_m += 0.25 * 8.0
-            east_mps, north_mps = self.error.error_mps
-            self.odometer_m += 0.25 * (
-                8.0 + (self.wrong_east_mps - east_mps) * sin + (self.wrong_mps - north_mps) * cos
-            )
             reported_mps = 8.0 * sin + self.wrong_east_mps, 8.0 * cos + self.wrong_mps
             self.error.predict(round(self.time_s * S), heading_rad, reported_mps)
-            self.error.add_frame(round(self.time_s * S), self.odometer_m)
+            self.error.add_frame(round(self.time_s * S))
             if believed:
                 self.error.use_line(drive, self.along_m - 19.5 * 2.0, 78.0)
 
@@ -129,6 +125,28 @@ def test_a_jump_of_the_velocity_is_error_where_a_position_of_ours_was_sent(pulle
         error.predict(quarter * S // 4, 0.0, (0.0, north_mps), pulled_m if is_pulled else 0.0)
     assert error.error_mps[1] == pytest.approx(1.8 if pulled_m else 0.8, abs=0.2)
     assert abs(error.error_mps[1] - 2.0) < 2 * error.sigma_mps, "whose it is remains uncertain without one"
+
+
+def test_a_pull_neither_stalls_it_nor_is_a_line_that_spans_the_pull_believed() -> None:
+    """As recorded: 13 m/s within half a second after a position that was 160 m off; true at 8 m/s all the time."""
+    error, along_m, odometer_m, due_m = VelocityError(length=40), 0.0, 0.0, 0.0
+    found, used = [], 0
+    for tenth in range(1200):
+        wrong_mps = min(0.01 * tenth, 10.0) if tenth < 1000 else 10.0 - min(2.6 * (tenth - 999), 13.0)
+        error.predict(tenth * S // 10, 0.0, (0.0, 8.0 + wrong_mps), 160.0 if 1000 <= tenth < 1010 else 0.0)
+        along_m += 0.8
+        odometer_m += 0.1 * max(0.0, 8.0 + wrong_mps - error.error_mps[1])
+        if odometer_m >= due_m:
+            due_m = odometer_m + 2.0
+            error.add_frame(tenth * S // 10)
+            error.use_line(1, along_m - 19.5 * 2.4, 39 * 2.4)
+            used += tenth > 1000
+        if tenth > 1000:
+            found.append((error.error_mps[1] - wrong_mps, error.sigma_mps))
+    off_mps, sigma_mps = np.abs(np.array(found)).T
+    assert used > 60, "of 160 m"
+    assert (off_mps < 2 * sigma_mps).all()
+    assert off_mps.max() < 2.0
 
 
 def test_a_vehicle_that_accelerates_gives_its_velocity_no_error_that_counts() -> None:

@@ -45,6 +45,15 @@ def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], Replayed])
     assert now.share == pytest.approx(then.share, abs=0.2)
 
 
+def test_a_pull_does_not_stall_the_velocity_filter(replayed: Callable[[str], Replayed]) -> None:
+    """PX4 without a velocity aid: a position 161 m from its own took 13 m/s off its velocity, 75 m before the end."""
+    found = replayed("px4_no_aid_person_296_w921")
+    assert found.recorded_frames.apart_m.max() > 45.0, "of 75 m, one frame"
+    assert found.replayed_frames.apart_m.max() < 4.0
+    assert found.replayed_frames.apart_m[-15:].mean() < 2.6, "the line that spans the pull says nothing wrong"
+    assert found.replayed_frames.false == 0
+
+
 def test_a_folder_without_a_recording_is_named_with_what_it_lacks(tmp_path: Path) -> None:
     with pytest.raises(FeedError, match=r"no recorded drive of the daemon, it has no truth\.csv\.gz and no auto"):
         read_drive(tmp_path)

@@ -99,6 +99,11 @@ def replay(folder: Path) -> Replay:
     passed_m: list[float] = []
     found = []
     for at in range(int(np.searchsorted(time_s, lost_s)), len(time_s)):
+        stamp_ns = round(1e9 * time_s[at])
+        recent = (drive.sent[:, 0] <= time_s[at]) & (time_s[at] - drive.sent[:, 0] <= PULLED_NS / 1e9)
+        pulled_m = float(drive.sent[recent, 1].max(initial=0.0))
+        own_east_mps, own_north_mps = own_mps[at].tolist()
+        error.predict(stamp_ns, float(drive.heading_rad[at]), (own_east_mps, own_north_mps), pulled_m)
         odometer_m += float((own_mps[at] - error.error_mps) @ ahead[at]) * (time_s[at] - time_s[at - 1])
         if odometer_m < due_m:
             continue
@@ -106,12 +111,7 @@ def replay(folder: Path) -> Replay:
         passed_m = [*passed_m[1 - FRAMES :], drive.driven_m[at]]
         kept = math.exp(-1 / LINE_FRAMES)
         line_off_m = kept * line_off_m + math.sqrt(1 - kept**2) * rng.normal(0.0, LINE_M)
-        stamp_ns = round(1e9 * time_s[at])
-        recent = (drive.sent[:, 0] <= time_s[at]) & (time_s[at] - drive.sent[:, 0] <= PULLED_NS / 1e9)
-        pulled_m = float(drive.sent[recent, 1].max(initial=0.0))
-        own_east_mps, own_north_mps = own_mps[at].tolist()
-        error.predict(stamp_ns, float(drive.heading_rad[at]), (own_east_mps, own_north_mps), pulled_m)
-        error.add_frame(stamp_ns, odometer_m)
+        error.add_frame(stamp_ns)
         if len(passed_m) == FRAMES:
             error.use_line(1, passed_m[FRAMES // 2] + line_off_m, passed_m[-1] - passed_m[0])
         wrong_mps = float((own_mps[at] - drive.true_mps[at]) @ ahead[at])
