@@ -23,9 +23,9 @@ ANY_SPEED_MPS, ACCELERATES_MPS, REPORTED_MPS = 20.0, 1.0, 0.1
 report besides its error."""
 STANDS_NS = 1_500_000_000
 """How long a picture must stay the same."""
-ANYWHERE_M, JUMPED_SIGMAS, WANDERS_M = 1000.0, 2.5, 0.3
-"""Of the reported way against a drive of the map: its standard deviation before the first line; times that of a line
-(30 m, more over a pull) from which on it lies elsewhere on the drive; and what else changes within a second."""
+ANYWHERE_M, JUMPED_M, WANDERS_M = 1000.0, 30.0, 0.3
+"""Of the reported way against a drive of the map: its standard deviation before the first line, the difference from
+which on a line lies elsewhere on the drive, and what else changes within a second."""
 LINE_M, SLOPE_MPS, HALT_MPS, LEFT_MPS = 12.0, 1.0, 0.1, 0.5
 """Standard deviations of the middle of a line, of which many are alike; of the error by the slope of the first one, by
 a halt, and by the velocity to the left within a second."""
@@ -34,29 +34,21 @@ a halt, and by the velocity to the left within a second."""
 class _Row(NamedTuple):
     """A frame of a line: how far the reported velocity has led ahead by then, and where the vehicle headed (2,).
 
-    changed: variance of what the error has changed by since the frame before.
+    changed_mps: (2,) by what positions of ours had changed the error by then, as the reports showed it.
     """
 
     stamp_ns: int
     reported_m: float
     ahead: NDArray[np.float64]
-    changed: float
+    changed_mps: NDArray[np.float64]
 
 
-def _mean_ahead(rows: Sequence[_Row]) -> NDArray[np.float64]:
-    """(2,), over the time between the rows."""
+def _means(rows: Sequence[_Row]) -> tuple[NDArray[np.float64], float]:
+    """Over the time between the rows: of ahead (2,), and of what the error ahead was less than at the last of them."""
     times = np.diff([row.stamp_ns for row in rows]).astype(np.float64)
-    mean: NDArray[np.float64] = np.average([row.ahead for row in rows[1:]], axis=0, weights=times)
-    return mean
-
-
-def _moved_variance(rows: Sequence[_Row]) -> float:
-    """Square meters by which the way between the rows may differ from that at the error of the newest one.
-
-    Before a change of the error, as by a position of ours, the vehicle moved by another error.
-    """
-    first_ns = rows[0].stamp_ns
-    return sum(row.changed * ((row.stamp_ns - first_ns) / 1e9) ** 2 for row in rows[1:])
+    less_mps = [row.ahead @ (rows[-1].changed_mps - row.changed_mps) for row in rows[1:]]
+    ahead: NDArray[np.float64] = np.average([row.ahead for row in rows[1:]], axis=0, weights=times)
+    return ahead, float(np.average(less_mps, weights=times))
 
 
 class VelocityError:
@@ -83,7 +75,7 @@ class VelocityError:
         self._covariance = np.diag([ANYWHERE_M, BEGINS_MPS, BEGINS_MPS, GROWS_MPS2, GROWS_MPS2, ANY_SPEED_MPS]) ** 2
         self._last_ns: int | None = None
         self._ahead = np.array([0.0, 1.0])
-        self._reported_m = 0.0
+        self._reported_m, self._changed_mps = 0.0, np.zeros(2)
         self.clear()
 
     def clear(self) -> None:
@@ -91,7 +83,6 @@ class VelocityError:
         self._rows: deque[_Row] = deque(maxlen=self._length)
         self._drive: object = None
         self._stands_ns: int | None = None
-        self._changed = 0.0  # variance of the error since the last row
 
     @property
     def error_mps(self) -> tuple[float, float]:
@@ -125,18 +116,19 @@ class VelocityError:
         noise = [WANDERS_M, wanders_mps, wanders_mps, WANDERS_MPS2, WANDERS_MPS2, ACCELERATES_MPS]
         self._mean = moves @ self._mean
         self._covariance = moves @ self._covariance @ moves.T + np.diag(elapsed_s * np.square(noise))
-        self._changed += elapsed_s * wanders_mps**2
         if elapsed_s:
             left_mps = LEFT_MPS / math.sqrt(elapsed_s)
             self._measure(np.array([0.0, *left, 0.0, 0.0, 0.0]), float(left @ reported_mps), left_mps)
+        before_mps = self._mean[1:3]
         self._measure(np.array([0.0, *ahead, 0.0, 0.0, 1.0]), float(ahead @ reported_mps), REPORTED_MPS)
+        by_pull = 1 - (WANDERS_MPS / wanders_mps) ** 2
+        self._changed_mps = self._changed_mps + by_pull * (self._mean[1:3] - before_mps)
         self._reported_m += elapsed_s * float(ahead @ reported_mps)
 
     def add_frame(self, stamp_ns: int) -> None:
         """A frame at which the vehicle moved."""
         self._stands_ns = None
-        self._rows.append(_Row(stamp_ns, self._reported_m, self._ahead, self._changed))
-        self._changed = 0.0
+        self._rows.append(_Row(stamp_ns, self._reported_m, self._ahead, self._changed_mps))
 
     def use_line(self, drive: object, middle_m: float, length_m: float) -> None:
         """The believed match of the frame that was added last, by its line along that drive, in the way of travel."""
@@ -145,21 +137,23 @@ class VelocityError:
         rows = list(self._rows)
         newest, half = rows[-1], rows[self._length // 2 :]
         since_s = (newest.stamp_ns - half[0].stamp_ns) / 1e9
-        row = np.array([1.0, *(-since_s * _mean_ahead(half)), since_s**2 / 2, 0.0, 0.0])
-        off_m = half[0].reported_m - middle_m
-        sigma_m = math.hypot(LINE_M, math.sqrt(_moved_variance(half)))
-        if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_SIGMAS * sigma_m:
+        ahead, less_mps = _means(half)
+        row = np.array([1.0, *(-since_s * ahead), since_s**2 / 2, 0.0, 0.0])
+        # Before a position of ours changed the error, the way was that of another one.
+        off_m = half[0].reported_m - middle_m - since_s * less_mps
+        if drive != self._drive or abs(off_m - row @ self._mean) > JUMPED_M:
             self._drive = drive
             took_s = (newest.stamp_ns - rows[0].stamp_ns) / 1e9
             too_far_mps = (newest.reported_m - rows[0].reported_m - length_m) / took_s
-            slope = np.array([0.0, *_mean_ahead(rows), -took_s / 2, 0.0, 0.0])
-            # Of the mean over the line, from which the newest error has changed since.
-            changed_mps = math.sqrt(_moved_variance(rows)) / took_s
-            self._measure(slope, too_far_mps, math.hypot(SLOPE_MPS, changed_mps))
+            ahead, less_mps = _means(rows)
+            slope = np.array([0.0, *ahead, -took_s / 2, 0.0, 0.0])
+            # Of the mean over the line, from which the newest error has wandered away.
+            wandered_mps = WANDERS_MPS * math.sqrt(took_s / 3)
+            self._measure(slope, too_far_mps + less_mps, math.hypot(SLOPE_MPS, wandered_mps))
             self._mean[0] += off_m - row @ self._mean
             self._covariance[0, :] = self._covariance[:, 0] = 0.0
             self._covariance[0, 0] = ANYWHERE_M**2
-        self._measure(row, off_m, sigma_m)
+        self._measure(row, off_m, LINE_M)
 
     def use_halt(self, stamp_ns: int, velocity_mps: tuple[float, float]) -> None:
         """A frame that showed what the last one did, and the velocity: if the vehicle stands, that is the error.

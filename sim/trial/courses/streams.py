@@ -21,13 +21,13 @@ WANDER_MPS = 0.4
 0.35 on three recorded flights of PX4, 0.1 of its rover."""
 
 
-@course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260")
+@course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
 def _px4_no_aid(draft: Draft, value: str) -> None:
     """Nothing measures PX4's velocity, which runs away; our positions must not follow it, whatever else happens."""
     if value.lstrip("-") in COURSES:
         COURSES[value.lstrip("-")].lay(draft)
-    draft.firmware, draft.steers = "px4", False
-    draft.emit = "external_position" if value else "auto"
+    draft.firmware, draft.steers = "px4-without-agp" if value == "-unused" else "px4", False
+    draft.emit = "external_position" if value not in ("", "-unused") else "auto"
     acceleration_mps2, seed = draft.rng.uniform(0.1, 0.2), int(draft.rng.integers(2**31))
     draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
     draft.rules = (within_sigmas, no_false_place, not_worse)
