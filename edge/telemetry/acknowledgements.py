@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.geodesy import VehiclePosition
+from edge.geodesy import VehiclePosition, east_north_of
 
 Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 
@@ -23,7 +23,6 @@ BACK_OFF_LAST_NS = 30_000_000_000
 ANSWER_NS = 1_000_000_000
 NO_ANSWER = "NO_ANSWER"
 CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
-EARTH_M = 6_371_000.0
 MOVED_NS = 1_500_000_000
 """How long after ACCEPTED the position may take to move."""
 
@@ -61,9 +60,7 @@ class Jump:
         Driven by the mean of both velocities, since a vehicle turns and brakes meanwhile.
         """
         between_s = (after.stamp_ns - self.before.stamp_ns) / 1e9
-        # Meters per degree are the same for both, so a difference of positions may be taken on a sphere.
-        north_m = math.radians(after.lat_deg - self.before.lat_deg) * EARTH_M
-        east_m = math.radians(after.lon_deg - self.before.lon_deg) * EARTH_M * math.cos(math.radians(after.lat_deg))
+        east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (self.before.lat_deg, self.before.lon_deg))
         driven_east_m = (self.before.east_mps + after.east_mps) / 2 * between_s
         driven_north_m = (self.before.north_mps + after.north_mps) / 2 * between_s
         return math.hypot(east_m - driven_east_m - self.east_m, north_m - driven_north_m - self.north_m)

@@ -158,7 +158,7 @@ class AutopilotConnection:
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
-            **self._positions.sent_status(),
+            **self._positions.sent_status,
         )
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,15 +52,6 @@ SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a pos
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class SentPosition:
-    """A position that went to the autopilot: when, one standard deviation, and how far off it may be at most."""
-
-    sent_ns: int
-    sigma_m: float
-    level: ProtectionLevel | None
-
-
 class PositionSender:
     """From fixes to position messages, for the one link that carries positions."""
 
@@ -94,8 +84,8 @@ class PositionSender:
         self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
         self._last_sent_ns: int | None = None
         self._sent_stamp_ns: int | None = None
-        self.sent: SentPosition | None = None
-        """The newest one, of a steady stream about one per second."""
+        self.sent_status: dict[str, Any] = {}
+        """The fields of `LinkStatus` on the newest position that was sent, of a steady stream about one per second."""
         self._had_gps = self._has_said_that_it_waits = False
         self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._use.new_session()
@@ -125,14 +115,6 @@ class PositionSender:
     def set_without_gps(self) -> int:
         """Which of ArduPilot's sets of sources is used without GPS."""
         return VISION_SET if self.message is not None and self.message.name == "vision_position" else GPS_SET
-
-    def sent_status(self) -> dict[str, Any]:
-        """The fields of `LinkStatus` on the newest position that was sent."""
-        if self.sent is None:
-            return {}
-        along_m, across_m = _level_m(self.sent.level)
-        sent_ns, sigma_m = self.sent.sent_ns, round(self.sent.sigma_m, 2)
-        return {"sent_ns": sent_ns, "sent_sigma_m": sigma_m, "level_along_m": along_m, "level_across_m": across_m}
 
     @property
     def enabled(self) -> bool:
@@ -228,6 +210,7 @@ class PositionSender:
         values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
+            level_m = _level_m(self._checks.protection_level)
             self._record(
                 FixSent(
                     fix.place,
@@ -240,10 +223,11 @@ class PositionSender:
                     distance_m,
                     again,
                     fix.map,
-                    *_level_m(self._checks.protection_level),
+                    *level_m,
                 )
             )
-            self.sent = SentPosition(now_ns, fix.sigma_m, self._checks.protection_level)
+            self.sent_status = {"sent_ns": now_ns, "sent_sigma_m": round(fix.sigma_m, 2)}
+            self.sent_status |= {"level_along_m": level_m[0], "level_across_m": level_m[1]}
             values = encoders.protection_values(self._checks.protection_level, round(1000 * boot_s))
         self._last_sent_ns = now_ns
         vehicle.expect_pull(distance_m or 0.0, now_ns)

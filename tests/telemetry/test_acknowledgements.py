@@ -11,7 +11,7 @@ from edge.geodesy import VehiclePosition
 from edge.telemetry.acknowledgements import VERDICTS, Jump, result_name
 
 S = 1_000_000_000
-METRE_DEG = 1 / 111_195  # on the sphere that jumps are measured on
+METRE_DEG = 1 / 110_574  # of latitude, at the equator
 BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
 JUMP = Jump(BEFORE, east_m=0.0, north_m=40.0, sigma_m=5.0)
 
