@@ -18,9 +18,9 @@ AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocit
 AWAITED_NS = 1_000_000_000  # how long a frame waits for the position after it
 JUMP_M, JUMP_SHARE = 3.0, 0.5
 """Two positions that differ by so many meters and that share of the distance more than by velocity: a reset."""
-TURNS, TURNS_NS = 3, 10_000_000_000
-"""How often one is back within that time before two autopilots are found: one reboots at most once in it, and where its
-filters take turns (EKF lanes), it does so less often."""
+TURNS, TURNS_NS, BACK_NS = 3, 10_000_000_000, 500_000_000
+"""How often within TURNS_NS one is back after at most BACK_NS, before two autopilots are found: a single one reboots
+once in that time, its filters (EKF lanes) take turns less often, and resets are sent a second apart."""
 
 
 class PositionHistory:
@@ -58,16 +58,17 @@ class Alternation:
     """Whether two autopilots send with the same ids: their positions come in turns, or their clocks seem to go back."""
 
     def __init__(self) -> None:
-        self._recent: deque[VehiclePosition] = deque(maxlen=2)
+        self._newest: VehiclePosition | None = None
+        self._left: VehiclePosition | None = None  # the newest before the last jump
         self._noticed_ns: deque[int] = deque(maxlen=TURNS)
 
     def add(self, position: VehiclePosition, now_ns: int) -> None:
-        """A position; a reset moves it once, and it comes back only where another one sent the one between."""
-        if len(self._recent) == 2:
-            first, second = self._recent
-            if _differ(first, second) and _differ(second, position) and not _differ(first, position):
+        """A position; a reset moves it once, and it is back soon only where another one sent those between."""
+        left, before, self._newest = self._left, self._newest, position
+        if before is not None and _differ(before, position):
+            self._left = before
+            if left is not None and position.stamp_ns - left.stamp_ns <= BACK_NS and not _differ(left, position):
                 self.notice(now_ns)
-        self._recent.append(position)
 
     def notice(self, now_ns: int) -> None:
         """The positions came back to where they were, or the clock went back."""

@@ -124,8 +124,8 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
 
 
 def test_a_wrong_link_is_named(open_rig: OpenRig) -> None:
-    with pytest.raises(ConfigError, match=r"^\[\[telemetry\.links\]\] connection: 'tcp:here:1' is not"):
-        open_rig(config={"links": (LinkConfig("udp:127.0.0.1:1"), LinkConfig("tcp:here:1"))})
+    with pytest.raises(ConfigError, match=r"^\[\[telemetry\.links\]\] connection: 'smoke:here:1' is not"):
+        open_rig(config={"links": (LinkConfig("udp:127.0.0.1:1"), LinkConfig("smoke:here:1"))})
 
 
 class Overheard:

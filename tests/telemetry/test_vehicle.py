@@ -288,16 +288,20 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
     assert vehicle.accuracy_m(3 * S) is None
 
 
-@pytest.mark.parametrize(("apart_m", "apart_ms"), [(22.0, 0), (22.0, 40), (0.0, 3_600_000)])
-def test_of_two_autopilots_with_the_same_ids_nothing_is_known(apart_m: float, apart_ms: int) -> None:
-    """Their positions come in turns; in one place, their clocks do. Once one of them is silent the other is known."""
+@pytest.mark.parametrize(
+    ("apart_m", "apart_ms", "batch"), [(22.0, 0, 1), (22.0, 40, 1), (22.0, 0, 2), (0.0, 3_600_000, 1)]
+)
+def test_of_two_autopilots_with_the_same_ids_nothing_is_known(apart_m: float, apart_ms: int, batch: int) -> None:
+    """Their positions come in turns, singly or in twos; in one place, their clocks do. A single one is known again."""
     speaker = Speaker()
     vehicle = connect(speaker)
-    for tick in range(100):
-        now_ns, first_ms = 2 * S + tick * S // 10, 10_000 + 100 * tick
-        vehicle.handle(speaker.fix(first_ms, 0.8 * tick, 8.0, 0.0), now_ns)
-        vehicle.handle(speaker.fix(first_ms + apart_ms, apart_m + 0.8 * tick, 8.0, 0.0), now_ns)
-        assert vehicle.is_doubled or tick < 3
+    for first in range(0, 100, batch):
+        ticks = range(first, first + batch)
+        now_ns = 2 * S + ticks[-1] * S // 10
+        for off_m, off_ms in ((0.0, 0), (apart_m, apart_ms)):
+            for tick in ticks:
+                vehicle.handle(speaker.fix(10_000 + 100 * tick + off_ms, off_m + 0.8 * tick, 8.0, 0.0), now_ns)
+        assert vehicle.is_doubled or first < 6
     assert vehicle.position(now_ns) is None
     assert vehicle.speed_mps(now_ns) is None
     assert vehicle.displacement(now_ns) is None
