@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -59,6 +61,9 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     )
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
     parser.add_argument(
+        "--minutes", type=float, default=math.inf, metavar="N", help="begin no further drive after so long"
+    )
+    parser.add_argument(
         "--page", type=Path, metavar="FILE", help="write the table into this page, in place of its last one"
     )
     parser.add_argument(
@@ -81,7 +86,8 @@ def _run(args: argparse.Namespace) -> int:
     _check(args)
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     planned = plan(args)
-    scores = judge(planned, drive_all(planned, args))
+    runs = drive_all(planned, args)
+    scores = judge(list(runs), runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
@@ -128,28 +134,32 @@ def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseSc
 
 
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, Run]:
-    """Drive, road after road or several side by side; print a line for each drive."""
+    """Drive one after the other, or several roads side by side; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
-    parts = [[one for one in planned if one.world == world] for world in dict.fromkeys(one.world for one in planned)]
+    worlds = dict.fromkeys(one.world for one in planned)
+    parts = [[one for one in planned if one.world == world] for world in worlds] if args.jobs > 1 else [planned]
+    ends_s = time.monotonic() + 60 * args.minutes
+    rest = [args.length_m] * len(parts), [args.output] * len(parts), [ends_s] * len(parts)
     if args.jobs == 1:
-        found = [drive_road(part, args.length_m, args.output) for part in parts]
+        found = [drive_part(planned, args.length_m, args.output, ends_s)]
     else:
         with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
-            count = len(parts)
-            found = list(pool.map(drive_road, parts, [args.length_m] * count, [args.output] * count))
-    return {one: run for part, runs in zip(parts, found, strict=True) for one, run in zip(part, runs, strict=True)}
+            found = list(pool.map(drive_part, parts, *rest))
+    return {one: run for runs in found for one, run in runs.items()}
 
 
-def drive_road(planned: Sequence[Planned], length_m: float, folder: Path) -> list[Run]:
-    """Drives over one road."""
+def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s: float) -> dict[Planned, Run]:
+    """Drives in one process; none begins after `ends_s` of time.monotonic()."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
-    journals = folder / f"road-{planned[0].world}"
-    journals.mkdir(exist_ok=True)
-    library, runs = RoadLibrary(Network.load(), folder / "views"), []
+    library, runs = RoadLibrary(Network.load(), folder / "views"), {}
     try:
-        for name, seed, world in planned:
-            runs.append(drive(name, seed, length_m, world, journals, library))
-            print(line(name, runs[-1]), flush=True)
+        for one in planned:
+            if time.monotonic() > ends_s:
+                break
+            journals = folder / f"road-{one.world}"
+            journals.mkdir(exist_ok=True)
+            runs[one] = drive(one.course, one.seed, length_m, one.world, journals, library)
+            print(line(one.course, runs[one]), flush=True)
     finally:
         library.save()
         library.close()
