@@ -40,7 +40,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     )
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
-        "--course", default="home", metavar="NAME", help="course, `all`, or `list` to print them (default home)"
+        "--course", default="home", metavar="NAMES", help="courses, `all`, or `list` to print them (default home)"
     )
     what.add_argument(
         "--case", metavar="LETTER", help=f"a case of courses, {min(CASES)} to {max(CASES)} or `all`: each seed has one"
@@ -103,7 +103,7 @@ def plan(args: argparse.Namespace) -> list[Planned]:
     if args.case is not None:
         drives = [drive for case in (CASES if args.case == "all" else args.case) for drive in drives_of(case, seeds)]
     else:
-        names = list(COURSES) if args.course == "all" else [args.course]
+        names = list(COURSES) if args.course == "all" else args.course.split(",")
         drives = [(name, seed, seed - 1 + number) for number, name in enumerate(names) for seed in seeds]
     return [Planned(name, seed, args.worlds[turn % len(args.worlds)]) for name, seed, turn in drives]
 
@@ -136,8 +136,8 @@ def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseSc
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, Run]:
     """Drive one after the other, or several roads side by side; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
-    worlds = dict.fromkeys(one.world for one in planned)
-    parts = [[one for one in planned if one.world == world] for world in worlds] if args.jobs > 1 else [planned]
+    worlds = list(dict.fromkeys(one.world for one in planned))
+    parts = [[one for one in planned if one.world in worlds[job :: args.jobs]] for job in range(args.jobs)]
     ends_s = time.monotonic() + 60 * args.minutes
     rest = [args.length_m] * len(parts), [args.output] * len(parts), [ends_s] * len(parts)
     if args.jobs == 1:
@@ -172,8 +172,9 @@ def _worlds(text: str) -> tuple[int, ...]:
 
 
 def _check(args: argparse.Namespace) -> None:
-    if args.course != "all" and args.course not in COURSES:
-        raise ConfigError(f"--course: {args.course!r} is not a course; `--course list` prints them")
+    for name in args.course.split(","):
+        if name not in ("all", *COURSES):
+            raise ConfigError(f"--course: {name!r} is not a course; `--course list` prints them")
     if args.case not in (None, "all", *CASES):
         raise ConfigError(f"--case: {args.case!r} is not one of {', '.join(CASES)} and all")
     if args.runs < 1:
