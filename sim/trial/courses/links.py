@@ -16,6 +16,10 @@ from sim.trial.rules import (
 )
 from sim.vehicle.gps import NO_FIX, GpsReport
 
+ALONE_M = 750.0
+"""Where nothing bounds the position, so far one recording is driven before it is sent: 525 m of places, a line of 80 m,
+and a margin."""
+
 
 @course("E", "lost-acknowledgements")
 def _lost_acknowledgements(draft: Draft) -> None:
@@ -51,11 +55,12 @@ def _daemon_killed(draft: Draft) -> None:
     draft.unsent = [(draft.share(0.35), draft.share(0.65) + 140)]
 
 
-@course("E", "autopilot-restarted-{}", 120, 300)
+@course("E", "autopilot-restarted-{}", 120, 300, least_m=1200.0)
 def _autopilot_restarted(draft: Draft, value: float) -> None:
     """The autopilot restarts without GPS, so many meters from its origin: it believes to be there. A person drives."""
     draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
+    draft.unsent = [(value - 20.0, value + ALONE_M)]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
