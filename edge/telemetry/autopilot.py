@@ -261,6 +261,10 @@ class AutopilotConnection:
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
         self.restore_sources()
+        abandoned = self._home.abandon(self._clock_ns())
+        self._send(abandoned)
+        if abandoned:
+            time.sleep(DRAIN_S)
         self._port.close()
         for link in self._report_links:
             link.close()

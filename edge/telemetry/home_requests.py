@@ -126,6 +126,13 @@ class HomeRequests:
         messages = self._transfer.cancel(why, now_ns) if why else []
         return [*messages, *self._transfer.due(now_ns), *self._finished(now_ns)]
 
+    def abandon(self, now_ns: int) -> list[Message]:
+        """End the transfer, if there is one: this program ends. A mission that is being driven is left alone."""
+        if self._transfer is None:
+            return []
+        messages = self._transfer.abandon()
+        return [*([] if self._vehicle.drives_itself else messages), *self._finished(now_ns)]
+
     def _is_for_us(self, message: Message) -> bool:
         """Addressed to this very component: a broadcast replaces no mission."""
         return (message.target_system, message.target_component) == (self._vehicle.system_id, self._component_id)

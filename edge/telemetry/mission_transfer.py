@@ -107,6 +107,18 @@ class MissionTransfer:
         """End it without success."""
         return [] if self.outcome is not None or self._phase == "clear" else self._fail(why, now_ns)
 
+    def abandon(self) -> list[Message]:
+        """End it without waiting for an answer; PX4 keeps its last mission, where ArduPilot would have a part of each.
+
+        Both take an empty mission at once, where they would refuse to clear theirs until the upload has timed out.
+        """
+        if self.outcome is not None:
+            return []
+        is_stored = self._first_is_home or self._phase != "upload"  # PX4 stores what is complete
+        self.outcome = Outcome(verified=False, why="Lookback ended")
+        empty = [mavlink.MAVLink_mission_count_message(self._system_id, 1, 0, MISSION)] if is_stored else []
+        return [self._acknowledgement(mavlink.MAV_MISSION_OPERATION_CANCELLED), *empty]
+
     def _requested(self, number: int, now_ns: int) -> list[Message]:
         self._began, self._phase = True, "upload"
         if number >= len(self._items):

@@ -237,6 +237,24 @@ def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
     assert 150 < now_s < 180
 
 
+@pytest.mark.parametrize(("firmware", "left"), [("ardupilot", 0), ("px4", 30)])
+def test_a_daemon_that_ends_in_mid_upload_leaves_no_mixture(open_home: OpenRig, firmware: str, left: int) -> None:
+    """ArduPilot has replaced some of the 30 old items by then; PX4 has still all of them."""
+    rig = open_home(firmware=firmware)
+    old = [
+        mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, -274000000, 1530000000, 0)
+        for number in range(30)
+    ]
+    rig.autopilot.mission.items = list(old)
+    rig.wire.loses = lambda message: message.get_type() == "MISSION_ITEM_INT" and message.seq == 3
+    rig.autopilot.send(command())
+    rig.run(0.5)
+    rig.connection.close()
+    rig.autopilot.step()
+    assert rig.autopilot.mission.items == old[:left]
+    assert rig.journalled(HomeAnswered)[-1].text == "no way home: Lookback ended"
+
+
 @pytest.mark.parametrize("result", [mavlink.MAV_MISSION_INVALID_PARAM5_X, mavlink.MAV_MISSION_NO_SPACE, 99])
 def test_a_refused_item_ends_it(home: Rig, result: int) -> None:
     home.autopilot.mission.rejects = {2: result}
