@@ -18,7 +18,6 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,8 +36,6 @@ SHIFTED_M = (5.0, 500.0)
 NEAR_M = 40.0
 """Larger shifts are noticed more easily, so that they are a class of their own."""
 CLASSES = {"right": None, "shifted by less": (SHIFTED_M[0], NEAR_M), "shifted by more": (NEAR_M, SHIFTED_M[1])}
-SHARES = {"right": 0.7, "shifted by less": 0.2, "shifted by more": 0.1}
-"""Of the drives. The bound would be lowest with 0.8, 0.1 and 0.1; small shifts are what a level is exceeded by."""
 CONFIDENCE = 0.95
 MARKS = "<!-- level hours: begin -->", "<!-- level hours: end -->"
 
@@ -126,13 +123,12 @@ def exceeded(bounded: Sequence[Bounded]) -> int:
 
 
 def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
-    """So many drives in all, on all processors."""
+    """So many drives of each class, on all processors."""
     found = {}
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for name, shifted_m in CLASSES.items():
-            seeds = range(first_seed, first_seed + math.ceil(SHARES[name] * count))
-            found[name] = list(pool.map(drive, seeds, repeat(shifted_m), repeat(folder)))
-            first_seed = seeds.stop
+        for number, (name, shifted_m) in enumerate(CLASSES.items()):
+            seeds = range(first_seed + number * count, first_seed + (number + 1) * count)
+            found[name] = list(pool.map(drive, seeds, [shifted_m] * count, [folder] * count))
     return found
 
 
@@ -165,7 +161,7 @@ def most_events(count: int, wrong: float) -> float:
 def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
     """What was shown, for people."""
     estimate, bound = rate(found)
-    count = sum(map(len, found.values()))
+    count = len(found["right"])
     counted = "; ".join(
         f"{name}: {sum(one.exceeded for one in of_class)} in {sum(one.hours for one in of_class):.0f} h"
         for name, of_class in found.items()
@@ -193,7 +189,7 @@ def median_level_m(of_class: Sequence[Drive], parallax: bool) -> tuple[float, fl
 def main(argv: Sequence[str] | None = None) -> int:
     """Count, print what was shown, and write it into a page."""
     parser = argparse.ArgumentParser(prog="python -m tests.localization.level_hours", description=__doc__)
-    parser.add_argument("--drives", type=int, default=100, metavar="N", help="in all (default 100)")
+    parser.add_argument("--drives", type=int, default=100, metavar="N", help="of each class (default 100)")
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)

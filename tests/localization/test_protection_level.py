@@ -48,7 +48,7 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Pat
 @pytest.mark.soak
 def test_errors_exceed_protection_levels_no_more_often_than_stated_on_maps_that_are_shifted(tmp_path: Path) -> None:
     """Weighted by how often they are: see docs/integrity.md for what so many drives can show."""
-    found = level_hours.drives(2000, level_hours.seed_of_run(), tmp_path)
+    found = level_hours.drives(200, level_hours.seed_of_run(), tmp_path)
     print(level_hours.statement(found, level_hours.seed_of_run()))
     estimate, _ = level_hours.rate(found)
     assert estimate <= GatesConfig().risk_per_hour
