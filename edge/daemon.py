@@ -24,7 +24,7 @@ from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
-from edge.localization.dead_reckoning import ReportedMotion, TurnAround
+from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
 from edge.localization.localizer import Localizer
 from edge.localization.velocity_error import VelocityError
 from edge.opened_parts import OpenedParts
@@ -117,7 +117,10 @@ class Daemon:
         stands = self._recognizer.state == "standing"
         self._use_velocity_error(self._localizer.correct_velocity(match, frame.stamp_ns, motion, stands=stands))
         self._map_frame(frame, distance_m, missed)
-        self._use_gps(match, frame.stamp_ns, missed)
+        self._use_gps(match, frame.stamp_ns, displacement, missed)
+        position = self._localizer.position_at_exposure()
+        if position is not None and position.stamp_ns == frame.stamp_ns:
+            self._autopilot.observe_position(position)
         self._publish_frame(frame, match, missed)
         if self._recording is not None:
             self._recording.add(frame, distance_m)
@@ -189,12 +192,12 @@ class Daemon:
         self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
         return raw
 
-    def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, missed: int) -> None:
+    def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, displacement: Displacement | None, missed: int) -> None:
         """Judge GPS by the place of a frame, and let GPS bound the position."""
         if self._recognizer.state != "standing":
             is_believed = match is not None and match.accepted
             gps = self._autopilot.gps_fix(stamp_ns) if is_believed else None
-            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, missed))
+            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, displacement, missed))
         position, gps_sigma_m = self._autopilot.position(), self._autopilot.gps_sigma_m
         if position is not None and gps_sigma_m is not None:
             self._localizer.bind(position, gps_sigma_m)

@@ -140,6 +140,7 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     matches: Annotated[int, unit("", "accepted matches that agree with the vehicle's motion")] = 1
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
+    recording: Annotated[str, unit("", "name of the recording that the map has that drive from")] = ""
     confidence: Annotated[float, unit("", "of the belief in the place, 0 to 1")] = 0.0
     velocity_error: Annotated[
         float, unit("", "what the autopilot's velocity is found to be wrong by, as a share of it")

@@ -1,7 +1,8 @@
-"""What fixes have shown so far: observations that count once each, joined to claims of where the vehicle is. Pure.
+"""What fixes have shown so far: one count of independent evidence. Pure.
 
-Fixes within a correlation length of each other are one observation. Observations that moved as the vehicle did are one
-claim, and those of a claim that may be wrong together are one of its stretches.
+Fixes that moved as the vehicle did are one claim. Those of it that may be wrong together are one stretch: the errors of
+matches are alike over CORRELATION_M, what a road looks like over SAME_ROAD, and the positions of one recording over
+SAME_RECORDING, however many segments it has. All count by displacement, so that laps add nothing.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import TypeAlias
 
 from edge.config import GatesConfig
@@ -20,42 +20,50 @@ from edge.localization.protection_level import Reckoned
 from edge.localization.route_estimate import CORRELATION_M
 
 STRETCH_WRONG = 5e-3
-BELIEVED, WRONG_AT_LEAST, WRONG_AT_ONE = 0.6, 0.02, 0.002
-"""Probability that one observation is of another place, at a confidence of BELIEVED and below, and of 1."""
-SAME_DRIVE = 5.0
-"""Two stretches of one drive are independent beyond so many times `confirm_m`."""
+"""Probability that all of a stretch is wrong: it was mapped wrongly, or its road resembles another."""
+SAME_ROAD, SAME_RECORDING = 1.5, 5.0
+"""Times `confirm_m` within which fixes may be wrong together. A road resembled another one for 128 m at the vehicle's
+own pace, whatever recording shows it; 410 m of one recording that were 150 m wrong once confirmed themselves."""
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
 CLAIMS, KEPT = 8, 64
 
 
-@dataclass
+@dataclass(frozen=True)
 class Observation:
-    """A fix that counts as evidence of its own, with the displacement of its moment.
+    """A fix that is CORRELATION_M from those before it, with the displacement of its moment.
 
-    sigma_m: of its distance from the truth. wrong: probability that it is of another place. likelihood: the least that
-    the autopilot's position gave to the fixes of this observation, 1 / m. may_be_shifted: whether GPS had bounded the
-    autopilot where a fix contradicted it. before: where the observation before it puts the vehicle, moved on by its
+    sigma_m: of its distance from the truth. before: where the observation before it puts the vehicle, moved on by its
     velocity; None for the first of a claim.
     """
 
-    segment: int
+    recording: str
     lat_deg: float
     lon_deg: float
     sigma_m: float
     displacement: Displacement
-    wrong: float
-    likelihood: float = field(default=math.inf)
-    may_be_shifted: bool = False
-    before: Reckoned | None = None
+    before: Reckoned | None
 
 
-Claim: TypeAlias = list[Observation]
+Stretch: TypeAlias = list[Observation]
 """Oldest first."""
 
 
+@dataclass
+class Claim:
+    """Observations that moved as the vehicle did, oldest first, and the most that has spoken against them.
+
+    likelihood: the least that the autopilot's position gave to a fix, 1 / m. may_be_shifted: whether GPS had bounded
+    the autopilot where a fix contradicted it.
+    """
+
+    observations: list[Observation] = field(default_factory=list)
+    likelihood: float = math.inf
+    may_be_shifted: bool = False
+
+
 class Claims:
-    """The newest claims, and the observations that they rest on."""
+    """The newest claims."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
@@ -67,33 +75,30 @@ class Claims:
 
     def contradict_nothing(self) -> None:
         """The autopilot's position is bounded anew: what disagreed with it before was its own error."""
-        for observation in chain.from_iterable(self._claims):
-            observation.likelihood, observation.may_be_shifted = math.inf, False
+        for claim in self._claims:
+            claim.likelihood, claim.may_be_shifted = math.inf, False
 
     def observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool) -> Claim:
-        """Keep the fix where it is an observation of its own; the claim that it belongs to."""
-        claim = next((one for one in reversed(self._claims) if _moved_alike(one[-1], fix, displacement)), None)
+        """Keep what the fix says; the claim that it belongs to."""
+        assert fix.lat_deg is not None and fix.lon_deg is not None
+        alike = (one for one in reversed(self._claims) if _moved_alike(one.observations[-1], fix, displacement))
+        claim = next(alike, None)
         if claim is None:
-            claim = []
+            claim = Claim()
             self._claims.append(claim)
-        wrong = wrong_by_confidence(fix.confidence)
-        near = [one for one in claim if one.segment == fix.segment and _apart_m(one, displacement) < CORRELATION_M]
-        if near:
-            near[-1].likelihood = min(near[-1].likelihood, likelihood)
-            near[-1].wrong = min(near[-1].wrong, wrong)
-            near[-1].may_be_shifted |= may_be_shifted
-        else:
-            assert fix.lat_deg is not None and fix.lon_deg is not None
-            here = fix.segment, fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-            before = self._reckoned_from(claim[-1], fix, displacement) if claim else None
-            claim.append(Observation(*here, wrong, likelihood, may_be_shifted, before))
-            del claim[:-KEPT]
+        claim.likelihood = min(claim.likelihood, likelihood)
+        claim.may_be_shifted |= may_be_shifted
+        if all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
+            before = self._reckoned_from(claim.observations[-1], fix, displacement) if claim.observations else None
+            here = fix.recording, fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, before
+            claim.observations.append(Observation(*here))
+            del claim.observations[:-KEPT]
         return claim
 
-    def stretches(self, claim: Claim) -> list[Claim]:
+    def stretches(self, claim: Claim) -> list[Stretch]:
         """The independent stretches of a claim, oldest first."""
-        stretches: list[Claim] = []
-        for one in claim:
+        stretches: list[Stretch] = []
+        for one in claim.observations:
             same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
             if same is None:
                 stretches.append([one])
@@ -108,21 +113,10 @@ class Claims:
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
-        times = SAME_DRIVE if one.segment == other.segment else 1.0
+        times = SAME_RECORDING if one.recording == other.recording else SAME_ROAD
         # By a velocity that may be too large, so that a whole stretch that is wrong is not two.
         further = 1 + self._gates.drift_percent / 100
         return _apart_m(one, other.displacement) >= times * further * self._gates.confirm_m
-
-
-def wrong_by_confidence(confidence: float) -> float:
-    """Probability that a belief of that confidence is of another place, by one observation alone."""
-    share = min(max((confidence - BELIEVED) / (1 - BELIEVED), 0.0), 1.0)
-    return float(WRONG_AT_LEAST ** (1 - share) * WRONG_AT_ONE**share)
-
-
-def stretch_wrong(stretch: Claim) -> float:
-    """Probability that all observations of a stretch are of other places."""
-    return max(STRETCH_WRONG, math.prod(one.wrong for one in stretch))
 
 
 def _off(before: Observation, fix: PlaceFix, displacement: Displacement) -> tuple[float, float, float]:

@@ -11,10 +11,11 @@ is Page's CUSUM over sightings that are CORRELATION_M apart. GPS is called wrong
 agrees when the same sum, with min in the place of max, falls to log(missed / (1 - false_call)): Wald's boundaries.
 docs/integrity.md has the derivation.
 
-A place may be another one, or a drive of the map may be shifted. So GPS is called wrong only on a track (places that
-follow each other on the ground) that has agreed with GPS before, or after SHIFT_SIGHTINGS on a drive that has. An
-offset that has been the same since the first sighting on a drive of the map counts as a fault of that drive, and is
-subtracted from then on.
+A place may be another one, or a recording of the map may be shifted. So GPS is called wrong only on a track (places
+that follow each other on the ground) that has agreed with GPS before; or where the places moved as the vehicle did by
+its own velocity since GPS last agreed, and GPS did not; or after SHIFT_SIGHTINGS on a recording that has agreed within
+SAME_GROUND_M. Another offset that has been the same since the first sighting on a recording counts as a fault of that
+recording, and is subtracted from then on.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of
+from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal["cannot say", "agrees", "doubtful", "wrong", "map shifted"]
@@ -43,8 +45,10 @@ NEWEST = 3
 SAME_M, SAME_SIGMAS, FASTEST, LONGEST_GAP_M = 20.0, 4.0, 1.6, 240.0
 """A track goes on if its place moved by at most SAME_M, or SAME_SIGMAS of the matches, and FASTEST times the spacing of
 the frames since; up to LONGEST_GAP_M without a place."""
+SAME_GROUND_M = 500.0
+"""From an agreeing place of a recording, up to which its other places are as right: as for positions (`claims`)."""
 SHIFT_SIGHTINGS, SHIFT_CHI2 = 4, 2.0
-"""Sightings in one drive, and mean square of their deviations in sigmas, from which an offset counts as constant."""
+"""Sightings in one recording, and mean square of their deviations in sigmas, from which an offset is constant."""
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
@@ -61,12 +65,12 @@ class GpsFix:
 class Comparison:
     """GPS less place, at one exposure: meters along the road and to its left, with one standard deviation of each.
 
-    segment: the drive of the map. lat_deg, lon_deg: where the match says that the vehicle is. spacing_m: between places
-    of the map, of which a frame passes about one. heading_rad: of travel. off_*_m: None without GPS. match_sigma_m: the
-    match's own part of along_sigma_m.
+    recording: that the place comes from. lat_deg, lon_deg: where the match says that the vehicle is. spacing_m: between
+    places of the map, of which a frame passes about one. heading_rad: of travel. off_*_m: None without GPS.
+    match_sigma_m: the match's own part of along_sigma_m. displacement: by the vehicle's own velocity, None if unknown.
     """
 
-    segment: int
+    recording: str
     lat_deg: float
     lon_deg: float
     spacing_m: float
@@ -76,6 +80,7 @@ class Comparison:
     along_sigma_m: float
     left_sigma_m: float
     match_sigma_m: float
+    displacement: Displacement | None = None
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -135,7 +140,7 @@ class _Track:
     def goes_on_at(self, comparison: Comparison) -> bool:
         """Whether a vehicle on this track may be there now."""
         before = self.newest
-        moved_m = math.hypot(*east_north_of(comparison.lat_deg, comparison.lon_deg, (before.lat_deg, before.lon_deg)))
+        moved_m = math.hypot(*_between(before, comparison))
         return moved_m <= max(SAME_M, SAME_SIGMAS * comparison.match_sigma_m) + FASTEST * self.gap_m
 
     @property
@@ -165,11 +170,16 @@ def evidence_of(comparison: Comparison, off_along_m: float, off_left_m: float) -
 class GpsReferee:
     """Judges GPS by one comparison after another."""
 
-    def __init__(self, false_call: float, missed: float) -> None:
-        """Probabilities of calling an honest GPS wrong, and of finding that a wrong one agrees, at each sighting."""
+    def __init__(self, false_call: float, missed: float, drift: float = 0.05) -> None:
+        """Probabilities of calling an honest GPS wrong, and of finding that a wrong one agrees, at each sighting.
+
+        drift: one standard deviation of the vehicle's own motion, as a share of the distance.
+        """
+        self._drift = drift
         self._call, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
-        self._shifts_m: dict[int, NDArray[np.float64]] = {}
-        self._agreed: set[int] = set()
+        self._shifts_m: dict[str, NDArray[np.float64]] = {}
+        self._agreed: dict[str, Comparison] = {}  # the newest of each recording
+        self._last_agreed: Comparison | None = None
         self._track: _Track | None = None
         self._is_wrong = False
         self.verdict = GpsVerdict()
@@ -199,15 +209,33 @@ class GpsReferee:
             return
         if newest.low <= self._agree:
             track.has_agreed, self._is_wrong = True, False
-            self._agreed.add(track.newest.segment)
+            self._agreed[comparison.recording] = self._last_agreed = comparison
         elif newest.high >= self._call and self._may_be_called(track):
             self._is_wrong = True
         elif newest.high >= self._call and not self._is_wrong:
             self._find_shift(track)
 
     def _may_be_called(self, track: _Track) -> bool:
-        is_known = track.newest.segment in self._agreed and len(track.independent) >= SHIFT_SIGHTINGS
-        return track.has_agreed or is_known
+        newest = track.newest
+        is_known = self._has_agreed_near(newest) and len(track.independent) >= SHIFT_SIGHTINGS
+        return track.has_agreed or is_known or self._moved_without_gps(newest) >= DOUBTFUL
+
+    def _has_agreed_near(self, comparison: Comparison) -> bool:
+        agreed = self._agreed.get(comparison.recording)
+        return agreed is not None and math.hypot(*_between(agreed, comparison)) <= SAME_GROUND_M
+
+    def _moved_without_gps(self, comparison: Comparison) -> float:
+        """Logarithm of how much more likely since GPS last agreed the places moved as the vehicle did than GPS."""
+        before = self._last_agreed
+        now, then = comparison.displacement, None if before is None else before.displacement
+        if before is None or now is None or then is None or now.leg != then.leg:
+            return -math.inf
+        moved_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
+        places_off_m = _between(before, comparison) - moved_m
+        gps_off_m = places_off_m + _offset(comparison) - _offset(before)
+        drift_m = max(self._drift, now.drift) * float(np.hypot(*moved_m))
+        variance = before.along_sigma_m**2 + comparison.along_sigma_m**2 + drift_m**2
+        return float(gps_off_m @ gps_off_m - places_off_m @ places_off_m) / (2 * variance)
 
     def _score(self, track: _Track, comparison: Comparison, at_m: float) -> None:
         off_along_m, off_left_m = comparison.axes @ (_offset(comparison) - self._shift(comparison))
@@ -220,13 +248,13 @@ class GpsReferee:
         track.samples.append(_Sample(comparison, at_m, evidence, high, low))
 
     def _shift(self, comparison: Comparison) -> NDArray[np.float64]:
-        return self._shifts_m.get(comparison.segment, np.zeros(2))
+        return self._shifts_m.get(comparison.recording, np.zeros(2))
 
     def _judged(self, track: _Track) -> GpsVerdict:
         newest = track.samples[-1]
         recent = [sample.comparison for sample in list(track.samples)[-NEWEST:]]
         east_m, north_m = np.mean([_offset(one) - self._shift(one) for one in recent], axis=0)
-        if newest.comparison.segment in self._shifts_m and not self._is_wrong:
+        if newest.comparison.recording in self._shifts_m and not self._is_wrong:
             east_m, north_m = self._shift(newest.comparison)
         doubt = 1.0 if self._is_wrong else min(max(newest.high / self._call, 0.0), 1.0)
         return GpsVerdict(self._state(track), float(east_m), float(north_m), doubt)
@@ -237,20 +265,21 @@ class GpsReferee:
             return "wrong"
         if newest.high >= DOUBTFUL:
             return "doubtful"
-        if newest.comparison.segment in self._shifts_m:
+        if newest.comparison.recording in self._shifts_m:
             return "map shifted"
         return "agrees" if track.has_agreed else "cannot say"
 
     def _find_shift(self, track: _Track) -> None:
-        """Keep an offset that has been the same since the beginning of a track on one drive, and judge without it."""
-        sightings, segment = track.independent, track.newest.segment
-        is_one_drive = all(one.segment == segment for one in sightings)
-        if len(sightings) < SHIFT_SIGHTINGS or not is_one_drive or segment in self._shifts_m or segment in self._agreed:
+        """Keep an offset that has been the same since a track began on one recording, and judge without it."""
+        sightings, recording = track.independent, track.newest.recording
+        is_one = all(one.recording == recording for one in sightings)
+        is_known = recording in self._shifts_m or self._has_agreed_near(track.newest)
+        if len(sightings) < SHIFT_SIGHTINGS or not is_one or is_known:
             return
         shift_m, chi2 = _fitted(sightings)
         if chi2 > SHIFT_CHI2:
             return
-        self._shifts_m[segment] = shift_m
+        self._shifts_m[recording] = shift_m
         samples = list(track.samples)
         track.samples.clear()
         for sample in samples:
@@ -263,6 +292,11 @@ def _offset(comparison: Comparison) -> NDArray[np.float64]:
     assert comparison.off_along_m is not None and comparison.off_left_m is not None
     offset: NDArray[np.float64] = np.array([comparison.off_along_m, comparison.off_left_m]) @ comparison.axes
     return offset
+
+
+def _between(before: Comparison, after: Comparison) -> NDArray[np.float64]:
+    """Meters east and north (2,) from one place to another."""
+    return np.array(east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg)))
 
 
 def _fitted(sightings: list[Comparison]) -> tuple[NDArray[np.float64], float]:

@@ -8,9 +8,9 @@ The autopilot has no such checks, and a wrong position does more harm than none.
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
             to bound the autopilot, the map as a whole is shifted (MAP_SHIFTED, SHIFT_M)
 
-`place_wrong` is the product over independent observations. Matches within a correlation length are one observation,
-and one stretch of a map, however long it is driven, is never better than STRETCH_WRONG: all of it may have been mapped
-wrongly, or resemble another. docs/integrity.md is the whole argument, with the tests that could refute it.
+`place_wrong` is STRETCH_WRONG for each stretch that is independent evidence (`claims`). Evidence is gathered from every
+match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
+could refute it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.claims import SAME_DRIVE, STRETCH_WRONG, Claim, Claims, alike_m, stretch_wrong
+from edge.localization.claims import SAME_RECORDING, STRETCH_WRONG, Claim, Claims, Stretch, alike_m
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Reckoned, Unnoticed, Wrong, protection_level
 from edge.localization.route_estimate import CORRELATION_M
@@ -103,9 +103,21 @@ class Integrity:
         self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
         self._claims.contradict_nothing()
 
+    def observe(self, fix: PlaceFix, situation: Situation) -> Claim | None:
+        """Keep what a fix shows, whether or not it may be published now; the claim that it belongs to, None if none."""
+        if situation.displacement is None or not fix.is_position or fix.disputed:
+            return None
+        likelihood, is_shift = 1 / SPREAD_M, False
+        if situation.position is not None and situation.uncertainty_m is not None:
+            distance_m = distance_from(situation.position, fix)
+            sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
+            likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
+            is_shift = situation.bound_by_gps and distance_m > SHIFT_SIGMAS * fix.sigma_m
+        return self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
+
     def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
         """Why the fix may not be published; None if it may."""
-        self.protection_level = None
+        self.protection_level, claim = None, self.observe(fix, situation)
         gates, age_s = self._gates, (situation.now_ns - fix.stamp_ns) / 1e9
         since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
         speed_mps = situation.speed_mps
@@ -123,27 +135,19 @@ class Integrity:
         for against, reason in rules:
             if against:
                 return Refusal(reason)
-        return self._too_uncertain(fix, situation)
+        assert claim is not None
+        return self._too_uncertain(fix, claim, situation)
 
-    def _too_uncertain(self, fix: PlaceFix, situation: Situation) -> Refusal | None:
-        assert situation.displacement is not None
+    def _too_uncertain(self, fix: PlaceFix, claim: Claim, situation: Situation) -> Refusal | None:
         gates = self._gates
         distance_m = distance_from(situation.position, fix) if situation.position is not None else None
-        likelihood = 1 / SPREAD_M
-        if distance_m is not None and situation.uncertainty_m is not None:
-            sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
-            likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
-        is_shift = situation.bound_by_gps and distance_m is not None and distance_m > SHIFT_SIGMAS * fix.sigma_m
-        claim = self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
         # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
         if distance_m is not None and situation.uncertainty_m is not None and distance_m > gates.max_move_m:
             return Refusal("impossibly far", distance_m)
-        likelihood = min(likelihood, *(observation.likelihood for observation in claim))
-        # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
-        is_shift = any(observation.may_be_shifted for observation in claim)
         stretches = self._claims.stretches(claim)
-        place_wrong = math.prod(stretch_wrong(stretch) for stretch in stretches)
-        if wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift) > gates.risk:
+        place_wrong = STRETCH_WRONG ** len(stretches)
+        # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
+        if wrong_probability(place_wrong, claim.likelihood, may_be_shifted=claim.may_be_shifted) > gates.risk:
             return Refusal("not confirmed by another place yet", distance_m)
         self.protection_level = self._protection_level(fix, stretches, situation)
         if gates.alert_limit_m and not self.protection_level.is_within(gates.alert_limit_m):
@@ -151,28 +155,28 @@ class Integrity:
         self._published_wrong = place_wrong
         return None
 
-    def _protection_level(self, fix: PlaceFix, stretches: list[Claim], situation: Situation) -> ProtectionLevel:
+    def _protection_level(self, fix: PlaceFix, stretches: list[Stretch], situation: Situation) -> ProtectionLevel:
         """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
 
         All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
         one of its observations on: then that before it bounds the position.
         """
-        reckoned, newest = situation.reckoned, stretches[-1]
-        wrong = [stretch_wrong(stretch) for stretch in stretches]
+        reckoned, newest, count = situation.reckoned, stretches[-1], len(stretches)
         alike = 2 * UNNOTICED.most_m / SPREAD_M
         shifted = MAP_SHIFTED
         if reckoned is not None:
             shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
-        all_wrong = Wrong(_wrong(math.prod(wrong) * alike ** (len(wrong) - 1), reckoned, fix), shifted, BOUND_WRONG)
+        all_wrong = Wrong(_wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG)
         level = self._level(fix, all_wrong, reckoned, situation)
         before = max((one.before for one in newest if one.before is not None), key=_sigma_m, default=None)
         if before is not None:
-            level = level.or_more(self._level(fix, Wrong(_wrong(wrong[-1], before, fix), 0.0, 0.0), before, situation))
+            newest_wrong = Wrong(_wrong(STRETCH_WRONG, before, fix), 0.0, 0.0)
+            level = level.or_more(self._level(fix, newest_wrong, before, situation))
         return level
 
     def _level(self, fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, situation: Situation) -> ProtectionLevel:
         gates, speed_mps = self._gates, situation.speed_mps or 0.0
-        stretch_m = SAME_DRIVE * gates.confirm_m
+        stretch_m = SAME_RECORDING * gates.confirm_m
         return protection_level(fix, wrong, UNNOTICED, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
 
 

@@ -8,6 +8,7 @@ place of the line, although its middle is known better: the middle would have to
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from edge.config import Config, RigConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved_left
@@ -35,7 +36,9 @@ class Localizer:
         self._config = config
         self._route = Route(maps)
         self._filter = RouteFilter(self._route, config)
-        self._referee = GpsReferee(config.gates.gps_false_call, config.gates.gps_missed)
+        self._referee = GpsReferee(
+            config.gates.gps_false_call, config.gates.gps_missed, config.gates.drift_percent / 100
+        )
         self._velocity_error = VelocityError(config.sequence.length)
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
@@ -87,11 +90,15 @@ class Localizer:
             sign = 1 if match.direction == "forward" else -1
             self._velocity_error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
 
-    def judge_gps(self, match: PlaceMatch | None, gps: GpsFix | None, missed: int = 0) -> GpsVerdict:
-        """Compare GPS with the place of a frame at which the vehicle moved; gps: at its exposure."""
+    def judge_gps(
+        self, match: PlaceMatch | None, gps: GpsFix | None, displacement: Displacement | None = None, missed: int = 0
+    ) -> GpsVerdict:
+        """Compare GPS with the place of a frame at which the vehicle moved; gps, displacement: at its exposure."""
         comparison = None
         if match is not None:
             comparison = compare(match, gps, self._route, self._config.rig, self._config.sequence.length)
+            if comparison is not None:
+                comparison = replace(comparison, displacement=displacement)
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, missed)
         if verdict.state == "wrong" and not was_wrong:
@@ -143,7 +150,7 @@ def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig,
         east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, (lat_deg, lon_deg))
         off_along_m, off_left_m = east_m * sin + north_m * cos, north_m * sin - east_m * cos
     return Comparison(
-        segment=drive.segment,
+        recording=drive.recording,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         spacing_m=drive.spacing_m,

@@ -117,6 +117,7 @@ class LineMiddle:
     """
 
     segment: int
+    recording: str
     begins_m: float
     along_m: float
     ends_m: float
@@ -144,7 +145,9 @@ def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | No
         return None
     width_m = WIDTH_SHARE * match.half_width_places * drive.spacing_m
     sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), width_m, JITTER_M)
-    return LineMiddle(drive.segment, begins_m, (begins_m + ends_m) / 2, ends_m, (frames - 1) / 2, sigma_m)
+    return LineMiddle(
+        drive.segment, drive.recording, begins_m, (begins_m + ends_m) / 2, ends_m, (frames - 1) / 2, sigma_m
+    )
 
 
 def moved_alike(line_m: NDArray[np.float64], moved_m: NDArray[np.float64], drift: float) -> bool:

@@ -261,6 +261,7 @@ class RouteFilter:
             category=match.category or "",
             matches=track.matches,
             segment=newest.segment,
+            recording=newest.recording,
             confidence=round(match.confidence, 3),
             velocity_error=round(estimate.velocity_error, 4),
             disputed=self._is_disputed,

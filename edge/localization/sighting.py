@@ -62,6 +62,7 @@ class Sighting:
 
     match: PlaceMatch
     segment: int
+    recording: str
     passed: Passed
     along_m: float
     sigma_m: float
@@ -122,6 +123,7 @@ class Sightings:
         return Sighting(
             match=match,
             segment=line.segment,
+            recording=line.recording,
             passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m)) - self._ahead_m(match)),
             sigma_m=line.sigma_m,

@@ -29,12 +29,13 @@ class PlaceIndex:
         """Places [start, end) of each map."""
         follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
         self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
-        begins, self._views = [], []
+        begins, self._views, self._sources = [], [], []
         for header, start, is_next in zip(headers, self.starts, follows, strict=False):
             for number, segment in enumerate(header.segments):
                 if number or not (is_next and header.tile and header.tile.continues):
                     begins.append(start + segment.start)
                     self._views.append(segment.view)
+                    self._sources.append(segment.source)
         self._segments = [*begins, self.places]
 
     def map_of(self, place: int) -> int:
@@ -57,6 +58,10 @@ class PlaceIndex:
     def view(self, segment: int) -> str:
         """Where the camera looked that drove a segment."""
         return self._views[segment]
+
+    def recording(self, segment: int) -> str:
+        """The name of the recording that a segment comes from; it may have several, in several maps."""
+        return self._sources[segment]
 
     def by_map(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
         """The ranges in pieces that lie in one map each: its number, and rows [start, end) of it."""

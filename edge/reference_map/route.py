@@ -37,11 +37,13 @@ class Position:
 class Drive:
     """What is known of a segment around a place: how far it goes along its route_m, and how far places are apart.
 
-    NaN where the map knows no meters. segment: its number. Arrays: of the places with a position, in their order;
-    lon_deg has no jump at 180 degrees, and heading_deg is the course where the map has none.
+    NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. Arrays: of
+    the places with a position, in their order; lon_deg has no jump at 180 degrees, and heading_deg is the course where
+    the map has none.
     """
 
     segment: int
+    recording: str
     places: int
     from_m: float
     to_m: float
@@ -127,7 +129,7 @@ class Route:
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
         lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigmas_m(known)
-        return Drive(segment, len(records), *extent_m, spacing_m, *lines)
+        return Drive(segment, self._index.recording(segment), len(records), *extent_m, spacing_m, *lines)
 
 
 def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:

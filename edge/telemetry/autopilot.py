@@ -209,6 +209,10 @@ class AutopilotConnection:
         """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
         self._send(self._home.request(reply, self._clock_ns()))
 
+    def observe_position(self, fix: PlaceFix) -> None:
+        """The position of a new match: evidence, whether or not one will be sent."""
+        self._positions.observe(fix, self._clock_ns())
+
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
         is_known = self.state == "up" and not self.vehicle.is_doubled

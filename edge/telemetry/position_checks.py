@@ -62,23 +62,7 @@ class PositionChecks:
         self, fix: PlaceFix, message: PositionMessage, last_sent_ns: int | None, period_s: float, now_ns: int
     ) -> Refusal | None:
         """Why the fix may not be sent by that message; None if it may. last_sent_ns: of the last fix."""
-        vehicle, self._velocity_error = self._vehicle, fix.velocity_error
-        displacement = vehicle.displacement(fix.stamp_ns)
-        reckoned = self._reckoning.at(fix, displacement, vehicle.driven_m(now_ns))
-        own, sigma_m = self._doubted_gps.corrected(vehicle.position(now_ns)), self.uncertainty_m(now_ns)
-        if not vehicle.is_aided:  # its own position has run away, or is ours
-            own, sigma_m = (None, None) if reckoned is None else (reckoned.position(fix), reckoned.sigma_m)
-        situation = Situation(
-            now_ns,
-            "not healthy" if self._doubted_gps.is_ignored else vehicle.gps.state(now_ns),
-            vehicle.speed_mps(now_ns),
-            own,
-            sigma_m,
-            self._uncertainty.by_gps,
-            last_sent_ns,
-            displacement,
-            reckoned,
-        )
+        vehicle, situation = self._vehicle, self._situation(fix, now_ns, last_sent_ns)
         refused = self._integrity.refusal(fix, situation, period_s, message.max_age_s)
         known_m = situation.uncertainty_m
         if refused is not None:
@@ -89,6 +73,29 @@ class PositionChecks:
         elif message.acknowledged and known_m is not None:
             most_m = max(min(GROWS * known_m, ACCURATE_M), known_m / BOUND)
         return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
+
+    def observe(self, fix: PlaceFix, now_ns: int) -> None:
+        """The fix of a new match, as evidence for those that will be sent."""
+        self._integrity.observe(fix, self._situation(fix, now_ns, None))
+
+    def _situation(self, fix: PlaceFix, now_ns: int, last_sent_ns: int | None) -> Situation:
+        vehicle, self._velocity_error = self._vehicle, fix.velocity_error
+        displacement = vehicle.displacement(fix.stamp_ns)
+        reckoned = self._reckoning.at(fix, displacement, vehicle.driven_m(now_ns))
+        own, sigma_m = self._doubted_gps.corrected(vehicle.position(now_ns)), self.uncertainty_m(now_ns)
+        if not vehicle.is_aided:  # its own position has run away, or is ours
+            own, sigma_m = (None, None) if reckoned is None else (reckoned.position(fix), reckoned.sigma_m)
+        return Situation(
+            now_ns,
+            "not healthy" if self._doubted_gps.is_ignored else vehicle.gps.state(now_ns),
+            vehicle.speed_mps(now_ns),
+            own,
+            sigma_m,
+            self._uncertainty.by_gps,
+            last_sent_ns,
+            displacement,
+            reckoned,
+        )
 
     def bind(self, sigma_m: float, now_ns: int, *, by_gps: bool = False) -> None:
         """The autopilot's position is as good as that now; of one that nothing aids, only while GPS says so."""

@@ -133,6 +133,10 @@ class PositionSender:
             if not is_aided:
                 self._send_text("Lookback: no velocity aid, sends no position")
 
+    def observe(self, fix: PlaceFix, now_ns: int) -> None:
+        """The fix of a new match: evidence, whether or not it will be sent."""
+        self._checks.observe(fix, now_ns)
+
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
         if self.message is None or self._disabled or self._unanswered is not None or not self._back_off.is_over(now_ns):

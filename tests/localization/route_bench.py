@@ -355,7 +355,7 @@ class Bench:
 
     def _send(self, truth: Points, now_ns: int, gps: bool, velocity: Points) -> None:
         fix = self.filter.at_exposure()
-        if fix is None or self.seconds - self.last_sent_s < self.gates.min_interval_s or fix.stamp_ns != now_ns:
+        if fix is None or fix.stamp_ns != now_ns:
             return
         lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
         own = VehiclePosition(
@@ -367,6 +367,9 @@ class Bench:
             self.motion.displacement(now_ns),
             self.reckoning.at(fix, self.motion.displacement(now_ns), self.motion.total_m),
         )  # fmt: skip
+        self.integrity.observe(fix, situation)
+        if self.seconds - self.last_sent_s < self.gates.min_interval_s:
+            return
         refused = self.integrity.refusal(fix, situation, 1.0, 5.0)
         self._bounded(fix, truth)
         if refused is not None:

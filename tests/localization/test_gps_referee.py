@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from edge.geodesy import moved
+from edge.localization import Displacement
 from edge.localization.gps_referee import (
     BURST_M,
     BURST_SHARE,
@@ -26,12 +28,22 @@ Offset = Callable[[float], tuple[float, float]]
 """East and north, by which GPS is wrong at some meters driven."""
 
 
-def comparison(driven_m: float, off_m: tuple[float, float], heading_rad: float = 0.0, segment: int = 0) -> Comparison:
+def comparison(
+    driven_m: float,
+    off_m: tuple[float, float],
+    heading_rad: float = 0.0,
+    recording: str = "",
+    *,
+    moved_m: float | None = None,
+) -> Comparison:
     """On a straight road to the north, or to where `heading_rad` says."""
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
     lat_deg, lon_deg = moved(*HOME, driven_m * sin, driven_m * cos)
     along_m, left_m = off_m[0] * sin + off_m[1] * cos, off_m[1] * sin - off_m[0] * cos
-    return Comparison(segment, lat_deg, lon_deg, SPACING_M, heading_rad, along_m, left_m, ALONG_M, LEFT_M, MATCH_M)
+    moved_by = None if moved_m is None else Displacement(1, moved_m * sin, moved_m * cos)
+    return Comparison(
+        recording, lat_deg, lon_deg, SPACING_M, heading_rad, along_m, left_m, ALONG_M, LEFT_M, MATCH_M, moved_by
+    )
 
 
 def honest(seed: int, count: int) -> NDArray[np.float64]:
@@ -146,6 +158,34 @@ def test_a_drive_that_has_agreed_is_not_shifted_later() -> None:
     assert 180 <= called_at_m(verdicts) <= 400
 
 
+@pytest.mark.parametrize("off_m", [60.0, 150.0])
+@pytest.mark.parametrize("recording", ["out", "another"])
+@pytest.mark.parametrize("is_map", [False, True])
+def test_after_a_gap_the_vehicle_s_own_motion_says_whether_gps_or_the_map_is_wrong(
+    off_m: float, recording: str, is_map: bool
+) -> None:
+    """250 m without places, and another offset from there on; the vehicle's own velocity is wrong by 3 %."""
+    referee, states = GpsReferee(1e-3, 0.01), []
+    for row, error in enumerate(honest(4, 500)):
+        at_m = row * SPACING_M
+        if 400.0 <= at_m < 650.0:
+            referee.update(None)
+            continue
+        is_after = at_m >= 650.0
+        off = error + ((off_m, 0.0) if is_after and not is_map else (0.0, 0.0))
+        one = comparison(at_m, tuple(off), recording=recording if is_after else "out", moved_m=0.97 * at_m)
+        if is_after and is_map:
+            lat_deg, lon_deg = moved(one.lat_deg, one.lon_deg, off_m, 0.0)
+            one = replace(one, lat_deg=lat_deg, lon_deg=lon_deg, off_left_m=one.off_left_m + off_m)
+        states.append(referee.update(one).state)
+    if is_map and recording != "out":
+        assert "wrong" not in states
+        assert states[-1] == "map shifted"
+    elif not is_map:
+        assert "map shifted" not in states
+        assert states[-1] == "wrong"
+
+
 def test_gps_that_is_jammed_first_is_called_when_it_is_back() -> None:
     referee = GpsReferee(1e-3, 0.01)
     drive(lambda at_m: (0.0, 0.0), 300.0, 1, referee)
@@ -162,7 +202,7 @@ def test_another_place_is_no_evidence_against_gps() -> None:
     referee = GpsReferee(1e-3, 0.01)
     states = [verdict.state for verdict in drive(lambda at_m: (0.0, 0.0), 400.0, 1, referee)]
     for row in range(100):
-        elsewhere = comparison(row * SPACING_M + 700.0, (0.0, -300.0 + row * 0.5), segment=1)
+        elsewhere = comparison(row * SPACING_M + 700.0, (0.0, -300.0 + row * 0.5), recording="another")
         states.append(referee.update(elsewhere).state)
     states += [verdict.state for verdict in drive(lambda at_m: (0.0, 0.0), 400.0, 3, referee)]
     assert "doubtful" in states

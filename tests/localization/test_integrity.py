@@ -12,7 +12,6 @@ import pytest
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, Integrity, PlaceFix, Situation, Uncertainty
-from edge.localization.claims import wrong_by_confidence
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
 from edge.localization.protection_level import Reckoned
 
@@ -29,11 +28,11 @@ def reason(fix: PlaceFix = FIX, one: Integrity | None = None, gates: GatesConfig
     return refused.reason if refused else None
 
 
-def drive(one: Integrity, meters: range, off_m: float = 0.0, segment: int = 0, **now: Any) -> list[Any]:
+def drive(one: Integrity, meters: range, off_m: float = 0.0, recording: str = "", **now: Any) -> list[Any]:
     """The decisions on fixes every 10 m on the way north, wrong by `off_m`; the autopilot is where the truth is."""
     decisions = []
     for driven_m in meters[::10]:
-        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + off_m) * METRE_DEG, segment=segment)
+        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + off_m) * METRE_DEG, recording=recording)
         position = replace(OWN, lat_deg=driven_m * METRE_DEG)
         moved = Displacement(1, 0.0, float(driven_m))
         decisions.append(reason(fix, one, **{"position": position, "displacement": moved, **now}))
@@ -73,7 +72,6 @@ def test_gps_does_not_matter_where_fixes_are_wanted_with_it() -> None:
         ({"lat_deg": math.nan}, "no position in the map"),
         ({"sigma_along_m": math.inf}, "no position in the map"),
         ({"disputed": True}, "the newest matches disagree"),
-        ({"confidence": 0.6, "lat_deg": 12 * METRE_DEG}, "not confirmed by another place yet"),
         ({"lat_deg": 16 * METRE_DEG}, "not confirmed by another place yet"),
         ({"lat_deg": 201 * METRE_DEG}, "impossibly far"),
     ],
@@ -86,14 +84,14 @@ def test_fixes_that_are_not_published(changes: dict[str, Any], why: str) -> None
 def test_where_nothing_is_known_of_the_autopilot_one_stretch_is_never_enough(unknown: dict[str, Any]) -> None:
     one = Integrity(GatesConfig())
     assert set(drive(one, range(0, 490), **unknown)) == {"not confirmed by another place yet"}
-    assert drive(one, range(600, 620), segment=1, **unknown)[-1] is None, "another one confirms it"
+    assert drive(one, range(600, 620), recording="second", **unknown)[-1] is None, "another one confirms it"
 
 
 def test_far_from_an_origin_that_bounds_nothing_two_stretches_confirm_each_other() -> None:
     """After a reboot without GPS the autopilot's position is its origin: 300 m off here, beyond `max_move_m`."""
     one, origin = Integrity(GatesConfig()), {"off_m": 300.0, "uncertainty_m": None, "bound_by_gps": False}
     assert set(drive(one, range(0, 490), **origin)) == {"not confirmed by another place yet"}
-    assert drive(one, range(600, 620), segment=1, **origin)[-1] is None
+    assert drive(one, range(600, 620), recording="second", **origin)[-1] is None
     assert reason(msgspec.structs.replace(FIX, lat_deg=300 * METRE_DEG)) == "impossibly far", "it is held to a bound"
 
 
@@ -116,16 +114,46 @@ def test_another_stretch_counts_by_displacement_not_by_what_was_driven() -> None
     """Laps of 80 m between two drives of the map: nowhere 100 m from where they began."""
     one = Integrity(GatesConfig())
     for lap in range(10):
-        there = drive(one, range(0, 40), segment=lap % 2, uncertainty_m=None)
-        back = drive(one, range(40, 0, -1), segment=1 - lap % 2, uncertainty_m=None)
+        there = drive(one, range(0, 40), recording=str(lap % 2), uncertainty_m=None)
+        back = drive(one, range(40, 0, -1), recording=str(1 - lap % 2), uncertainty_m=None)
         assert None not in there + back
+
+
+@pytest.mark.parametrize("gap_m", [24, 60])
+def test_two_segments_of_one_recording_do_not_confirm_each_other(gap_m: int) -> None:
+    """Their map is 150 m wrong over 410 m, with a gap; another recording on other ground would confirm it."""
+    one, middle_m = Integrity(GatesConfig()), 205 + gap_m
+    assert None not in drive(one, range(0, 205), off_m=150.0, recording="out", uncertainty_m=None)
+    assert None not in drive(one, range(middle_m, middle_m + 205), off_m=150.0, recording="out", uncertainty_m=None)
+    assert drive(one, range(480, 560), off_m=150.0, recording="another", uncertainty_m=None)[-1] is None
+
+
+def test_two_recordings_of_one_road_share_what_it_looks_like() -> None:
+    """Another road resembles it for 128 m (measured), and both recordings know it."""
+    one = Integrity(GatesConfig())
+    for meters in range(0, 128, 10):
+        both = (drive(one, range(meters, meters + 10), recording=name, uncertainty_m=None) for name in ("one", "two"))
+        assert [decision for decisions in both for decision in decisions if decision is None] == []
+
+
+def test_matches_count_as_evidence_while_gps_is_healthy() -> None:
+    """Three kilometers: when GPS fails, the first position is published with a finite level, and not by one stretch."""
+    one = Integrity(GatesConfig())
+    for driven_m in range(0, 3000, 10):
+        fix = msgspec.structs.replace(FIX, lat_deg=driven_m * METRE_DEG)
+        now = {"position": replace(OWN, lat_deg=fix.lat_deg), "displacement": Displacement(1, 0.0, float(driven_m))}
+        one.observe(fix, replace(MOVING, gps="healthy", **now))
+        one.bound(by_gps=True)
+    assert reason(fix, one, **now) is None
+    assert one.protection_level is not None
+    assert one.protection_level.is_within(25.0)
 
 
 def test_a_false_stretch_is_outvoted_by_two_true_ones_and_not_by_one() -> None:
     one = Integrity(GatesConfig())
     assert None not in drive(one, range(0, 400), off_m=150.0, uncertainty_m=None)
-    assert None not in drive(one, range(500, 600), segment=1, uncertainty_m=None)
-    assert None in drive(one, range(700, 720), segment=2, uncertainty_m=None)
+    assert None not in drive(one, range(500, 600), recording="second", uncertainty_m=None)
+    assert None in drive(one, range(700, 720), recording="third", uncertainty_m=None)
 
 
 def test_what_contradicted_the_autopilot_when_it_was_sure_stays_contradicted() -> None:
@@ -139,8 +167,8 @@ def test_a_bound_by_a_fix_needs_one_stretch_more_than_what_bound_it() -> None:
     one = Integrity(GatesConfig())
     assert drive(one, range(0, 100))[-1] is None
     one.bound(by_gps=False)
-    assert None not in drive(one, range(100, 200), off_m=100.0, segment=1, bound_by_gps=False)
-    assert None in drive(one, range(300, 400), off_m=100.0, segment=2, bound_by_gps=False), "two against one"
+    assert None not in drive(one, range(100, 200), off_m=100.0, recording="second", bound_by_gps=False)
+    assert None in drive(one, range(300, 400), off_m=100.0, recording="third", bound_by_gps=False), "two against one"
 
 
 @pytest.mark.parametrize("other", [Displacement(2, 0.0, 700.0), Displacement(1, 0.0, 400.0)])
@@ -148,7 +176,7 @@ def test_observations_that_moved_otherwise_confirm_nothing(other: Displacement) 
     """Of another leg; and 300 m less than the fixes say."""
     one = Integrity(GatesConfig())
     drive(one, range(0, 100), uncertainty_m=None)
-    fix = msgspec.structs.replace(FIX, lat_deg=700 * METRE_DEG, segment=1)
+    fix = msgspec.structs.replace(FIX, lat_deg=700 * METRE_DEG, recording="second")
     assert reason(fix, one, uncertainty_m=None, position=None, displacement=other) is not None
 
 
@@ -162,9 +190,6 @@ def test_the_stated_risk_is_what_decides() -> None:
 def test_bayes() -> None:
     assert wrong_probability(0.5, 1e-3) == pytest.approx(0.5)
     assert wrong_probability(1e-3, 0.08) == pytest.approx(1e-6 / (1e-6 + 0.999 * 0.08))
-    assert wrong_by_confidence(0.6) == pytest.approx(0.02)
-    assert wrong_by_confidence(1.0) == pytest.approx(0.002)
-    assert wrong_by_confidence(0.2) == pytest.approx(0.02)
 
 
 def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:

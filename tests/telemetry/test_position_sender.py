@@ -276,18 +276,18 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
 
 @pytest.mark.parametrize("claimed_off_m", [0.0, 300.0])
 def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: OpenRig, claimed_off_m: float) -> None:
-    """A drive of the map near the start, then none, then another 100 m on; the first may claim to be elsewhere."""
+    """A recording near the start, then none, then another one 150 m on; the first may claim to be elsewhere."""
     rig = open_rig(emit="external_position", gates=GatesConfig(), gps=False, drift_percent=3.0)
     rig.run(4.0)
     off_deg = claimed_off_m / 111_000
     assert not offer_for(rig, 6.0, lat_deg=rig.fix().lat_deg + off_deg)
     assert [record.reason for record in rig.journalled(FixWithheld)] == ["not confirmed by another place yet"]
-    rig.run(10.0)
-    sent = offer_for(rig, 6.0, segment=1)
+    rig.run(16.0)
+    sent = offer_for(rig, 6.0, recording="second")
     if claimed_off_m:
         assert not sent
-        rig.run(10.0)
-        sent = offer_for(rig, 6.0, segment=2)
+        rig.run(16.0)
+        sent = offer_for(rig, 6.0, recording="third")
     assert sent
     assert rig.autopilot.resets
     assert max(reset.error_after_m for reset in rig.autopilot.resets) < 5.0

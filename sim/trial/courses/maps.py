@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from edge.config import GatesConfig
-from edge.localization.claims import SAME_DRIVE
+from edge.localization.claims import SAME_RECORDING
 from sim.trial.courses.registry import course
 from sim.trial.draft import Draft, Stretch
 from sim.trial.rules import (
@@ -87,7 +87,7 @@ def _far_origin(draft: Draft) -> None:
 def _no_gps(draft: Draft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
-    draft.unsent = [(0.0, SAME_DRIVE * GatesConfig().confirm_m + FIRST_LINE_M)]
+    draft.unsent = [(0.0, SAME_RECORDING * GatesConfig().confirm_m + FIRST_LINE_M)]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)
 
 
