@@ -91,7 +91,8 @@ def _run(args: argparse.Namespace) -> int:
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
-        what = f"--course {args.course}" if args.case is None else f"--case {args.case}"
+        driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
+        what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
         put_between(MARKS, args.page, f"`lookback sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
     return 1 if any(score.failures for score in scores) else 0
