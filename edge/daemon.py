@@ -8,6 +8,7 @@ Read `Daemon.turn` first: each step of it is one of the methods below, in the sa
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import Frame, Frames
 from edge.camera.frozen_picture import PictureCheck
@@ -34,6 +36,7 @@ from edge.sequence.place_search import Near
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
 SURE_SIGMAS = 3.0
+log = logging.getLogger(__name__)
 
 
 class Daemon:
@@ -66,6 +69,7 @@ class Daemon:
         self._supervision = Supervision()
         self._turn_around = TurnAround()
         self._frames_used = self._events = self._distance_gaps = 0
+        self._warned_of_odometer = False
         self._frame_s = 0.0  # what the last one took
 
     def turn(self) -> bool:
@@ -122,6 +126,7 @@ class Daemon:
         if position is not None and position.stamp_ns == frame.stamp_ns:
             self._autopilot.observe_position(position)
         self._publish_frame(frame, match, missed)
+        self._warn_without_odometer()
         if self._recording is not None:
             self._recording.add(frame, distance_m)
         self._times.lap("telemetry")
@@ -218,6 +223,13 @@ class Daemon:
             self._events += 1
             self._record(fix)
             self._autopilot.publish_place(fix)
+
+    def _warn_without_odometer(self) -> None:
+        """Say once that the distance driven is not known, without which frames must be as far apart as places."""
+        if self._recognizer.matcher.lacks_odometer and not self._warned_of_odometer:
+            self._warned_of_odometer = True
+            log.warning("speed unknown: %s; they must be as far apart", self._recognizer.matcher.spacing)
+            self._autopilot.status_text("speed unknown: drive as when mapping", mavlink.MAV_SEVERITY_WARNING)
 
     def _update_health(self) -> bool:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""

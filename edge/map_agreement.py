@@ -160,7 +160,7 @@ def _compare(
     if second < UNIQUE * lines.costs[best]:
         return None
     middle = first + (LENGTH - 1) / 2
-    back = search.slope(0, best) * (LENGTH - 1) / 2
+    back = float(search.passed(0, best)[-1]) / 2
     there = near[0] + best + (-back if pairing is ONE_VIEW else back)
     apart_m = _at(ground_m, middle) - _at(ground_m, there)
     if np.isnan(apart_m).any():

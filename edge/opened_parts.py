@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -28,6 +29,8 @@ from edge.telemetry.local_socket import LocalSocket
 from edge.warm_start import WarmStart
 
 CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
+
+log = logging.getLogger(__name__)
 
 
 class OpenedParts:
@@ -76,6 +79,7 @@ class OpenedParts:
         newest = self.mapper.so_far() if self.mapper else None
         self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
         maps = self.recognizer.map_set
+        log.info("sampling: %s", self.recognizer.matcher.spacing)
         self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
         self.warm_start = WarmStart(config, self.recognizer)
 

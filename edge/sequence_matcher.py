@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
+from edge.feed.sampling import Steps, spell_spacing
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch
@@ -101,15 +102,19 @@ class CameraMatcher:
         """Whether so many places without a frame are too many for a line to run over."""
         return missed > self._most_missed
 
-    def push(self, raw: NDArray[np.float32], near: Near | None, missed: int, *, is_measured: bool) -> PlaceMatch | None:
+    def push(
+        self, raw: NDArray[np.float32], near: Near | None, missed: int, step: float = 1.0, *, is_measured: bool
+    ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
-        near, missed: see `SequenceMatcher.push`. is_measured: whether the odometer is known.
+        near, missed: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last frame.
+        is_measured: whether the odometer is known.
         """
-        self._skip(missed)
+        if self.ends_sequence(missed):
+            self.reset()
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
-        match = self.search.push(change, self._normalizer.rows, near, is_measured=is_measured)
+        match = self.search.push(change, self._normalizer.rows, near, step=step, is_measured=is_measured)
         self._stopwatch("search")
         return match
 
@@ -130,15 +135,6 @@ class CameraMatcher:
         has_regions = self._map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
         return has_regions and self._config.rig.parallax > 0 and match.order == "same"
 
-    def _skip(self, missed: int) -> None:
-        """Leave room in the ring for places of which there is no frame, or every line would end too far back."""
-        if self.ends_sequence(missed):
-            self.reset()
-            return
-        for _ in range(missed):
-            if self._normalizer.skip():
-                self.search.skip()
-
 
 class SequenceMatcher:
     """The matcher of each camera, and the place that their votes agree on."""
@@ -151,6 +147,7 @@ class SequenceMatcher:
         self._first = CameraMatcher(map_set, config, stopwatch)
         self._passed = SECOND_EVERY - 1  # places since a frame of the second camera was matched
         self._second = CameraMatcher(map_set, _as_second(config), stopwatch) if config.mapping.recognize else None
+        self._steps = Steps(config.sampling)
         self._use(map_set)
 
     def use_maps(self, map_set: MapSet) -> None:
@@ -177,8 +174,12 @@ class SequenceMatcher:
         self._begin_consensus()
 
     def _begin_consensus(self) -> None:
-        self._settings = ConsensusSettings.of(self._config, self._drives)
-        self._consensus = PlaceConsensus(self._settings, self._positions_m, cameras=len(self._cameras))
+        settings = ConsensusSettings.of(self._config, self._drives, self._usual_step)
+        self._consensus = PlaceConsensus(settings, self._positions_m, cameras=len(self._cameras))
+
+    @property
+    def _usual_step(self) -> float:
+        return self._steps.usual(self._drives.spacing_m)
 
     @property
     def _cameras(self) -> tuple[CameraMatcher, ...]:
@@ -200,23 +201,35 @@ class SequenceMatcher:
         were passed since the last frame without one. distance_m: the odometer, None where it is not known.
         """
         odometer_m = distance_m if self._drives.is_metric else None
+        step = self._steps.next(odometer_m, missed, self._drives.spacing_m)
         # A line over rows whose distance is not known may be steeper, and takes the lane for none: without them it is
         # better, and as long as there is no answer yet, nothing is lost.
         begins_again = odometer_m is not None and 0 < (self._unmeasured or 0) <= FIRST_FRAMES
         if begins_again or self._first.ends_sequence(missed):
             self.reset()
+        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, self._usual_step)
         if odometer_m is not None:
             self._unmeasured = None
         elif self._unmeasured is not None:
             self._unmeasured += 1
-        match = self.best = self._first.push(raw, near, missed, is_measured=odometer_m is not None)
+        match = self.best = self._first.push(raw, near, missed, step, is_measured=odometer_m is not None)
         vote = PlaceVote.of(match, self._drives) if match else None
-        believed = self._believed(match, self._consensus.update(vote, odometer_m, missed))
+        believed = self._believed(match, self._consensus.update(vote, odometer_m, step))
         for camera in self._cameras:
             camera.search.follow(believed.place_index if believed and believed.accepted else None)
         believed = self._first.with_parallax(believed, self._drives)
         self._stopwatch("belief")
         return believed
+
+    @property
+    def lacks_odometer(self) -> bool:
+        """Whether frames of a whole sequence came without a known distance: they must be as far apart as places."""
+        return (self._unmeasured or 0) >= self._config.sequence.length
+
+    @property
+    def spacing(self) -> str:
+        """How far frames and places are apart, in words."""
+        return spell_spacing(self._config.sampling, self._drives.spacing_m if self._drives.is_metric else None)
 
     def push_second(
         self, raw: NDArray[np.float32], near: Near | None, missed: int, distance_m: float
@@ -232,7 +245,8 @@ class SequenceMatcher:
         if self._passed < SECOND_EVERY:
             return None
         missed, self._passed = self._passed - 1, 0
-        match = self._second.push(raw, near, missed, is_measured=self._drives.is_metric)
+        step = (1 + missed) * self._usual_step
+        match = self._second.push(raw, near, missed, step, is_measured=self._drives.is_metric)
         vote = self._vote_of_second(match) if match is not None else None
         if vote is not None:
             self._consensus.add(vote, distance_m)
@@ -257,7 +271,7 @@ class SequenceMatcher:
         """The best line that ends at the place that the recent matches agree on; the match itself if there is none."""
         if match is None or belief is None:
             return match
-        first, end = self._drives.places_within(belief.drive, belief.along_m, self._settings.slack_m)
+        first, end = self._drives.places_within(belief.drive, belief.along_m, self._consensus.settings.slack_m)
         if not (first <= match.place_index < end and match.direction == belief.direction):
             found = self.search.best_between(first, end, belief.direction)
             if found is None:

@@ -15,10 +15,11 @@ from edge.config import Config, LinkConfig, TelemetryConfig
 from edge.descriptor.network import Head, Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
+from edge.feed.sampling import spell_spacing
 from edge.map_agreement import disagreements
 from edge.mission import plan_way_home
 from edge.recognizer import open_recognizer
-from edge.reference_map import MapSet, open_map_set
+from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.place_records import spell_accuracy
 from edge.telemetry.autopilot import open_port
 
@@ -88,10 +89,12 @@ def _places(maps: MapSet, config: Config) -> Iterator[Diagnostic]:
         words = f"{places} places are too few for sequences of {length}"
         found = bad if places < length else note  # with fewer places than frames no sequence ends anywhere
         yield found("map", words, "record a longer drive, or lower [sequence] length")
-    otherwise = [index for index, one in enumerate(maps.maps) if one.header.sampling != config.sampling]
-    if otherwise:
-        words = f"{maps.spell(otherwise)}: not sampled as [sampling] says"
-        yield note("map", words, "set [sampling] to what `lookback map info` prints")
+    drives = Drives(maps, config.sampling.spacing_m)
+    words = spell_spacing(config.sampling, drives.spacing_m if drives.is_metric else None)
+    if drives.is_metric and config.sampling.by == "distance":
+        yield good("sampling", f"{words}; without the autopilot's speed, drive as fast as when it was made")
+    else:
+        yield note("sampling", f"{words}; they must be as far apart", 'set [sampling] by = "distance" where you can')
     blank = [index for index, one in enumerate(maps.maps) if np.isnan(one.places["lat_deg"]).any()]
     if blank:
         words = f"{maps.spell(blank)}: some places have no position"

@@ -8,7 +8,6 @@ hardly any data.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from itertools import islice
@@ -142,17 +141,6 @@ class OnlineNormalizer:
     def _normalized(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
         assert self._statistics is not None
         return normalize(raw, self._statistics.mean, self._statistics.deviation)
-
-    def skip(self) -> bool:
-        """Add a row of NaN for a place without a frame; False if the ring is empty, which needs none.
-
-        The row matches as zeros, and so equally badly with every place.
-        """
-        if not self._ring:
-            return False
-        nothing = np.full_like(self._ring[0].raw, np.nan)
-        self._ring.append(_RingRow(nothing, nothing, math.inf))
-        return True
 
     def rows(self, newest: int | None = None) -> NDArray[np.float32]:
         """The ring as it was last normalized, (n, R, D), oldest first; only the newest so many rows of it if given."""

@@ -113,7 +113,7 @@ class LineMiddle:
     """Meters along the drive, in its own route_m: of the place at the line's first frame, its middle, and its newest.
 
     back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of the places
-    and the width of the match.
+    and the width of the match. passed_m: (n,) along the drive since each frame, the newest first.
     """
 
     segment: int
@@ -123,6 +123,13 @@ class LineMiddle:
     ends_m: float
     back: float
     sigma_m: float
+    passed_m: NDArray[np.float64]
+
+    def since_m(self, ages: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters along the drive since so many frames ago; beyond its ends the line goes on as it does on average."""
+        within = np.clip(ages, 0, 2 * self.back)
+        beyond_m = (ages - within) * self.length_m / (2 * self.back)
+        return beyond_m + np.interp(within, np.arange(len(self.passed_m)), self.passed_m)
 
     @property
     def length_m(self) -> float:
@@ -139,15 +146,16 @@ def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | No
     if drive.places < 2 or math.isnan(ends_m) or not drive.spacing_m > 0:
         return None
     sign = 1 if match.direction == "forward" else -1
-    begins_m = ends_m - sign * (frames - 1) * match.slope * drive.spacing_m
+    evenly = match.slope * np.arange(frames)
+    passed_m = np.array([*match.passed[:frames], *evenly[len(match.passed) :]]) * drive.spacing_m
+    begins_m, middle_m = (ends_m - sign * float(of) for of in (passed_m[-1], np.median(passed_m)))
     margin_m = PUSHED * drive.spacing_m
     if not drive.from_m + margin_m <= min(begins_m, ends_m) <= max(begins_m, ends_m) <= drive.to_m - margin_m:
         return None
     width_m = WIDTH_SHARE * match.half_width_places * drive.spacing_m
     sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), width_m, JITTER_M)
-    return LineMiddle(
-        drive.segment, drive.recording, begins_m, (begins_m + ends_m) / 2, ends_m, (frames - 1) / 2, sigma_m
-    )
+    back = (frames - 1) / 2
+    return LineMiddle(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m, passed_m)
 
 
 def moved_alike(line_m: NDArray[np.float64], moved_m: NDArray[np.float64], drift: float) -> bool:
@@ -166,15 +174,10 @@ class LineReadings:
     def __len__(self) -> int:
         return len(self._readings)
 
-    def add(self, reading: NDArray[np.float64], missed: int = 0) -> None:
-        """A frame was used there. missed: places passed before it without a frame, which the line has room for."""
-        if not self._readings:
+    def add(self, reading: NDArray[np.float64]) -> None:
+        """A frame was used there."""
+        if not self._readings or np.abs(reading - self._readings[-1]).max() > MOVED_M:
             self._readings.append(reading)
-            return
-        before = self._readings[-1]
-        if np.abs(reading - before).max() > MOVED_M:
-            shares = np.linspace(0.0, 1.0, missed + 2)[1:]
-            self._readings.extend(before + share * (reading - before) for share in shares)
 
     def back(self, frames: float) -> NDArray[np.float64]:
         """The reading so many frames before the newest, between two of them by interpolation."""

@@ -105,7 +105,7 @@ class RouteFilter:
         if stamp_ns - self._last_ns > STOOD_NS or missed > self._length // 2:
             self._sightings.clear()
         self._last_ns = stamp_ns
-        self._move(displacement, missed)
+        self._move(displacement)
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
             self._track, self._exposure = None, None
@@ -170,9 +170,9 @@ class RouteFilter:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
         return is_silent or track.since_m + driven_m > self._config.lost_after_m
 
-    def _move(self, displacement: Displacement, missed: int) -> None:
+    def _move(self, displacement: Displacement) -> None:
         now_m = _vector(displacement)
-        self._sightings.add(now_m, missed)
+        self._sightings.add(now_m)
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
             for track in (self._track, self._rival):

@@ -88,9 +88,9 @@ class Sightings:
         """The next frame begins a new line."""
         self._readings.clear()
 
-    def add(self, displacement_m: Vector, missed: int) -> None:
-        """A frame was used there (2,); see `LineReadings`."""
-        self._readings.add(displacement_m, missed)
+    def add(self, displacement_m: Vector) -> None:
+        """A frame was used there (2,)."""
+        self._readings.add(displacement_m)
 
     def local(self, position: Position | VehiclePosition) -> Vector:
         """Meters east and north (2,)."""
@@ -160,7 +160,7 @@ class Sightings:
         spacing_m = self._route.drive(match.place_index).spacing_m
         ages = np.append(parallax.ages, parallax.ages.mean())
         passed = self._passed_at(match, line, ages)
-        seen = self._passed_at(match, line, ages - self._sees_m / spacing_m)
+        seen = self._passed_at(match, line, ages - self._sees_m / line.length_m * 2 * line.back)
         if passed is None or seen is None:
             return None
         if estimate is None:
@@ -186,13 +186,15 @@ class Sightings:
 
     def _passed_at(self, match: PlaceMatch, line: LineMiddle, ages: Vector) -> Passed | None:
         """What a line passed at some ages in frames (n,), each (n, 2); on straight lines between KNOTS of them."""
-        knots = np.linspace(ages.min(), ages.max(), KNOTS)
-        found = [self._on_drive(match, line.ends_m + (line.along_m - line.ends_m) * back / line.back) for back in knots]
+        since_m = line.since_m(ages)
+        knots = np.linspace(since_m.min(), since_m.max(), KNOTS)
+        sign = 1 if match.direction == "forward" else -1
+        found = [self._on_drive(match, line.ends_m - sign * back_m) for back_m in knots]
         on_drives = [one for one in found if one is not None]
         if len(on_drives) < len(knots):
             return None
         place_m, along = (
-            np.column_stack([np.interp(ages, knots, axis) for axis in np.array(values).T])
+            np.column_stack([np.interp(since_m, knots, axis) for axis in np.array(values).T])
             for values in ([one.place_m for one in on_drives], [one.along for one in on_drives])
         )
         along /= np.hypot(*along.T)[:, np.newaxis]

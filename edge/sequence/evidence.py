@@ -120,12 +120,13 @@ def match_at(
     segment = neighborhood.segment(place)
     along, at = lines.by_plane[plane][segment], place - segment.start
     of_order = newest[ORDERS.index(order)] if len(newest) > 1 else newest[0]
+    passed = search.passed(plane, place)
     return PlaceMatch(
         place_index=place,
         place=place,
         direction=direction,
         order=order,
-        slope=search.slope(plane, place),
+        slope=float(passed[-1]) / max(1, len(passed) - 1),
         distance=cost / lines.length / COST_ONE,
         # With nothing whole outside the window there is nothing to compare with, so nothing is claimed.
         uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
@@ -133,6 +134,7 @@ def match_at(
         row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, lines.length)).mean()),
         offset_places=end_between_places(along, at),
         half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
+        passed=tuple(passed.tolist()),
     )
 
 

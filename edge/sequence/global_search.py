@@ -6,6 +6,7 @@ first slices are then older than those of the last by as many frames as there ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet
 from edge.sequence import PlaceMatch
-from edge.sequence.parallax import Lags, lane_costs
+from edge.sequence.parallax import Lanes, lane_costs
 from edge.sequence.submap import Submap
 
 SLICE_SHARE = 8
@@ -38,19 +39,20 @@ class GlobalSearch:
         self._next = 0
         self._found: list[PlaceMatch] = []
 
-    def step(self, ring: NDArray[np.float32], frame: int, lags: Lags) -> PlaceMatch | None:
+    def step(self, ring: NDArray[np.float32], span: float, lanes: Lanes) -> PlaceMatch | None:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
-        frame: how many frames there were. lags: of the regions, see `lane_costs`.
+        span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`.
         """
         if len(ring) < self._config.sequence.length:
             return None
         end = min(self._next + self._slice, self._map_set.index.places)
         # Lines that end in the slice may begin before it, or after it on the way back.
-        ranges = self._map_set.index.widened([(self._next, end)], self._config.sequence.length)
-        slice_of_maps = Submap(ranges, self._map_set, self._config, frame)
+        ranges = self._map_set.index.widened([(self._next, end)], math.ceil(span))
+        slice_of_maps = Submap(ranges, self._map_set, self._config, span)
         ages = range(len(ring))[::-1]
-        match = slice_of_maps.refill(lane_costs(self._map_set, ring, ages, ranges, lags, self._config.camera.view))
+        costs = lane_costs(self._map_set, ring, ages, ranges, lanes)
+        match = slice_of_maps.refill(costs, lanes.driven[-len(ring) :])
         self._map_set.release(ranges)  # or a pass would map every descriptor there is
         self._found += [match] if match else []
         self._next = end

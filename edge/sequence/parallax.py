@@ -36,7 +36,7 @@ _STEPS = np.arange(-REACH, REACH + 1)
 
 
 class Lags(NamedTuple):
-    """Frames, an even number, by which the left region shows a place later than the right one; below 0: earlier.
+    """Places, an even number, by which the left region shows a place later than the right one; below 0: earlier.
 
     alike, opposed: on drives of the map whose camera looked as this one does, and on those where it looked back.
     """
@@ -48,29 +48,47 @@ class Lags(NamedTuple):
 NO_LAGS = Lags()
 
 
-def lags_of(config: Config) -> Lags:
-    """Of the lanes that [rig] has; none where the image has no regions, or their order is not that of the rig."""
+class Lanes(NamedTuple):
+    """Lags, and what is needed to find rows so far apart.
+
+    view: of the camera. driven: places, at each row of the ring or more, the oldest first.
+    """
+
+    lags: Lags
+    view: str
+    driven: Sequence[float]
+
+
+def lags_of(config: Config, spacing_m: float) -> Lags:
+    """Of the lanes that [rig] has; none where the image has no regions, or their order is not that of the rig.
+
+    spacing_m: of the map's places.
+    """
     if config.descriptor.regions != "left-right" or config.sequence.region_order != "rig":
         return NO_LAGS
     # With views alike, regions in the same order are seen on the way out, with opposed ones on the way back.
     lanes_m = config.rig.left_forward_m, config.rig.left_reverse_m
-    alike, opposed = (2 * round(config.rig.parallax * lane_m / config.sampling.spacing_m / 2) for lane_m in lanes_m)
+    alike, opposed = (2 * round(config.rig.parallax * lane_m / spacing_m / 2) for lane_m in lanes_m)
     return Lags(alike, opposed)
 
 
 def lane_costs(
-    map_set: MapSet, ring: NDArray[np.float32], ages: Sequence[int], ranges: Ranges, lags: Lags, view: str
+    map_set: MapSet, ring: NDArray[np.float32], ages: Sequence[int], ranges: Ranges, lanes: Lanes
 ) -> NDArray[np.int32]:
     """Costs (n, orders, places) of some rows of the ring against some places, as `MapSet.costs` has them.
 
-    ring: (rows, R, D), oldest first. ages: of the n rows, in frames. view: of the camera. Order "same" is that of the
-    lane; for the oldest rows, and within half a lag of where a drive ends, it is that of one frame alone.
+    ring: (rows, R, D), oldest first. ages: of the n rows, in frames. Order "same" is that of the lane; for the oldest
+    rows, and within half a lag of where a drive ends, it is that of one frame alone.
     """
+    lags, view, driven = lanes
+    since = driven[-1] - np.array(driven[: -1 - len(ring) : -1])  # places, of each row, the newest first
+    now = np.array(ages)
     pieces = list(map_set.index.by_segment(ranges))
     looks_alike = [map_set.index.view(number) == view for number, _, _ in pieces]
     of_pieces = [lags.alike if is_alike else lags.opposed for is_alike in looks_alike]
     used, newest_first = sorted({lag for lag in of_pieces if lag}), ring[::-1]
-    found = map_set.costs(np.concatenate([_paired(newest_first, ages, lag) for lag in (0, *used)]), ranges)
+    paired = [_paired(newest_first, now, _rows_before(since, now, lag), lag) for lag in (0, *used)]
+    found = map_set.costs(np.concatenate(paired), ranges)
     by_lag = found.reshape(1 + len(used), len(ages), *found.shape[1:])
     costs: NDArray[np.int32] = by_lag[0]
     at = 0
@@ -79,16 +97,22 @@ def lane_costs(
         if 0 < half < end - start:
             # Half a lag ago the vehicle was further back: on the way home along the drive, at a later place.
             into, of = (slice(at + half, stop), slice(at, stop - half))[:: 1 if is_alike else -1]
-            has_earlier = np.array(ages) + abs(lag) < len(ring)
+            has_earlier = since[now] + abs(lag) <= since[-1]
             costs[has_earlier, 0, into] = by_lag[1 + used.index(lag)][has_earlier, 0, of]
         at = stop
     return costs
 
 
-def _paired(newest_first: NDArray[np.float32], ages: Sequence[int], lag: int) -> NDArray[np.float32]:
-    """Rows (n, R, D) of some ages, one of whose regions is of `lag` frames before, if there were so many."""
-    now = np.array(ages)
-    before = np.minimum(now + abs(lag), len(newest_first) - 1)
+def _rows_before(since: NDArray[np.float64], ages: NDArray[np.intp], lag: int) -> NDArray[np.intp]:
+    """The ages (n,) of the rows that are nearest to `lag` places before those of some ages."""
+    found: NDArray[np.intp] = np.abs(since[:, np.newaxis] - since[ages] - abs(lag)).argmin(axis=0)
+    return found
+
+
+def _paired(
+    newest_first: NDArray[np.float32], now: NDArray[np.intp], before: NDArray[np.intp], lag: int
+) -> NDArray[np.float32]:
+    """Rows (n, R, D), of which the region that shows a place later is of now, and the other one of before."""
     of_regions = (now, before) if lag > 0 else (before, now)
     return np.stack([newest_first[of, region] for region, of in enumerate(of_regions[: newest_first.shape[1]])], axis=1)
 
@@ -107,15 +131,15 @@ def parallax_of(
     if not spacing_m > 0:
         return None
     rows = newest(PARALLAX_ROWS)
-    ages = np.flatnonzero(~np.isnan(rows[::-1, 0, 0]))  # a place without a frame is NaN throughout
+    ages = np.arange(len(rows))
     sign = 1 if match.direction == "forward" else -1
-    lie_m = route_m[match.place_index - begin] - sign * match.slope * spacing_m * ages
+    lie_m = route_m[match.place_index - begin] - sign * np.array(match.passed[: len(rows)]) * spacing_m
     reach_m = REACH * spacing_m
     around = begin + np.searchsorted(route_m, [lie_m.min() - reach_m, lie_m.max() + reach_m])
     first, end = max(begin, own[0], int(around[0]) - 1), min(stop, own[1], int(around[1]) + 1)
     if end - first < 2:
         return None
-    costs = map_set.region_costs(rows[::-1][ages], first, end)
+    costs = map_set.region_costs(rows[::-1], first, end)
     return Parallax(ages, along_line(costs, lie_m, route_m[first - begin : end - begin], spacing_m, sign))
 
 

@@ -8,6 +8,7 @@ around a position, the maps are scanned besides. No frame costs more than its sh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +21,10 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.geodesy import apart_m
-from edge.reference_map import COST_ONE, MapSet, Ranges
+from edge.reference_map import COST_ONE, Drives, MapSet, Ranges
 from edge.sequence import CostView, Direction, PlaceMatch
 from edge.sequence.global_search import GlobalSearch
-from edge.sequence.parallax import NO_LAGS, Lags, lags_of, lane_costs
+from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import Submap
 
 SLACK_M = 250.0
@@ -40,6 +41,11 @@ REGULAR, REGULAR_SHARE = 0.1, 0.9
 median length: single steps differ by more, since a camera that maps has no frame at the very moment."""
 MEASURED_SLOPES = 11
 """Slopes up to that limit; over 40 frames they are one place apart."""
+
+ROOM = 1.25
+"""Share of what a sequence passed that the next ones have room for: frames need not be evenly apart."""
+EXACT = 1e-6
+"""Places by which a sum of steps may be inexact."""
 
 Mode = Literal["whole", "around", "scanning"]
 Ring = Callable[[], NDArray[np.float32]]
@@ -87,8 +93,10 @@ class PlaceSearch:
         self._map_set, self._config = map_set, config
         self._most = config.map.places_per_frame
         self._scan = GlobalSearch(map_set, config)
-        self._lane_lags = lags_of(config)
-        self._frame = 0
+        self._lags = lags_of(config, Drives(map_set, config.sampling.spacing_m).spacing_m)
+        self._driven = [0.0]
+        """Places, at each row of the ring and the one before, the oldest first."""
+        self._span: float = config.sequence.length  # the most places that lines have room for
         self._is_whole = map_set.index.places <= self._most
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
@@ -117,17 +125,12 @@ class PlaceSearch:
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
         self._scan.restart()
+        self._driven = self._driven[-1:]
         self._count_measured(self._config.sequence.length)
         if self._is_whole and self.part:
             self.part.clear()
         else:
             self.part = self._reach = None
-
-    def skip(self) -> None:
-        """A place was passed of which there is no frame; the ring has a row of NaN for it."""
-        self._frame += 1
-        if self.part is not None and not self._is_fresh:
-            self.part.skip()
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
@@ -140,25 +143,26 @@ class PlaceSearch:
             elif self._reach is not None:
                 self._search_around(self._reach)
         elif (
-            self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config, self._lags)
+            self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config, self._lanes)
         ):
             self._search(self._everything(), None)
 
     def push(
-        self, change: NormalizedRows, ring: Ring, near: Near | None, *, is_measured: bool = False
+        self, change: NormalizedRows, ring: Ring, near: Near | None, *, step: float = 1.0, is_measured: bool = False
     ) -> PlaceMatch | None:
         """The best match now; None while there are too few rows, or the maps are still being scanned.
 
-        is_measured: whether the places are apart by a distance that was measured, so that lines are hardly inclined.
+        step: places that are as far apart as was driven since the last row. is_measured: whether that was measured, so
+        that lines are hardly inclined.
         """
         self._measure(is_measured)
         self._is_position_known = near is not None
         if not self._is_whole and near is not None:
             self._look_around(near)
-        self._frame += 1
+        self._drive(step)
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._frame, self._lags)
+            found = self._scan.step(ring(), self._span, self._lanes)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found
@@ -197,18 +201,18 @@ class PlaceSearch:
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
         if self.part is None:
             return None
-        if any(self._lags) or self._is_fresh:
+        if any(self._lanes.lags) or self._is_fresh:
             rows = ring()
             ages = range(len(rows))[::-1] if self._is_fresh else change.ages
-            costs = lane_costs(self._map_set, rows, ages, self.part.ranges, self._lags, self._config.camera.view)
+            costs = lane_costs(self._map_set, rows, ages, self.part.ranges, self._lanes)
         else:
             costs = self._map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
         if not self._is_fresh:
             self.newest_costs = costs[0]
-            return self.part.push(costs, change.ages)
+            return self.part.push(costs, change.ages, self._driven[-1])
         self._is_fresh, self.newest_costs = False, costs[-1]
-        return self.part.refill(costs)
+        return self.part.refill(costs, self._driven[-len(costs) :])
 
     def _look_around(self, near: Near) -> None:
         """Search around the position, if the part does not reach as far as it must."""
@@ -253,7 +257,7 @@ class PlaceSearch:
 
     def _search_around(self, reach: Near) -> None:
         found = self._map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
-        self._search(self._map_set.index.widened(found, self._config.sequence.length), reach)
+        self._search(self._map_set.index.widened(found, math.ceil(self._span)), reach)
 
     def _everything(self) -> Ranges:
         return [(0, self._map_set.index.places)] if self._is_whole else []
@@ -266,20 +270,30 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(ranges, self._map_set, self._slopes_config, self._frame)
+        return Submap(ranges, self._map_set, self._slopes_config, self._span)
 
     @property
     def _slopes_config(self) -> Config:
         return with_measured_slopes(self._config) if self._is_measured else self._config
 
     @property
-    def _lags(self) -> Lags:
+    def _lanes(self) -> Lanes:
         """Frames are a distance only where that is measured."""
-        return self._lane_lags if self._is_measured else NO_LAGS
+        return Lanes(self._lags if self._is_measured else NO_LAGS, self._config.camera.view, self._driven)
 
     @property
     def _is_measured(self) -> bool:
         return self._measured_frames >= self._config.sequence.length
+
+    def _drive(self, step: float) -> None:
+        """Count what was driven; lines that pass more places than they have room for need another part."""
+        length = self._config.sequence.length
+        self._driven = [*self._driven, self._driven[-1] + step][-length - 1 :]
+        span = length * (self._driven[-1] - self._driven[0]) / (len(self._driven) - 1)
+        if span > self._span + EXACT:
+            self._span = ROOM * span
+            if self.part is not None:
+                self.part, self._is_fresh = self._submap(self.part.ranges), True
 
     def _measure(self, is_measured: bool) -> None:
         self._count_measured(self._measured_frames + 1 if is_measured and self._is_regular else 0)

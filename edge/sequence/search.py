@@ -1,8 +1,9 @@
 """Sequence search in a ring buffer of cost rows: equations 2 and 3, exact, in O(N K) a frame whatever the length.
 
-A line of slope v that ends at place i in frame T lies, in frame t, at place i - (r(T) - r(t)) with r(t) = floor(v t +
-1/2). Because the rounding hangs on the frame count and not on the line's end, a line and its predecessor share all
-frames but two, and with d = r(T) - r(T-1), D = r(T) - r(T-L):
+Frame t was exposed when as much had been driven as x(t) places of the map lie apart; x(t) = t where frames and places
+are equally far apart, or nobody knows. A line of slope v that ends at place i in frame T lies, in frame t, at place
+i - (r(T) - r(t)) with r(t) = floor(v x(t) + 1/2). Because the rounding hangs on what was driven and not on the line's
+end, a line and its predecessor share all frames but two, and with d = r(T) - r(T-1), D = r(T) - r(T-L):
 
     S(T, i) = S(T-1, i - d) + cost(T, i) - cost(T-L, i - D)
 
@@ -64,9 +65,9 @@ class _Sums:
         self._memory = np.zeros((slopes, planes, self._slack + places), dtype=np.int32)
         self._starts = [self._slack] * slopes
 
-    def clear(self) -> None:
-        """Begin again with 0."""
-        self._memory[:] = 0
+    def fill(self, value: int) -> None:
+        """Begin again with sums that are all alike."""
+        self._memory[:] = value
         self._starts = [self._slack] * len(self._starts)
 
     def of(self, slope: int) -> NDArray[np.int32]:
@@ -102,22 +103,23 @@ class SequenceSearch:
         length: int,
         slopes: Sequence[float],
         possible: NDArray[np.bool_] | None = None,
-        frame: int = 0,
         *,
+        span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
     ) -> None:
         """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
 
-        possible: (planes, N), whether a line of that plane may end at that place; everywhere if None. frame: how many
-        frames came before, so that searches begun at different times round their slopes alike. laps: with open ends,
-        after how many places each segment goes on at its first one; None where it does not.
+        possible: (planes, N), whether a line of that plane may end at that place; everywhere if None. span: the most
+        places that are driven in `length` rows, which open ends must have room for; so many as rows if None. laps: with
+        open ends, after how many places each segment goes on at its first one; None where it does not.
         """
         self.length = length
         self.planes = tuple(planes)
         self._slopes = tuple(slopes)
         self._impossible = None if possible is None or possible.all() else ~possible
-        reach = math.ceil(max(self._slopes) * length) + 1
+        self.span = length if span is None else span
+        reach = math.ceil(max(self._slopes) * self.span) + 1
         self._margin = reach if open_ends else 0
         self._first_rows = min(length, FIRST_FRAMES) if open_ends else length
         self._at = np.arange(segments[-1][1])
@@ -135,49 +137,53 @@ class SequenceSearch:
         self._near_start = np.nonzero((self._room < reach) & (not open_ends))
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
         self._sums = _Sums(len(self._slopes), len(self.planes), self._places)
-        self._frame = frame
+        self._driven = [0.0] * (length + 1)  # places, at each row of the ring and the one before, the oldest first
+        self._newest = 0  # slot of the ring
         self.clear()
 
     def clear(self) -> None:
         """Discard all rows: the next line begins with the next row."""
         self._rows = 0
-        self._sums.clear()
-        self._ring[:] = COST_ONE if self._margin else 0
-        if self._margin:
-            for k, slope in enumerate(self._slopes):
-                # The sum of as many rows of COST_ONE as reach back no further than to the first place.
-                offsets = self._offsets(slope)
-                near = np.arange(min(offsets[-1], self._places))
-                sums = self._sums.of(k)
-                sums[:] = COST_ONE * self.length
-                sums[:, : len(near)] = COST_ONE * np.searchsorted(offsets, near, side="right")
+        # All rows before the first are alike everywhere, so that it does not matter where they were.
+        self._driven = [self._driven[-1]] * (self.length + 1)
+        nothing = COST_ONE if self._margin else 0
+        self._ring[:] = nothing
+        self._sums.fill(nothing * self.length)
 
-    def push(self, costs: NDArray[np.int32]) -> None:
-        """Add the newest cost row (orders, N) and move every running sum on by one frame."""
-        self._frame += 1
-        frame = self._frame
+    def push(self, costs: NDArray[np.int32], driven: float | None = None) -> None:
+        """Add the newest cost row (orders, N) and move every running sum on by one frame.
+
+        driven: x of it, in all; a place further than the last if None.
+        """
+        self._newest = (self._newest + 1) % self.length
+        self._driven = [*self._driven[1:], self._driven[-1] + 1 if driven is None else driven]
+        oldest, before, newest = self._driven[0], self._driven[-2], self._driven[-1]
         entering = self._by_plane(costs)
-        leaving = self._ring[frame % self.length]  # the row of frame T-L, all zero while the ring is filling
+        leaving = self._ring[self._newest]  # the row of frame T-L, all zero while the ring is filling
         for k, slope in enumerate(self._slopes):
-            span = _rounded(slope, frame) - _rounded(slope, frame - self.length)
-            sums = self._sums.shift(k, _rounded(slope, frame) - _rounded(slope, frame - 1))
+            span = _rounded(slope, newest) - _rounded(slope, oldest)
+            sums = self._sums.shift(k, _rounded(slope, newest) - _rounded(slope, before))
             sums += entering
             if span < self._places:
                 sums[:, span:] -= leaving[:, : self._places - span]
         leaving[:] = entering
         self._rows = min(self._rows + 1, self.length)
 
-    def refill(self, rows: NDArray[np.int32]) -> None:
-        """Replace the whole ring by rows (n <= length, orders, N), oldest first, the last being a new frame's."""
-        self._frame += 1
+    def refill(self, rows: NDArray[np.int32], driven: Sequence[float] | None = None) -> None:
+        """Replace the whole ring by rows (n <= length, orders, N), oldest first, the last being a new frame's.
+
+        driven: x of each, a place further than the last one's if None.
+        """
+        known = np.arange(len(rows)) + (self._driven[-1] + 2 - len(rows)) if driven is None else driven
         self.clear()
+        self._driven = [*[float(known[0])] * (self.length + 1 - len(rows)), *(float(x) for x in known)]
         self._rows = len(rows)
         for age, costs in enumerate(rows[::-1]):
             self.replace(age, costs)
 
     def replace(self, age: int, costs: NDArray[np.int32]) -> None:
         """Replace the cost row (orders, N) that was pushed `age` rows ago, and correct every running sum by it."""
-        row = self._ring[(self._frame - age) % self.length]
+        row = self._ring[(self._newest - age) % self.length]
         entering = self._by_plane(costs)
         change = entering - row
         row[:] = entering
@@ -200,11 +206,11 @@ class SequenceSearch:
             self.length,
             self._slopes,
             possible,
-            self._frame,
+            span=self.span,
             open_ends=open_ends,
             laps=self._laps,
         )
-        other._rows = self._rows
+        other._rows, other._driven, other._newest = self._rows, self._driven, self._newest
         added, kept = other._places - self._places, self._places - self._margin
         new_at = other._at[len(self._at) :]
         offsets = [self._offsets(slope) for slope in self._slopes]
@@ -214,7 +220,7 @@ class SequenceSearch:
             other._ring[:, plane, new] = self._ring[:, plane, old]
             at = new_at if is_forward else other._places - 1 - new_at
             for age, row in enumerate(costs[::-1, ORDERS.index(order)]):
-                other._ring[(self._frame - age) % self.length, plane, at] = row
+                other._ring[(self._newest - age) % self.length, plane, at] = row
             # Only lines through what is new, or was the end, have to be summed up again.
             reach = self._margin
             again = slice(kept, None) if is_forward else slice(0, added + 2 * reach)
@@ -231,7 +237,7 @@ class SequenceSearch:
         start, stop, _ = places.indices(self._places)
         total = np.zeros(stop - start, dtype=np.int32)
         for age, offset in enumerate(offsets):
-            row = self._ring[(self._frame - age) % self.length, plane]
+            row = self._ring[(self._newest - age) % self.length, plane]
             first = max(start, offset)
             if first < stop:
                 total[first - start :] += row[first - offset : stop - offset]
@@ -268,7 +274,7 @@ class SequenceSearch:
 
     def _offset(self, slope: float, age: int) -> int:
         """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
-        return _rounded(slope, self._frame) - _rounded(slope, self._frame - age)
+        return _rounded(slope, self._driven[-1]) - _rounded(slope, self._driven[-1 - age])
 
     def _offsets(self, slope: float) -> list[int]:
         """The same since every row of the ring, the newest first."""
@@ -276,17 +282,22 @@ class SequenceSearch:
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
-        slots = [frame % self.length for frame in range(self._frame - self._rows + 1, self._frame + 1)]
+        slots = [slot % self.length for slot in range(self._newest - self._rows + 1, self._newest + 1)]
         rows = self._mirror(plane, self._ring[slots, self.planes.index(plane)])
         return rows.take(self._at, axis=1)
 
-    def slope(self, plane: int, place: int) -> float:
-        """Places a frame of the best line of that plane that ends at that place (k of eq. 2)."""
+    def passed(self, plane: int, place: int) -> NDArray[np.float64]:
+        """Places that the best line of that plane that ends at that place has passed since each row, the newest first.
+
+        That is k of eq. 2 times what was driven since.
+        """
         at = int(self._at[place])
         at = at if self.planes[plane][0] == "forward" else self._places - 1 - at
         sums = self._sums.at(np.array([plane]), np.array([at]))[:, 0]
         whole = np.where(self._room[plane, at] >= self._reaches(), sums, NO_LINE)
-        return self._slopes[int(whole.argmin())]
+        driven = np.array(self._driven[: -1 - self._rows : -1])
+        passed: NDArray[np.float64] = self._slopes[int(whole.argmin())] * (driven[0] - driven)
+        return passed
 
     def _known_places(self, segments: Sequence[tuple[int, int]], bounds: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
         """Of each padded place, the place that it is; the number of places where it is none."""
@@ -314,8 +325,8 @@ class SequenceSearch:
         return row[..., ::-1] if plane[0] == "reverse" else row
 
 
-def _rounded(slope: float, frame: int) -> int:
-    return math.floor(slope * frame + 0.5)
+def _rounded(slope: float, driven: float) -> int:
+    return math.floor(slope * driven + 0.5)
 
 
 def _room(segments: Sequence[tuple[int, int]]) -> dict[Direction, NDArray[np.int32]]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.reference_map import COST_ONE, MapSet, Ranges
+from edge.reference_map import MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
 from edge.sequence.evidence import Neighborhood, best_match, best_match_within
-from edge.sequence.parallax import Lags, lane_costs
+from edge.sequence.parallax import Lanes, lane_costs
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
@@ -34,41 +34,47 @@ class RowMatcher:
         regions: int,
         neighborhood: Neighborhood,
         config: Config,
-        frame: int = 0,
         *,
+        span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
-        config: [sequence], and the view of [camera]. frame: how many frames came before the first row. open_ends:
-        whether lines may begin before their drive does, and laps: see `SequenceSearch`.
+        config: [sequence], and the view of [camera]. open_ends: whether lines may begin before their drive does, and
+        span, laps: see `SequenceSearch`.
         """
         self.neighborhood = neighborhood
-        self._count = segments[-1][1]
         self._per_frame_order = config.sequence.region_order == "frame"
         planes, possible = _planes(segments, views, regions, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
-            segments, planes, config.sequence.length, slopes, possible, frame, open_ends=open_ends, laps=laps
+            segments, planes, config.sequence.length, slopes, possible, span=span, open_ends=open_ends, laps=laps
         )
         self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
 
-    def push(self, costs: NDArray[np.int32], ages: Sequence[int] = (0,)) -> PlaceMatch | None:
+    @property
+    def span(self) -> float:
+        """The most places that may be driven within a line."""
+        return self._search.span
+
+    def push(
+        self, costs: NDArray[np.int32], ages: Sequence[int] = (0,), driven: float | None = None
+    ) -> PlaceMatch | None:
         """Add cost rows (n, orders, N), the new one first, and replace older ones; the best match.
 
-        ages: see `NormalizedRows`.
+        ages: see `NormalizedRows`. driven: see `SequenceSearch.push`.
         """
         searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
-        self._search.push(searched[0])
+        self._search.push(searched[0], driven)
         self._newest = costs[0]
         for age, row in zip(ages[1:], searched[1:], strict=True):
             self._search.replace(age, row)
         return self._best()
 
-    def refill(self, costs: NDArray[np.int32]) -> PlaceMatch | None:
-        """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match."""
-        self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
+    def refill(self, costs: NDArray[np.int32], driven: Sequence[float] | None = None) -> PlaceMatch | None:
+        """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match. driven: of each row."""
+        self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs, driven)
         self._newest = costs[-1]
         return self._best()
 
@@ -95,10 +101,6 @@ class RowMatcher:
         # Where every frame took its better order, the line is said to have that of the newest.
         return replace(match, order=ORDERS[int(self._newest[:, match.place].argmin())])
 
-    def skip(self) -> None:
-        """Add a row of which nothing is known: every place is as far as one with nothing in common."""
-        self._search.push(np.full((len(ORDERS), self._count), COST_ONE, dtype=np.int32))
-
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
         """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
         return self._search.recent((direction, "same" if self._per_frame_order else order))
@@ -112,11 +114,11 @@ class RowMatcher:
 class Submap(RowMatcher):
     """A `RowMatcher` of some ranges, whose answers are in coordinates of the maps."""
 
-    def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, frame: int = 0) -> None:
-        """frame: how many frames came before the first that this part will match."""
+    def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None) -> None:
+        """span: the most places that may be driven within a line, so many as frames if None."""
         segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
         regions = map_set.headers[0].regions.count
-        super().__init__(segments, views, regions, neighborhood, config, frame, open_ends=True, laps=laps)
+        super().__init__(segments, views, regions, neighborhood, config, span=span, open_ends=True, laps=laps)
 
     def _choose(
         self, ranges: Ranges, map_set: MapSet, config: Config
@@ -138,10 +140,10 @@ class Submap(RowMatcher):
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
 
-    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lags: Lags) -> bool:
+    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lanes: Lanes) -> bool:
         """Add all places of a set after those of this part, which has all of the set before; between two frames.
 
-        ring: the rows of the ring (n, R, D), oldest first. lags: see `lane_costs`. False if the further places need
+        ring: the rows of the ring (n, R, D), oldest first. lanes: see `lane_costs`. False if the further places need
         another part, since they can be passed in other directions or region orders.
         """
         before, after = len(self.places), map_set.index.places
@@ -153,10 +155,10 @@ class Submap(RowMatcher):
         if tuple(planes) != self._search.planes:
             return False
         ages = range(len(ring))[::-1]
-        costs = lane_costs(map_set, ring, ages, [(before, after)], lags, config.camera.view)
+        costs = lane_costs(map_set, ring, ages, [(before, after)], lanes)
         if self._per_frame_order:
             costs = costs.min(axis=1, keepdims=True)
-        self.neighborhood, self._count, self.lines = neighborhood, after, None
+        self.neighborhood, self.lines = neighborhood, None
         self._search = self._search.grown(segments, possible, costs)
         return True
 

@@ -73,7 +73,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         if item.distance_m is None:
             readings.clear()
         else:
-            readings.add(np.array([item.distance_m]), item.missed)
+            readings.add(np.array([item.distance_m]))
         if match is not None:
             sign = 1 if match.direction == "forward" else -1
             beyond_m, sigma_m = _refined(match, route, readings)

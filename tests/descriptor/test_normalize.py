@@ -79,18 +79,6 @@ def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics(
     assert sum(len(ages) > 1 for ages in renewals) <= 10  # of forty frames
 
 
-def test_a_place_without_a_frame_stays_a_row_of_nan() -> None:
-    raw = descriptors(30)
-    online = OnlineNormalizer(10, renormalize_ring=True)
-    assert not online.skip()
-    online.push(raw[0])
-    assert online.skip()
-    for row in raw[1:9]:
-        online.push(row)
-    assert np.isnan(online.rows()[1]).all()
-    assert not np.isnan(online.rows()[[0, 2, 9]]).any()
-
-
 def test_first_frame_is_exactly_zero() -> None:
     online = OnlineNormalizer(5, renormalize_ring=True)
     assert not online.push(descriptors(1)[0]).rows.any()

@@ -156,7 +156,7 @@ def test_without_an_odometer_frames_are_counted_and_missed_ones_too() -> None:
     consensus = PlaceConsensus(SETTINGS)
     votes = _right(100.0, 60)
     for vote in votes[::2]:
-        belief = consensus.update(vote, None, missed=1)
+        belief = consensus.update(vote, None, places=2)
     assert belief is not None
     assert belief.is_believed
     assert belief.along_m == pytest.approx(218.0, abs=2.0)

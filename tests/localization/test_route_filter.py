@@ -43,9 +43,10 @@ def test_places_passed_unseen_are_part_of_the_line(open_filter: Callable[..., Ro
     drive = warm(open_filter())
     drive.frames += 5
     drive.place += 5
-    drive.go(1, missed=5)
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
-    drive.go(6)
+    for frames in range(7):
+        passed = (*range(frames + 1), *range(frames + 6, LENGTH + 5))
+        drive.go(1, lambda place, passed=passed: match(place, passed=passed), missed=0 if frames else 5)
+        assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
     assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
 
 

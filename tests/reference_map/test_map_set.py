@@ -27,7 +27,7 @@ from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, 
 from edge.reference_map.tiles import split_map
 from edge.sequence import PlaceMatch
 from edge.sequence.global_search import GlobalSearch
-from edge.sequence.parallax import NO_LAGS
+from edge.sequence.parallax import NO_LAGS, Lanes
 from edge.sequence.place_search import Near, PlaceSearch
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
@@ -292,8 +292,8 @@ def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look
     everything = resident_bytes(city / "tiles")
     assert everything > 10 * 300 * 2 * 48
     scan = GlobalSearch(maps, CONFIG)
-    for frame in range(PLACES_OF_ALL):
-        if scan.step(ring, frame, NO_LAGS) is not None:
+    for _ in range(PLACES_OF_ALL):
+        if scan.step(ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) is not None:
             break
     assert resident_bytes(city / "tiles") < everything / 10
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig, RigConfig, SamplingConfig, SequenceConfig
+from edge.config import Config, DescriptorConfig, RigConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.reference_map import COST_ONE, MapSet, ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import PlaceMatch
-from edge.sequence.parallax import NO_LAGS, Lags, lags_of, lane_costs
+from edge.sequence.parallax import NO_LAGS, Lags, Lanes, lags_of, lane_costs
 from edge.sequence.place_search import PlaceSearch
 from sim.evaluation.temporary_map import MappedDrive, temporary_map
 
@@ -46,6 +46,10 @@ def normalized(raw: NDArray[np.float32]) -> NDArray[np.float32]:
     return found
 
 
+def lanes(lags: Lags) -> Lanes:
+    return Lanes(lags, "front", range(PLACES))
+
+
 def way_home(raw: NDArray[np.float32], left_of_drive: int) -> NDArray[np.float32]:
     """Rows on the way back from the end of the rear drive; each region shows places that lie so many apart."""
     seen, half = normalized(raw), LAG // 2 * left_of_drive
@@ -54,21 +58,21 @@ def way_home(raw: NDArray[np.float32], left_of_drive: int) -> NDArray[np.float32
 
 
 def test_lags_are_those_of_the_lanes() -> None:
-    assert lags_of(Config(rig=RIG)) == Lags(alike=0, opposed=LAG)
-    assert lags_of(Config(rig=RigConfig(left_reverse_m=-3.5, parallax=2.4))) == Lags(0, -LAG)
-    assert lags_of(Config(rig=RigConfig(left_forward_m=3.5, parallax=2.4))) == Lags(LAG, 0)
-    assert lags_of(Config(rig=RIG, sampling=SamplingConfig(spacing_m=1.0))) == Lags(0, 2 * LAG)
-    assert lags_of(Config(rig=RigConfig(left_reverse_m=3.5))) == NO_LAGS, "no parallax was measured"
-    assert lags_of(Config(rig=RIG, descriptor=DescriptorConfig(regions="whole"))) == NO_LAGS
-    assert lags_of(Config(rig=RIG, sequence=SequenceConfig(region_order="sequence"))) == NO_LAGS
+    assert lags_of(Config(rig=RIG), 2.0) == Lags(alike=0, opposed=LAG)
+    assert lags_of(Config(rig=RigConfig(left_reverse_m=-3.5, parallax=2.4)), 2.0) == Lags(0, -LAG)
+    assert lags_of(Config(rig=RigConfig(left_forward_m=3.5, parallax=2.4)), 2.0) == Lags(LAG, 0)
+    assert lags_of(Config(rig=RIG), 1.0) == Lags(0, 2 * LAG)
+    assert lags_of(Config(rig=RigConfig(left_reverse_m=3.5)), 2.0) == NO_LAGS, "no parallax was measured"
+    assert lags_of(Config(rig=RIG, descriptor=DescriptorConfig(regions="whole")), 2.0) == NO_LAGS
+    assert lags_of(Config(rig=RIG, sequence=SequenceConfig(region_order="sequence")), 2.0) == NO_LAGS
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_in_its_lane_a_vehicle_fits_the_place_where_it_is(side: int, raw: NDArray[np.float32], maps: MapSet) -> None:
     ring = way_home(raw, side)[:LENGTH]
     here = PLACES // 2 - 5 - (LENGTH - 1)
-    plain = lane_costs(maps, ring, [0], [(0, PLACES)], NO_LAGS, "front")[0]
-    lane = lane_costs(maps, ring, [0], [(0, PLACES)], Lags(0, side * LAG), "front")[0]
+    plain = lane_costs(maps, ring, [0], [(0, PLACES)], lanes(NO_LAGS))[0]
+    lane = lane_costs(maps, ring, [0], [(0, PLACES)], lanes(Lags(0, side * LAG)))[0]
     assert lane[0].argmin() == here
     assert lane[0, here] < 0.1 * COST_ONE < 0.5 * COST_ONE < plain[0, here]
     np.testing.assert_array_equal(lane[1], plain[1], "regions in the other order are those of one frame")
@@ -81,22 +85,22 @@ def test_the_first_frames_and_the_ends_of_a_drive_are_matched_as_one_frame(
     raw: NDArray[np.float32], maps: MapSet
 ) -> None:
     ring, everything = way_home(raw, 1)[:LENGTH], [(0, PLACES)]
-    plain = lane_costs(maps, ring, range(LENGTH)[::-1], everything, NO_LAGS, "front")
-    lane = lane_costs(maps, ring, range(LENGTH)[::-1], everything, Lags(0, LAG), "front")
+    plain = lane_costs(maps, ring, range(LENGTH)[::-1], everything, lanes(NO_LAGS))
+    lane = lane_costs(maps, ring, range(LENGTH)[::-1], everything, lanes(Lags(0, LAG)))
     half, end = LAG // 2, PLACES // 2
     np.testing.assert_array_equal(lane[:LAG], plain[:LAG], "no frame is earlier")
     assert (lane[LAG:, 0, : end - half] != plain[LAG:, 0, : end - half]).any()
     np.testing.assert_array_equal(lane[:, 0, end - half : end], plain[:, 0, end - half : end])
-    piece = lane_costs(maps, ring, range(LENGTH)[::-1], [(10, 40)], Lags(0, LAG), "front")
+    piece = lane_costs(maps, ring, range(LENGTH)[::-1], [(10, 40)], lanes(Lags(0, LAG)))
     np.testing.assert_array_equal(piece[:, :, : 30 - half], lane[:, :, 10 : 40 - half])
 
 
 def test_fewer_places_than_half_a_lag_are_matched_as_one_frame(raw: NDArray[np.float32], maps: MapSet) -> None:
     ring = way_home(raw, 1)[:LENGTH]
     for ranges in ([(0, 1), (30, 40)], [(30, 40), (PLACES // 2 - 1, PLACES)]):
-        plain = lane_costs(maps, ring, [0], ranges, NO_LAGS, "front")
+        plain = lane_costs(maps, ring, [0], ranges, lanes(NO_LAGS))
         for lags in (Lags(0, LAG), Lags(0, -LAG), Lags(LAG, LAG), Lags(0, 100)):
-            lane = lane_costs(maps, ring, [0], ranges, lags, "front")
+            lane = lane_costs(maps, ring, [0], ranges, lanes(lags))
             assert lane.shape == plain.shape
             np.testing.assert_array_equal(lane[0, 1], plain[0, 1])
             one_place = 0 if ranges[0] == (0, 1) else 10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -21,14 +22,13 @@ ONE_REGION = [("forward", "same"), ("reverse", "same")]
 
 def direct_lines(
     rows: list[NDArray[np.int32]],
-    first_frame: int,
+    driven: Sequence[float],
     segments: list[tuple[int, int]],
     slopes: tuple[float, ...],
     planes: list[Alignment],
 ) -> NDArray[np.int64]:
-    """Equation 2 for each plane and place, cell by cell: (planes, N)."""
+    """Equation 2 for each plane and place, cell by cell: (planes, N). driven: in places, at the newest rows."""
     places = rows[0].shape[1]
-    last = first_frame + len(rows) - 1
     out = np.full((len(planes), places), NO_LINE, dtype=np.int64)
     segment_of = np.repeat(np.arange(len(segments)), [end - start for start, end in segments])
     for plane, (direction, order) in enumerate(planes):
@@ -37,7 +37,7 @@ def direct_lines(
             for slope in slopes:
                 total = 0
                 for age, row in enumerate(rows[::-1]):
-                    passed = math.floor(slope * last + 0.5) - math.floor(slope * (last - age) + 0.5)
+                    passed = math.floor(slope * driven[-1] + 0.5) - math.floor(slope * driven[-1 - age] + 0.5)
                     at = place - sign * passed
                     if not 0 <= at < places or segment_of[at] != segment_of[place]:
                         break
@@ -62,37 +62,50 @@ def searched_lines(search: SequenceSearch) -> tuple[NDArray[np.int32], NDArray[n
     planes=st.lists(st.sampled_from(ALL_PLANES), min_size=1, max_size=4, unique=True),
     frames=st.integers(0, 30),
     refill_at=st.integers(0, 30),
+    steps=st.sampled_from([(1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.1, 2.7)]),
 )
 def test_running_sums_are_the_direct_sums(
-    seed: int, lengths: list[int], length: int, slopes: int, planes: list[Alignment], frames: int, refill_at: int
+    seed: int,
+    lengths: list[int],
+    length: int,
+    slopes: int,
+    planes: list[Alignment],
+    frames: int,
+    refill_at: int,
+    steps: tuple[float, float],
 ) -> None:
+    """Also where frames are as far apart as two places, or half a place, or at any distance."""
     rng = np.random.default_rng(seed)
+    driven = np.cumsum(rng.uniform(*steps, length + frames)).tolist()
     ends = np.cumsum(lengths).tolist()
     segments = list(zip([0, *ends[:-1]], ends, strict=True))
     all_slopes = slopes_around_diagonal(0.3, slopes)
     possible = rng.random((len(planes), ends[-1])) < 0.9
-    search = SequenceSearch(segments, planes, length, all_slopes, possible)
+    search = SequenceSearch(segments, planes, length, all_slopes, possible, span=2.7 * length)
     rows: list[NDArray[np.int32]] = []
     for frame in range(length + frames):
         rows = [*rows, rng.integers(0, 2**15 + 1, (2, ends[-1]), dtype=np.int32)][-length:]
         if frame == refill_at:  # the whole ring normalized again: every row is new
             rows = [rng.integers(0, 2**15 + 1, row.shape, dtype=np.int32) for row in rows]
-            search.refill(np.stack(rows))
+            search.refill(np.stack(rows), driven[: frame + 1][-length:])
         else:
-            search.push(rows[-1])
+            search.push(rows[-1], driven[frame])
         for age in rng.integers(0, len(rows), int(rng.integers(0, 4))).tolist():  # some normalized again
             rows[-1 - age] = rng.integers(0, 2**15 + 1, rows[0].shape, dtype=np.int32)
             search.replace(age, rows[-1 - age])
         if len(rows) < length:
             assert search.lines() is None
-    direct = direct_lines(rows, frames + 1, segments, all_slopes, planes)
+    direct = direct_lines(rows, driven, segments, all_slopes, planes)
     direct[~possible] = NO_LINE
     costs, which = searched_lines(search)
     np.testing.assert_array_equal(costs, direct.min(axis=0))
     np.testing.assert_array_equal(direct[which, np.arange(ends[-1])], costs)
     for place in np.flatnonzero(costs < NO_LINE):
-        of_plane, of_slope = planes[which[place]], search.slope(int(which[place]), int(place))
-        again = direct_lines(rows, frames + 1, segments, (of_slope,), [of_plane])
+        of_plane = planes[which[place]]
+        passed = search.passed(int(which[place]), int(place))
+        of_slope = min(all_slopes, key=lambda slope: abs(slope - passed[-1] / (driven[-1] - driven[-length])))
+        np.testing.assert_allclose(passed, of_slope * (driven[-1] - np.array(driven[-length:][::-1])), atol=1e-9)
+        again = direct_lines(rows, driven, segments, (of_slope,), [of_plane])
         assert again[0, place] == costs[place]
 
 
@@ -100,12 +113,14 @@ def test_running_sums_are_the_direct_sums(
 def test_still_exact_after_years_and_where_counters_of_32_bits_would_wrap(start: int) -> None:
     rng = np.random.default_rng(1)
     slopes = slopes_around_diagonal(0.2, 5)
-    search = SequenceSearch([(0, 40)], ONE_REGION, 6, slopes, frame=start - 1)
+    search = SequenceSearch([(0, 40)], ONE_REGION, 6, slopes)
     rows = [rng.integers(0, 2**15, (1, 40), dtype=np.int32) for _ in range(50)]
-    for row in rows:
-        search.push(row)
+    search.refill(np.stack(rows[:1]), [float(start)])
+    for frame, row in enumerate(rows[1:], start=1):
+        search.push(row, float(start + frame))
     np.testing.assert_array_equal(
-        searched_lines(search)[0], direct_lines(rows[-6:], start + 44, [(0, 40)], slopes, ONE_REGION).min(axis=0)
+        searched_lines(search)[0],
+        direct_lines(rows[-6:], range(start, start + 50), [(0, 40)], slopes, ONE_REGION).min(axis=0),
     )
 
 
@@ -121,7 +136,7 @@ def test_exact_for_thousands_of_frames_through_gaps_and_ends(slope_limit_rad: fl
         rows = [*rows, rng.integers(0, 2**15 + 1, (2, 60), dtype=np.int32)][-length:]
         search.push(rows[-1])
         if frame % 800 == 799 or frame in (1000, 1001, 1002):
-            direct = direct_lines(rows, frame - length + 2, segments, slopes, ALL_PLANES)
+            direct = direct_lines(rows, range(frame + 2), segments, slopes, ALL_PLANES)
             np.testing.assert_array_equal(searched_lines(search)[0], direct.min(axis=0))
 
 
@@ -144,7 +159,7 @@ def test_after_clear_a_line_needs_all_its_frames_again() -> None:
         search.push(row)
         assert search.lines() is None
     search.push(rows[8])
-    direct = direct_lines(rows[5:], 6, [(0, 30)], (1.0,), ALL_PLANES)
+    direct = direct_lines(rows[5:], range(10), [(0, 30)], (1.0,), ALL_PLANES)
     np.testing.assert_array_equal(searched_lines(search)[0], direct.min(axis=0))
 
 
@@ -169,7 +184,7 @@ def test_each_direction_and_order_is_distinguished() -> None:
         assert place == (20 + length - 1 if direction == "forward" else 20 - length + 1)
         assert costs[place] == 0
         assert search.planes[which[place]] == (direction, order)
-        assert search.slope(int(which[place]), place) == pytest.approx(1.0, abs=0.06)
+        assert search.passed(int(which[place]), place)[-1] / (length - 1) == pytest.approx(1.0, abs=0.06)
 
 
 def test_slopes_of_the_paper() -> None:
@@ -207,14 +222,15 @@ def test_a_search_that_grows_is_one_that_always_had_all_places(
     begin = list(itertools.pairwise(np.cumsum([0, *lengths]).tolist()))
     segments = list(itertools.pairwise(np.cumsum([0, *lengths[:-1], lengths[-1] + longer, *further]).tolist()))
     places = segments[-1][1]
-    whole = SequenceSearch(segments, planes, length, all_slopes, open_ends=True)
-    part = SequenceSearch(begin, planes, length, all_slopes, open_ends=True)
+    whole = SequenceSearch(segments, planes, length, all_slopes, span=2 * length, open_ends=True)
+    part = SequenceSearch(begin, planes, length, all_slopes, span=2 * length, open_ends=True)
+    driven = np.cumsum(rng.uniform(0.5, 2.0, frames + length)).tolist()
     rows: list[NDArray[np.int32]] = []
     for frame in range(frames + length):
         row = rng.integers(0, 2**15 + 1, (2, places), dtype=np.int32)
         rows = [*rows, row][-length:]
-        whole.push(row)
-        part.push(row if frame > frames else row[:, : sum(lengths)])
+        whole.push(row, driven[frame])
+        part.push(row if frame > frames else row[:, : sum(lengths)], driven[frame])
         if frame == frames:
             part = part.grown(segments, None, np.stack(rows)[:, :, sum(lengths) :])
         if frame >= frames:

@@ -1,0 +1,104 @@
+"""Frames that are not as far apart as the places of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.config import Config, DescriptorConfig, SamplingConfig
+from edge.feed.sampling import Steps
+from edge.reference_map import ModelKey
+from edge.reference_map.builder import Place
+from edge.sequence_matcher import SequenceMatcher
+from sim.evaluation.temporary_map import MappedDrive, temporary_map
+
+LENGTH_M, DIMENSIONS, NOISE = 600, 96, 1.0
+ALIKE_M = 6
+"""Meters within which the road shows about the same."""
+NEAR_M = 10.0
+
+
+@pytest.fixture(scope="module")
+def road() -> NDArray[np.float32]:
+    """What the road shows at each meter (LENGTH_M, 2, DIMENSIONS)."""
+    rough = np.random.default_rng(3).normal(size=(LENGTH_M + ALIKE_M, 2, DIMENSIONS)).astype(np.float32)
+    return np.abs(sum(rough[lag : LENGTH_M + lag] for lag in range(ALIKE_M)) / np.float32(ALIKE_M**0.5))
+
+
+def frames_at_m(spacing_m: int, irregular: bool) -> NDArray[np.int64]:
+    """Where frames are exposed on the second half of the road."""
+    steps = np.random.default_rng(7).uniform(*((0.4, 1.6) if irregular else (1.0, 1.0)), 4 * LENGTH_M // spacing_m)
+    at_m = LENGTH_M // 3 + np.cumsum(np.maximum(1, np.rint(spacing_m * steps))).astype(np.int64)
+    return at_m[at_m < LENGTH_M]
+
+
+@pytest.mark.parametrize("irregular", [False, True], ids=["regular", "irregular"])
+@pytest.mark.parametrize("odometer", [1.0, 1.08])
+@pytest.mark.parametrize(("map_m", "frame_m"), [(2, 4), (2, 1), (4, 1), (1, 4)])
+def test_places_are_right_whatever_the_spacing(
+    road: NDArray[np.float32], map_m: int, frame_m: int, odometer: float, irregular: bool
+) -> None:
+    """A straight line through places and frames would be four times too steep, or too flat."""
+    mapped = road[::map_m]
+    places = [Place(row, route_m=float(map_m * row)) for row in range(len(mapped))]
+    by = "frames" if irregular else "distance"
+    config = Config(sampling=SamplingConfig(by=by, spacing_m=frame_m))
+    rng = np.random.default_rng(1)
+    at_m = frames_at_m(frame_m, irregular)
+    with temporary_map(
+        [MappedDrive(mapped, places, "front")], ModelKey("m", "0" * 64, "fc6", DIMENSIONS), DescriptorConfig()
+    ) as maps:
+        matcher = SequenceMatcher(maps, config)
+        found = []
+        for here_m in at_m.tolist():
+            raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape).astype(np.float32)
+            match = matcher.push(raw, distance_m=odometer * here_m)
+            found.append(np.nan if match is None or not match.accepted else map_m * match.place_index - here_m)
+    believed = ~np.isnan(found)
+    assert believed[len(found) // 2 :].mean() > 0.9
+    assert np.nanmax(np.abs(found)) <= NEAR_M
+
+
+def steps_of(sampling: SamplingConfig, odometer_m: list[float | None], missed: int = 0) -> list[float]:
+    steps = Steps(sampling)
+    return [steps.next(at_m, missed, 2.0) for at_m in odometer_m]
+
+
+def test_frames_sampled_as_the_map_was_are_a_place_apart_though_each_is_a_little_late() -> None:
+    late_m = np.random.default_rng(2).uniform(0, 0.3, 50)
+    steps = steps_of(SamplingConfig(spacing_m=2.0), [2.0 * frame + late for frame, late in enumerate(late_m)])
+    assert steps == [1.0] * 50
+
+
+def test_a_frame_far_from_where_it_was_due_is_where_it_was_exposed() -> None:
+    assert steps_of(SamplingConfig(spacing_m=2.0), [0.0, 2.0, 5.0, 6.0]) == [1.0, 1.0, 1.5, 0.5]
+
+
+def test_steps_are_in_places_of_the_map() -> None:
+    assert steps_of(SamplingConfig(spacing_m=4.0), [0.0, 4.1, 8.0, 16.2]) == [1.0, 2.0, 2.0, 4.0]
+    assert steps_of(SamplingConfig(by="frames"), [0.0, 3.0, 4.0]) == [1.0, 1.5, 0.5]
+
+
+def test_without_the_odometer_steps_are_as_usual() -> None:
+    assert steps_of(SamplingConfig(by="frames"), [0.0, 6.0, None, 20.0]) == [1.0, 3.0, 3.0, 3.0]
+    assert steps_of(SamplingConfig(spacing_m=4.0), [None, None]) == [1.0, 1.0], "sampled by time"
+    assert steps_of(SamplingConfig(by="frames"), [None, None], missed=1) == [2.0, 2.0]
+    restarted = steps_of(SamplingConfig(by="frames"), [10.0, 14.0, 1.0, 3.0])
+    assert restarted == [1.0, 2.0, 2.0, 1.0]
+
+
+def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np.float32]) -> None:
+    places = [Place(row, route_m=4.0 * row) for row in range(len(road[::4]))]
+    config = Config(sampling=SamplingConfig(by="time"))
+    model = ModelKey("made", "0" * 64, "fc6", DIMENSIONS)
+    with temporary_map([MappedDrive(road[::4], places, "front")], model, DescriptorConfig()) as maps:
+        matcher = SequenceMatcher(maps, config)
+        lacks = []
+        for raw in road[: config.sequence.length]:
+            matcher.push(raw)
+            lacks.append(matcher.lacks_odometer)
+        assert lacks == [False] * (config.sequence.length - 1) + [True]
+        assert matcher.spacing == "a frame every 0.5 s, and the map has a place every 4 m"
+        matcher.push(road[0], distance_m=0.0)
+        assert not matcher.lacks_odometer
