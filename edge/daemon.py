@@ -199,11 +199,13 @@ class Daemon:
 
     def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, displacement: Displacement | None, missed: int) -> None:
         """Judge GPS by the place of a frame, and let GPS bound the position."""
+        position = self._autopilot.position()
         if self._recognizer.state != "standing":
             is_believed = match is not None and match.accepted
             gps = self._autopilot.gps_fix(stamp_ns) if is_believed else None
-            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, displacement, missed))
-        position, gps_sigma_m = self._autopilot.position(), self._autopilot.gps_sigma_m
+            heading_deg = None if position is None else position.heading_deg
+            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, displacement, heading_deg, missed))
+        gps_sigma_m = self._autopilot.gps_sigma_m
         if position is not None and gps_sigma_m is not None:
             self._localizer.bind(position, gps_sigma_m)
 

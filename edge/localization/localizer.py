@@ -28,6 +28,10 @@ from edge.localization.velocity_error import VelocityError
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 
+MOST_ASIDE_RAD = math.radians(60)
+"""Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
+the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
+
 
 class Localizer:
     """Follows the vehicle along the drives of some maps, one answer of the recognizer after another."""
@@ -91,14 +95,23 @@ class Localizer:
             self._velocity_error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
 
     def judge_gps(
-        self, match: PlaceMatch | None, gps: GpsFix | None, displacement: Displacement | None = None, missed: int = 0
+        self,
+        match: PlaceMatch | None,
+        gps: GpsFix | None,
+        displacement: Displacement | None = None,
+        heading_deg: float | None = None,
+        missed: int = 0,
     ) -> GpsVerdict:
-        """Compare GPS with the place of a frame at which the vehicle moved; gps, displacement: at its exposure."""
+        """Compare GPS with the place of a frame at which the vehicle moved; gps, displacement: at its exposure.
+
+        heading_deg: of the vehicle, None where it is not known.
+        """
         comparison = None
         if match is not None:
             comparison = compare(match, gps, self._route, self._config.rig, self._config.sequence.length)
             if comparison is not None:
-                comparison = replace(comparison, displacement=displacement)
+                heads = heading_deg is None or _heads_along(comparison.heading_rad, math.radians(heading_deg))
+                comparison = replace(comparison, displacement=displacement) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, missed)
         if verdict.state == "wrong" and not was_wrong:
@@ -128,6 +141,11 @@ class Localizer:
     def frame_used(self, frame: int, stamp_ns: int, match: PlaceMatch | None, missed: int = 0) -> FrameUsed:
         """The record of a frame and of its match. missed: places passed without a frame before it."""
         return frame_used(frame, stamp_ns, match, self._route, self._config.rig, missed)
+
+
+def _heads_along(road_rad: float, heading_rad: float) -> bool:
+    """Whether a vehicle heads along the road of a place: a match may go on through a turn of the map's drive."""
+    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
 
 
 def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:
