@@ -160,7 +160,7 @@ class Sightings:
         spacing_m = self._route.drive(match.place_index).spacing_m
         ages = np.append(parallax.ages, parallax.ages.mean())
         passed = self._passed_at(match, line, ages)
-        seen = self._passed_at(match, line, ages - self._sees_m / line.length_m * 2 * line.back)
+        seen = self._passed_at(match, line, ages - self._sees_m / (match.step * spacing_m))
         if passed is None or seen is None:
             return None
         if estimate is None:

@@ -55,8 +55,8 @@ class PlaceMatch:
     map, place: name of the map that it lies in, None where there is only one, and its row there.
     direction: "forward" if places were passed in the map's order, "reverse" if backwards.
     order: "swapped" if the query's left region matched the map's right.
-    slope: places passed per frame, without sign. passed: places passed since each frame of the line, the newest first;
-    () where they are evenly apart. distance: mean cosine distance along the line.
+    slope: places passed per frame, without sign. step: the same by what was driven. passed: places passed since each
+    frame of the line, the newest first; () where they are evenly apart. distance: mean cosine distance along the line.
     uniqueness: lowest cost outside the window around the place over this cost; below 1, another place fits better.
     sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
@@ -81,6 +81,7 @@ class PlaceMatch:
     accepted: bool = False
     offset_places: float = 0.0
     half_width_places: float = 0.5
+    step: float = 1.0
     passed: tuple[float, ...] = ()
     parallax: Parallax | None = None
     map: str | None = None

@@ -134,6 +134,7 @@ def match_at(
         row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, lines.length)).mean()),
         offset_places=end_between_places(along, at),
         half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
+        step=search.step,
         passed=tuple(passed.tolist()),
     )
 

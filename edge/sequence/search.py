@@ -286,6 +286,11 @@ class SequenceSearch:
         rows = self._mirror(plane, self._ring[slots, self.planes.index(plane)])
         return rows.take(self._at, axis=1)
 
+    @property
+    def step(self) -> float:
+        """Places driven from one row to the next, on average."""
+        return (self._driven[-1] - self._driven[-self._rows]) / max(1, self._rows - 1)
+
     def passed(self, plane: int, place: int) -> NDArray[np.float64]:
         """Places that the best line of that plane that ends at that place has passed since each row, the newest first.
 

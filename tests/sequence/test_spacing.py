@@ -55,6 +55,8 @@ def test_places_are_right_whatever_the_spacing(
             raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape).astype(np.float32)
             match = matcher.push(raw, distance_m=odometer * here_m)
             found.append(np.nan if match is None or not match.accepted else map_m * match.place_index - here_m)
+    assert match is not None
+    assert match.step == pytest.approx(odometer * frame_m / map_m, rel=0.15 if irregular else 0.01)
     believed = ~np.isnan(found)
     assert believed[len(found) // 2 :].mean() > 0.9
     assert np.nanmax(np.abs(found)) <= NEAR_M
