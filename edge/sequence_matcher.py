@@ -318,9 +318,11 @@ class SequenceMatcher:
 def _as_second(config: Config) -> Config:
     """The config with the second camera as its only one. Its ring is not normalized again, to save time.
 
+    Its lines are as long as the first camera's, with one of SECOND_EVERY frames.
     It looks as the map's camera did, so that the map's statistics, with which its own begin, are nearly right for it.
     """
     camera = config.mapping.camera
     assert camera is not UNSET
     descriptor = msgspec.structs.replace(config.descriptor, renormalize_ring=False)
-    return msgspec.structs.replace(config, camera=camera, descriptor=descriptor)
+    sequence = msgspec.structs.replace(config.sequence, length=max(2, config.sequence.length // SECOND_EVERY))
+    return msgspec.structs.replace(config, camera=camera, descriptor=descriptor, sequence=sequence)

@@ -115,10 +115,13 @@ def test_a_model_that_is_none(
 def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bad.toml"
     config.write_text("[sequence]\nlenght = 20\n")
-    assert refused(capsys, "run", str(config)) == f"lookback: {config}: [sequence] unknown key `lenght`\n"
+    assert (
+        refused(capsys, "run", str(config))
+        == f"lookback: {config}: [sequence] unknown key `lenght`; did you mean `length`?\n"
+    )
     for command in (["check"], ["doctor", "--offline"]):
         assert main([*command, str(config)]) == 78
-        assert f"{config}: [sequence] unknown key `lenght`\n" in capsys.readouterr().out
+        assert f"{config}: [sequence] unknown key `lenght`; did you mean `length`?\n" in capsys.readouterr().out
 
 
 def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:

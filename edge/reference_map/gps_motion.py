@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from array import array
 from bisect import bisect_right, insort
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ LEARNED_M, LEARNED_FROM_M, LEARNED_LEAST = 100.0, 20.0, 5
 """Scale and rotation are learned over windows of this length, at first shorter ones, and used from so many on."""
 STRAIGHT_M = 20.0
 """A longer step may have a corner in it, so its direction is not known: only lengths are compared over it."""
+KEPT = 256
+"""Positions before the longest window that are kept at most: a drive of ten hours costs 16 bytes a place."""
 MOST_BIAS = 0.2
 """Scale and rotation are at most this far from none: a fifth, or 11 degrees."""
 
@@ -55,9 +58,9 @@ class GpsMotion:
     """The positions of one drive, one after another."""
 
     def __init__(self) -> None:
-        self._agreed: list[_Agreed] = []
+        self._agreed: list[_Agreed] = []  # of the longest window, and up to KEPT more
         self._ways_m: list[float] = []  # of those that agreed, by the odometer
-        self._ratios: tuple[list[float], list[float]] = [], []  # real and imaginary parts, sorted
+        self._ratios = array("d"), array("d")  # real and imaginary parts, sorted
         self._way_m, self._moved, self._number = 0.0, 0j, 0
         self._unknown = 0, 0
         self._last = math.nan, math.nan
@@ -91,6 +94,9 @@ class GpsMotion:
         self._learn(now)
         self._agreed.append(now)
         self._ways_m.append(self._way_m)
+        first = self._row_before(WINDOWS_M[-1])
+        if first > KEPT:
+            del self._agreed[:first], self._ways_m[:first]
         return None
 
     def _row_before(self, window_m: float) -> int:

@@ -264,7 +264,7 @@ def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pyte
     config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
     assert main(["check", str(config)]) == 0
     kinds = {line[6:].split()[0] for line in capsys.readouterr().out.splitlines() if line[:4] in ("ok  ", "BAD ")}
-    assert kinds == {"config", "model", "map", "link"}
+    assert kinds == {"config", "model", "map", "sampling", "link"}
 
 
 def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[..., Path], tmp_path: Path) -> None:

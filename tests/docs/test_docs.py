@@ -149,9 +149,10 @@ def message_words() -> set[str]:
 
 
 def plug_in_words() -> set[str]:
-    """The functions that entry points name."""
+    """The functions that entry points name, and the one that a command must have."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return {target.rpartition(":")[2] for points in project["entry-points"].values() for target in points.values()}
+    named = {target.rpartition(":")[2] for points in project["entry-points"].values() for target in points.values()}
+    return {*named, "add_arguments"}
 
 
 def names_of_tests() -> set[str]:

@@ -40,9 +40,11 @@ def raw_of(row: int) -> NDArray[np.float32]:
     return np.maximum(np.random.default_rng(row).normal(size=(2, 512)), 0).astype(np.float32)
 
 
-def open_live(folder: Path) -> LiveMap:
+def open_live(folder: Path, later_s: float = 0.0) -> LiveMap:
+    """later_s: seconds from now."""
     config = MappingConfig(folder=str(folder / "maps"), min_free_mb=0.0)
-    return LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize)
+    header = header_of(MODEL, REGIONS, SamplingConfig())
+    return LiveMap(config, header, "rear", normalize, unix_time_s=lambda: time.time() + later_s)
 
 
 def map_until_killed(folder: Path, told: int) -> None:

@@ -70,7 +70,7 @@ SECTIONS: list[tuple[str, str, Any]] = [
     ("gates", "risk", 0),
     ("gates", "with_gps", 1),
     ("telemetry", "connection", "serial:/dev/ttyUSB0"),
-    ("telemetry", "connection", "tcp:127.0.0.1:5760"),
+    ("telemetry", "connection", "tls:127.0.0.1:5760"),
     ("telemetry", "connection", "udp:127.0.0.1:65536"),
     ("telemetry", "connection", "serial:/dev/ttyUSB0:fast"),
     ("telemetry", "emit", "gps_input"),

@@ -79,7 +79,7 @@ class Witness:
         journalled = [Health(record.state, record.why) for record in records_of(self._journal, StateChanged)]  # type: ignore[arg-type]
         assert [str(health) for health in journalled][1:] == changes
         assert any(state.state == "degraded" and state.why.startswith(words) for state in self.states), changes
-        texts = "".join(message.text for message in self._heard("STATUSTEXT"))
+        texts = " ".join(message.text for message in self._heard("STATUSTEXT"))
         assert texts.count(f"Lookback degraded: {words}") == 1
         assert len(self._heard("HEARTBEAT")) >= len(self.states) // 5 - 1, "once a second, blind or not"
         assert self.states[-1].state == "on the map"

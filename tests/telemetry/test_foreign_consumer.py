@@ -39,7 +39,7 @@ from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 
 ORIGIN = (-27.478, 153.028, 20.0)
-LONG_TEXT = "Lookback has a text that needs three messages of at most fifty bytes each, of words that stay whole"
+LONG_TEXT = "Lookback has a text that needs three messages of at most 50 bytes each, of words that stay whole, always"
 
 
 class Foreigner:

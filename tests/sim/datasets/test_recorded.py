@@ -98,19 +98,19 @@ def test_pictures_without_positions_or_times_and_broken_ones_are_named(tmp_path:
 # Video and a log
 
 
-def positions(degrees_at: Degrees, count: int) -> list[tuple[int, float, float]]:
-    """Microseconds and degrees, at 5 Hz, driving north at SPEED_MPS."""
-    return [(i * 200_000, *degrees_at(0.0, SPEED_MPS * i / 5)) for i in range(count)]
+def positions(degrees_at: Degrees, count: int, speed_mps: float = SPEED_MPS) -> list[tuple[int, float, float]]:
+    """Microseconds and degrees, at 5 Hz, driving north."""
+    return [(i * 200_000, *degrees_at(0.0, speed_mps * i / 5)) for i in range(count)]
 
 
-def write_tlog(file: Path, degrees_at: Degrees, count: int) -> None:
+def write_tlog(file: Path, degrees_at: Degrees, count: int, speed_mps: float = SPEED_MPS) -> None:
     """What a ground station keeps: its own heartbeats too, MAVLink 1 and 2 and signed frames, and a torn last one."""
     vehicle, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
     log = bytearray()
-    for number, (after_us, lat_deg, lon_deg) in enumerate(positions(degrees_at, count)):
+    for number, (after_us, lat_deg, lon_deg) in enumerate(positions(degrees_at, count, speed_mps)):
         vehicle.signing.secret_key, vehicle.signing.sign_outgoing = b"k" * 32, number % 3 == 2
         message = mavlink.MAVLink_global_position_int_message(
-            after_us // 1000, round(lat_deg * 1e7), round(lon_deg * 1e7), 110_500, 0, 500, 0, 0, 0
+            after_us // 1000, round(lat_deg * 1e7), round(lon_deg * 1e7), 110_500, 0, round(100 * speed_mps), 0, 0, 0
         )
         heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
         for sender, sent in ((station, heartbeat), (vehicle, message)):
@@ -281,7 +281,7 @@ def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
         video.write(images.read(index))
     video.release()
     log = tmp_path / "flight.tlog"
-    write_tlog(log, degrees_at, 20)  # 3.8 s of the video's 4
+    write_tlog(log, degrees_at, 20, speed_mps=20.0)  # 3.8 s of the video's 4
     assert main(["map", "build", str(tmp_path / "street"), "-o", str(tmp_path / "map")]) == 0
     options = ["--map", str(tmp_path / "map"), "--sequence-length", "5", "--spacing-frames", "1", "--all"]
     sim_import(

@@ -22,7 +22,7 @@ def _track(left_m: float, end_off_m: float) -> Track:
 def _run() -> Run:
     sent_s = LENGTH_M / 10.0 - 0.1 + np.array([8.0, 10.0])  # since the last moment with GPS
     sent = Sent(sent_s, np.array([1.0, 3.0]), np.array([2.0, 4.0]))
-    return Run(1, _track(2.0, 3.0), _track(-30.0, 80.0), sent, np.zeros(2))
+    return Run(1, 21, _track(2.0, 3.0), _track(-30.0, 80.0), sent, np.zeros(2))
 
 
 def test_the_table_tells_both_drives_side_by_side() -> None:
