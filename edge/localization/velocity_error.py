@@ -90,10 +90,6 @@ class VelocityError:
         return float(self._mean[1]), float(self._mean[2])
 
     @property
-    def _ahead_mps(self) -> float:
-        return float(self._ahead @ self._mean[1:3])
-
-    @property
     def sigma_mps(self) -> float:
         """One standard deviation of the error ahead."""
         return math.sqrt(self._ahead @ self._covariance[1:3, 1:3] @ self._ahead)

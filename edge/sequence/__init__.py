@@ -62,7 +62,6 @@ class PlaceMatch:
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: 0 to 1, how far the recent frames agree on this place. accepted: whether that is enough to believe it;
     False means off the map, or one of several that look alike.
-    offset_places: how far the line ends beyond the place in the map's order, between places.
     half_width_places: half the number of places around it that are nearly as good.
     parallax: of the two regions alone, None where it is not known.
     event: accepted, and not held off. category: what kind of place the frame shows, of events only.
@@ -79,7 +78,6 @@ class PlaceMatch:
     row_share: float = 1.0
     confidence: float = 0.0
     accepted: bool = False
-    offset_places: float = 0.0
     half_width_places: float = 0.5
     step: float = 1.0
     passed: tuple[float, ...] = ()

@@ -1,4 +1,4 @@
-"""What speaks for a line: trajectory uniqueness (section IV-B) with its window in meters, sharpness, and its own end.
+"""What speaks for a line: trajectory uniqueness (section IV-B) with its window in meters, sharpness, and width.
 
 The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What matters is how
 much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a place are as good as the place itself.
@@ -132,7 +132,6 @@ def match_at(
         uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
         sharpness=sharpness(along, at, lines.length),
         row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, lines.length)).mean()),
-        offset_places=end_between_places(along, at),
         half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
         step=search.step,
         passed=tuple(passed.tolist()),
@@ -155,40 +154,8 @@ def lowest_around(row: NDArray[np.int32], place: int, length: int) -> int:
     return int(row[max(0, place - reach) : place + reach + 1].min())
 
 
-REACH = 5
-"""Places to each side that the parabola goes through: over drives by night, 5 left 4.2 m of error where 1 left 4.8."""
 NEARLY = 0.2
 """Share of the way from the lowest cost up to the lowest cost elsewhere, below which a place is nearly as good."""
-
-
-def end_between_places(costs: NDArray[np.int32], place: int) -> float:
-    """Places by which the line ends beyond `place` (negative: before it), within REACH; 0 where costs say nothing.
-
-    costs: (n,) line costs of one segment, NO_LINE where no whole line ends; `place` is the index of the lowest.
-    """
-    first = max(0, place - REACH)
-    around = costs[first : place + REACH + 1]
-    known = np.flatnonzero(around != NO_LINE)
-    if len(known) < 4:
-        return 0.0
-    steps = known + first - place
-    curvature, slope = _parabola(steps.tolist(), around[known].tolist())
-    if curvature <= 0:
-        return 0.0
-    # Beyond the places that were looked at there is nothing to be known.
-    return min(max(-slope / (2 * curvature), float(steps[0])), float(steps[-1]))
-
-
-def _parabola(steps: list[int], costs: list[int]) -> tuple[float, float]:
-    """Coefficients of x**2 and x of the parabola with the least squares, over a positive common factor.
-
-    The normal equations by Cramer's rule, in Python's integers: for so few points a library's solver is all overhead.
-    """
-    s0, s1, s2, s3, s4 = (sum(step**power for step in steps) for power in range(5))
-    t0, t1, t2 = (sum(cost * step**power for step, cost in zip(steps, costs, strict=True)) for power in range(3))
-    curvature = t2 * (s2 * s0 - s1**2) - t1 * (s3 * s0 - s1 * s2) + t0 * (s3 * s1 - s2**2)
-    slope = s4 * (t1 * s0 - t0 * s1) - s3 * (t2 * s0 - t0 * s2) + s2 * (t2 * s1 - t1 * s2)
-    return float(curvature), float(slope)
 
 
 def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) -> float:
