@@ -202,9 +202,7 @@ class MissionTransfer:
             return self._end()
         self._phase = "clear"
         # PX4 ignores the second during a transfer, and waits 5 s for one that has stopped.
-        ended = mavlink.MAVLink_mission_ack_message(
-            self._system_id, 1, mavlink.MAV_MISSION_OPERATION_CANCELLED, MISSION
-        )
+        ended = self._acknowledgement(mavlink.MAV_MISSION_OPERATION_CANCELLED)
         return self._expect([ended, mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)], now_ns)
 
     def _end(self) -> list[Message]:

@@ -14,7 +14,7 @@ from sim.trial.rules import (
     sends,
     within_sigmas,
 )
-from sim.trial.way import along
+from sim.trial.way import Way, along
 from sim.vehicle.driver import Leg
 
 APART_M = 12.0
@@ -33,22 +33,23 @@ def _turn_off(draft: Draft) -> None:
 @course("B", "u-turn")
 def _u_turn(draft: Draft) -> None:
     """Back the way it came, on the other lane."""
-    middle_m = draft.share(0.5)
-    way = along(draft.home, draft.length_m, middle_m)
-    turned = way.turned(180.0, radius_m=draft.home.lane_m)
-    back = turned.then(along(draft.road(direction="forward"), middle_m + 1, draft.length_m))
+    way, turned, back = _there_and_back(draft, draft.share(0.5))
     draft.drive(back, Leg(way.length_m), Leg(turned.length_m + 5, 2.0), Leg(back.length_m - 2))
 
 
 @course("B", "dead-end")
 def _dead_end(draft: Draft) -> None:
     """Into a dead end, a few meters back, round, and out again on the other lane."""
-    end_m = draft.share(0.4)
-    way = along(draft.home, draft.length_m, end_m)
-    turned = way.turned(180.0, radius_m=draft.home.lane_m)
-    out = turned.then(along(draft.road(direction="forward"), end_m + 1, draft.length_m))
+    way, turned, out = _there_and_back(draft, draft.share(0.4))
     back = Leg(way.length_m - 12, -2.0)
     draft.drive(out, Leg(way.length_m), back, Leg(turned.length_m + 5, 2.0), Leg(out.length_m - 2))
+
+
+def _there_and_back(draft: Draft, at_m: float) -> tuple[Way, Way, Way]:
+    """The way to a point of the road, the same and round it, and the same and back on the other lane."""
+    way = along(draft.home, draft.length_m, at_m)
+    turned = way.turned(180.0, radius_m=draft.home.lane_m)
+    return way, turned, turned.then(along(draft.road(direction="forward"), at_m + 1, draft.length_m))
 
 
 @course("B", "figure-eight")
