@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
-from edge.commands.parser import build_parser
+from edge.commands.parser import build_parser, moved
 from edge.errors import EXIT_SETUP, LookbackError, SetupError
 
 
@@ -21,8 +21,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; errors that Lookback raises on purpose become one line on standard error."""
     logging.basicConfig(level=logging.INFO, format="lookback: %(message)s", stream=sys.stderr)
     words = sys.argv[1:] if argv is None else argv
-    args = build_parser(words).parse_args(words)
+    if there := moved(words):
+        print(f"lookback: {there}", file=sys.stderr)
+        return 2
     try:
+        args = build_parser(words).parse_args(words)
         return int(args.run(args))
     except LookbackError as error:
         print(f"lookback: {error}", file=sys.stderr)

@@ -2,15 +2,15 @@
 
 world        the street world: routes, drives, scenarios, a camera, drives recorded as feeds
 vehicle      the simulated autopilot: firmware, dead reckoning, position inputs, a pseudo-terminal
-trial        `lookback sim fixes`: many seeded drives, judged by the truth
+trial        `lookback dev sim fixes`: many seeded drives, judged by the truth
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
-evaluation   `lookback eval`: the paper's comparisons, and `lookback golden`
+evaluation   `lookback eval`: the paper's comparisons, and `lookback dev golden`
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
-model_tools  `lookback model`: import, quantize, verify
-training     `lookback train`
+model_tools  `lookback dev model`: import, quantize, verify
+training     `lookback dev train`
 bench        `make bench`
-commands     the list of `lookback sim` commands
+commands     the list of `lookback dev sim` commands
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`lookback sim`: record simulated drives, simulate an autopilot, import data sets."""
+"""`lookback dev sim`: record simulated drives, simulate an autopilot, try positions in drives without GPS."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from edge.errors import ConfigError
-from sim.datasets import commands as dataset_commands
 from sim.trial import command as trial_command
 from sim.trial import flights_command, gps_command
 from sim.vehicle import command as autopilot_command
@@ -16,7 +15,7 @@ from sim.world.scenario import load_scenario
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback sim`."""
+    """Of `lookback dev sim`."""
     sim_commands = parser.add_subparsers(required=True, metavar="COMMAND")
     drive = sim_commands.add_parser("drive", help="drive through the street world and record a feed")
     drive.add_argument("scenario", type=Path, help="TOML file; sim/world/scenario.py describes its keys")
@@ -31,7 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     trial_command.add_command(sim_commands)
     gps_command.add_command(sim_commands)
     flights_command.add_command(sim_commands)
-    dataset_commands.add_command(sim_commands)
 
 
 def _record(args: argparse.Namespace) -> int:

@@ -119,9 +119,25 @@ def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         refused(capsys, "run", str(config))
         == f"lookback: {config}: [sequence] unknown key `lenght`; did you mean `length`?\n"
     )
-    for command in (["check"], ["doctor", "--offline"]):
-        assert main([*command, str(config)]) == 78
-        assert f"{config}: [sequence] unknown key `lenght`; did you mean `length`?\n" in capsys.readouterr().out
+    assert main(["doctor", "--offline", str(config)]) == 78
+    assert f"{config}: [sequence] unknown key `lenght`; did you mean `length`?\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "there"),
+    [
+        ("check lookback.toml", "`lookback check` is now `lookback doctor --offline`"),
+        ("check --default", "`lookback check --default` is now `lookback doctor --default`"),
+        ("sim import kitti x", "`lookback sim import` is now `lookback import`"),
+        ("sim drive x", "`lookback sim` is now `lookback dev sim`"),
+        ("golden", "`lookback golden` is now `lookback dev golden`"),
+    ],
+)
+def test_a_command_of_an_older_version_says_where_it_went(
+    words: str, there: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words.split()) == 2
+    assert capsys.readouterr() == ("", f"lookback: {there}\n")
 
 
 def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,12 +175,12 @@ def test_unreadable_pictures_are_left_out_and_named(
 def test_the_default_config_can_be_printed_and_used(
     street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["check", "--default"]) == 0
+    assert main(["doctor", "--default"]) == 0
     text = (
         capsys.readouterr().out.replace("/var/lib/lookback/map", str(street_map)).replace("length = 40", "length = 15")
     )
     (tmp_path / "lookback.toml").write_text(text)
-    assert main(["check", str(tmp_path / "lookback.toml")]) == 0
+    assert main(["doctor", "--offline", str(tmp_path / "lookback.toml")]) == 0
     assert "map of 30 places" in capsys.readouterr().out
 
 

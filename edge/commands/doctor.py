@@ -1,6 +1,6 @@
 """`lookback doctor`: check this computer, its devices, the autopilot and a config, and say what to do.
 
-`--offline` checks the config with the model, the maps and the keys that it names, and no device (`lookback check`).
+`--offline` checks the config with the model, the maps and the keys that it names, and no device.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from edge.commands.doctor_computer import (
 )
 from edge.commands.doctor_service import act_as_service, check_home_folders
 from edge.commands.doctor_setup import check_links, check_mapping, check_model_and_map
-from edge.config import Config, brought_up_to_date, load_config
+from edge.config import DEFAULT_TOML, Config, brought_up_to_date, load_config
 from edge.errors import EXIT_SETUP, LookbackError
 from edge.toml_file import read_text, toml_values
 
@@ -50,7 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--offline", action="store_true", help="check no device, only the files; exit code 78 if one is wrong"
     )
-    parser.set_defaults(run=diagnose, error=parser.error)
+    parser.add_argument("--default", action="store_true", help="print the default config, with comments")
+    parser.set_defaults(run=_run, error=parser.error)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if not args.default:
+        return diagnose(args)
+    print(DEFAULT_TOML.read_text(encoding="utf-8"), end="")
+    return 0
 
 
 def examine(
@@ -88,14 +96,14 @@ def _config(path: Path | None) -> tuple[Config | None, list[Diagnostic]]:
     """The config, None where there is none or a wrong one, and the findings about it."""
     if path is None:
         words = "no config file was named, so no camera, map or autopilot is checked"
-        remedy = "lookback doctor CONFIG; `lookback check --default > lookback.toml` writes one to start from"
+        remedy = "lookback doctor CONFIG; `lookback doctor --default > lookback.toml` writes one to start from"
         return None, [note("config", words, remedy)]
     try:
         config = load_config(path)
         check_kind(config.camera)
         _, outdated = brought_up_to_date(toml_values(read_text(path), path))
     except LookbackError as error:
-        remedy = "`lookback check --default` prints every key with its range"
+        remedy = "`lookback doctor --default` prints every key with its range"
         remedy = remedy if path.exists() else "name the config file of `lookback run`"
         return None, [bad("config", mistake, remedy) for mistake in str(error).splitlines()]
     return config, [

@@ -1,4 +1,4 @@
-"""What `lookback doctor` and `lookback check` find in the files that a config names: model, maps and keys."""
+"""What `lookback doctor` finds, also with `--offline`, in the files that a config names: model, maps and keys."""
 
 from __future__ import annotations
 

@@ -21,10 +21,27 @@ COMMANDS = {
     "replay": "edge.commands.replay",
     "home": "edge.commands.home",
     "doctor": "edge.commands.doctor",
-    "check": "edge.commands.check",
     "completion": "edge.commands.completion",
 }
 """Module of each command of a vehicle, with its `add_arguments`; entry points `lookback.commands` name further ones."""
+DEV = "dev"
+"""The command above those of entry points `lookback.dev`."""
+MOVED = {
+    "check --default": "doctor --default",
+    "check": "doctor --offline",
+    "sim import": "import",
+    **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "model", "sim", "train")},
+}
+"""Commands of version 0.1, and what they are now."""
+
+
+def moved(words: Sequence[str]) -> str | None:
+    """Where a command of an older version went, as one line; None for any other."""
+    for length in (2, 1):
+        old = " ".join(words[:length])
+        if old in MOVED:
+            return f"`lookback {old}` is now `lookback {MOVED[old]}`"
+    return None
 
 
 def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
@@ -36,15 +53,33 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    asked = None if words is None else [word for word in words if not word.startswith("-")]
+    _fill_all(commands, {**COMMANDS, **_plug_ins("lookback.commands")}, asked)
+    about = "for work on Lookback itself: simulation, networks, benchmarks, recordings as tests"
+    dev = commands.add_parser(DEV, help=about, description=about)
+    if asked is None or asked[:1] == [DEV]:
+        modules = _plug_ins("lookback.dev")
+        if not modules:  # a clone was updated, and what pip knows of it was not
+            raise ConfigError(f"{DEV}: the installation is of an older version; repeat it: {install_command('sim')}")
+        _fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), modules, asked and asked[1:])
+    return parser
+
+
+def _plug_ins(group: str) -> dict[str, str]:
+    """Modules by name, in the order of the names."""
     # By name: an installation from before the distribution was renamed may still be beside this one.
-    plug_ins = {point.name: point.module for point in entry_points(group="lookback.commands")}
-    asked = None if words is None else next((word for word in words if not word.startswith("-")), "")
-    for name, module in {**COMMANDS, **dict(sorted(plug_ins.items()))}.items():
-        if asked is None or asked == name:
+    return dict(sorted({point.name: point.module for point in entry_points(group=group)}.items()))
+
+
+def _fill_all(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], modules: dict[str, str], asked: Sequence[str] | None
+) -> None:
+    """Add the command that `asked` begins with, or all for None; of each other one only what it is for."""
+    for name, module in modules.items():
+        if asked is None or asked[:1] == [name]:
             _fill(name, module, commands)
         else:
             commands.add_parser(name, help=_about(module))
-    return parser
 
 
 def _fill(name: str, module: str, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
             sections = list(_sections(args, machine, Path(folder), rounds))
     except (LookbackError, OSError) as error:
-        print(f"lookback bench: {error}", file=sys.stderr)
+        print(f"lookback dev bench: {error}", file=sys.stderr)
         return 1
     how_run = f"Made by `make bench{'-quick' if args.quick else ''}` in {time.monotonic() - start:.0f} s."
     text = page(machine, sections, how_run)

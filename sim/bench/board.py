@@ -1,4 +1,4 @@
-"""`lookback bench`: measure this board: one row for docs/boards.md.
+"""`lookback dev bench`: measure this board: one row for docs/boards.md.
 
 It needs no package beyond those of `lookback run`, and measures with the code of `make bench`.
 """
@@ -36,7 +36,7 @@ SLOWER = 1.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback bench`."""
+    """Of `lookback dev bench`."""
     parser.description = (
         "Recognizes random pictures on one core, without a pause, on a map of random places in a temporary"
         " folder. Stop the service first; leave the board in its housing, and cool it as on the vehicle. Times are CPU"

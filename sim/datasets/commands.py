@@ -1,4 +1,4 @@
-"""`lookback sim import`: a published recording, written as a feed."""
+"""`lookback import`: convert a published data set, a ROS bag, or a video and a log to a feed."""
 
 from __future__ import annotations
 
@@ -16,15 +16,11 @@ from sim.datasets import KINDS, ReadOptions, open_dataset
 from sim.datasets.importing import choose_rows, write_feed
 
 
-def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `import` to the commands of `lookback sim`."""
-    parser = sim_commands.add_parser(
-        "import",
-        help="convert a published data set, a ROS bag, or a video and a log to a feed",
-        description="Convert a recording in another layout to a feed.",
-        epilog=_kinds(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback import`."""
+    parser.description = "Convert a recording in another layout to a feed."
+    parser.epilog = _kinds()
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout; see below")
     parser.add_argument("path", metavar="PATH", type=Path, help="folder or file of the recording")
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")

@@ -1,4 +1,4 @@
-"""`lookback mcap`: convert feeds to MCAP files with Foxglove's schemas, and back. They are read in place of feeds.
+"""`lookback dev mcap`: convert feeds to MCAP files with Foxglove's schemas, and back. They are read in place of feeds.
 
     /camera    foxglove.CompressedImage, JSON: the picture file's own bytes
     /position  foxglove.LocationFix, JSON: where the position is known
@@ -61,7 +61,7 @@ Fields: TypeAlias = dict[str, Any]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback mcap`."""
+    """Of `lookback dev mcap`."""
     actions = parser.add_subparsers(required=True)
     write = actions.add_parser("write", help="convert a feed to an MCAP file for Foxglove")
     write.add_argument("feed", type=Path, metavar="FEED")
@@ -201,7 +201,7 @@ def open_feed(path: Path, options: FeedOptions) -> Feed:
         elif rows and rows[-1].stamp_ns == stamp_ns:
             rows[-1] = _with_message(rows[-1], message)
     if header is None or not rows:
-        raise FeedError(f"{path}: no feed in it; for other recordings there is `lookback sim import rosbag`")
+        raise FeedError(f"{path}: no feed in it; for other recordings there is `lookback import rosbag`")
     return Feed(path, header, tuple(rows), lambda: McapPictures(path))
 
 

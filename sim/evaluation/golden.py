@@ -1,11 +1,11 @@
-"""`lookback golden`: make a recording a test of the recognizer, or run it.
+"""`lookback dev golden`: make a recording a test of the recognizer, or run it.
 
 A folder keeps what to replay, and the output when it was right.
 
     golden.toml     the reference feeds, the query feed and the settings; paths are relative to the folder
     expected.jsonl  a line for every frame, as `replay --all` writes it
 
-`lookback golden FOLDER` replays it and prints the first difference;
+`lookback dev golden FOLDER` replays it and prints the first difference;
 tests/sim/evaluation/test_golden.py does so for each folder under tests/golden. `--rebuild` accepts the present output.
 """
 
@@ -45,7 +45,7 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback golden`."""
+    """Of `lookback dev golden`."""
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--reference", type=Path, nargs="+", metavar="FEED", help="make a test: the feeds of its map")
     parser.add_argument("--query", type=Path, metavar="FEED", help="and the feed to be recognized")

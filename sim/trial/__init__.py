@@ -1,4 +1,4 @@
-"""`lookback sim fixes`: do the daemon's positions help, and are they honest? Named courses, judged by the truth.
+"""`lookback dev sim fixes`: do the daemon's positions help, and are they honest? Named courses, judged by the truth.
 
 way         where a drive truly goes, and what the camera sees there
 views       what is seen, as descriptors, rendered once

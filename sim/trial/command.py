@@ -1,4 +1,4 @@
-"""`lookback sim fixes`: seeded drives over the named courses, on several roads, each judged by its rules."""
+"""`lookback dev sim fixes`: seeded drives over the named courses, on several roads, each judged by its rules."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Planned(NamedTuple):
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `fixes` to the commands of `lookback sim`."""
+    """Add `fixes` to the commands of `lookback dev sim`."""
     parser = sim_commands.add_parser(
         "fixes", help="simulate drives without GPS over named courses, and judge every position by the truth"
     )
@@ -94,7 +94,7 @@ def _run(args: argparse.Namespace) -> int:
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
-        put_between(MARKS, args.page, f"`lookback sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
+        put_between(MARKS, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
     return 1 if any(score.failures for score in scores) else 0
 
 

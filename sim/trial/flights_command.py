@@ -1,4 +1,4 @@
-"""`lookback sim flights`: positions of recorded drives computed anew, beside those of then."""
+"""`lookback dev sim flights`: positions of recorded drives computed anew, beside those of then."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEADER = (
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `flights` to the commands of `lookback sim`."""
+    """Add `flights` to the commands of `lookback dev sim`."""
     parser = sim_commands.add_parser("flights", help="compute the positions of recorded drives anew, without feedback")
     parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
     parser.add_argument(

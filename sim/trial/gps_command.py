@@ -1,4 +1,4 @@
-"""`lookback sim gps`: how soon a spoofed GPS is called wrong, and how often an honest one."""
+"""`lookback dev sim gps`: how soon a spoofed GPS is called wrong, and how often an honest one."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _spoofs(start_s: float) -> dict[str, History]:
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `gps` to the commands of `lookback sim`."""
+    """Add `gps` to the commands of `lookback dev sim`."""
     parser = sim_commands.add_parser("gps", help="hold honest and spoofed GPS against the places of simulated drives")
     parser.add_argument("--drag-offs", type=int, default=200, metavar="N", help="drag-offs (default 200)")
     parser.add_argument("--honest-km", type=float, default=200.0, metavar="KM", help="of honest GPS (default 200)")

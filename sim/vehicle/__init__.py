@@ -7,5 +7,5 @@ mission_store    the mission, and the autopilot's side of the mission protocol
 mission_line     an uploaded mission as a line that a vehicle can follow
 autopilot        the MAVLink endpoint: heartbeats, streams, TIMESYNC, commands; messages it encodes
 pty_link         a serial cable without hardware
-command          `lookback sim autopilot`
+command          `lookback dev sim autopilot`
 """

@@ -1,4 +1,4 @@
-"""`lookback sim autopilot`: the simulated autopilot alone, to test a companion computer."""
+"""`lookback dev sim autopilot`: the simulated autopilot alone, to test a companion computer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PRINT_S = 0.1
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `autopilot` to the commands of `lookback sim`."""
+    """Add `autopilot` to the commands of `lookback dev sim`."""
     parser = sim_commands.add_parser("autopilot", help="run a simulated autopilot on a pseudo-terminal or UDP")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal; its path is printed (default)")

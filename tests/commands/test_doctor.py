@@ -249,12 +249,12 @@ def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytes
 
 def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     main(["doctor"])
-    assert "lookback doctor CONFIG; `lookback check --default > lookback.toml` writes one" in capsys.readouterr().out
+    assert "lookback doctor CONFIG; `lookback doctor --default > lookback.toml` writes one" in capsys.readouterr().out
 
 
 def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["check"])
+        main(["doctor", "--offline"])
     assert ended.value.code == 2
     assert "name a config file" in capsys.readouterr().err
 
@@ -262,7 +262,7 @@ def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:
 def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     """The port and the camera of this config are not there, and only the links' own words are checked."""
     config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
-    assert main(["check", str(config)]) == 0
+    assert main(["doctor", "--offline", str(config)]) == 0
     kinds = {line[6:].split()[0] for line in capsys.readouterr().out.splitlines() if line[:4] in ("ok  ", "BAD ")}
     assert kinds == {"config", "model", "map", "sampling", "link"}
 

@@ -151,7 +151,7 @@ def test_info_verify_and_check_of_a_folder(
     out, err = capsys.readouterr()
     assert f"{DESCRIPTORS}: damaged" in out
     assert err.endswith("1 of its maps would be excluded: 1\n")
-    assert main(["check", str(write_config(tmp_path, street / "again", damaged))]) == 0
+    assert main(["doctor", "--offline", str(write_config(tmp_path, street / "again", damaged))]) == 0
     out = capsys.readouterr().out
     assert "map of 64 places in 1 map" in out
     assert "damaged (checksum mismatch); build or copy the map again; excluded\n" in out
@@ -173,15 +173,15 @@ def test_each_map_of_a_folder_must_be_signed(street: Path, tmp_path: Path, capsy
     assert main(["map", "sign", str(tmp_path / "tiles"), "--key", str(tmp_path / "owner")]) == 0
     config = write_config(tmp_path, street / "again", tmp_path / "tiles", require_signature_by="owner.pub")
     capsys.readouterr()
-    assert main(["check", str(config)]) == 0
+    assert main(["doctor", "--offline", str(config)]) == 0
     assert "map of 80 places in 2 maps" in capsys.readouterr().out
     (tmp_path / "tiles" / "0" / SIGNATURE).unlink()
-    assert main(["check", str(config)]) == 0
+    assert main(["doctor", "--offline", str(config)]) == 0
     out = capsys.readouterr().out
     assert "tiles/0: not signed" in out
     assert "map of 16 places in 1 map" in out
     (tmp_path / "tiles" / "1" / SIGNATURE).write_text("00" * 64)
-    assert main(["check", str(config)]) == 78
+    assert main(["doctor", "--offline", str(config)]) == 78
     assert "none of its 2 maps is usable" in capsys.readouterr().out
 
 

@@ -95,7 +95,7 @@ def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
 @contextlib.contextmanager
 def autopilot(config: Path) -> Iterator[None]:
     link = re.findall(r"udpin:([\d.:]+)", config.read_text())[0]
-    command = [sys.executable, "-m", "edge", "sim", "autopilot", "--udp", link, "--speed", "8"]
+    command = [sys.executable, "-m", "edge", "dev", "sim", "autopilot", "--udp", link, "--speed", "8"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
             yield

@@ -144,7 +144,7 @@ sys.exit(main())
 @pytest.mark.parametrize(
     ("command", "code", "says"),
     [
-        (["check", "--default"], 0, "[camera]"),
+        (["doctor", "--default"], 0, "[camera]"),
         (
             ["demo", "-o", "folder"],
             EXIT_SETUP,

@@ -1,4 +1,4 @@
-"""The named courses of `lookback sim fixes`: what can go wrong on a drive, each with the rules that it must pass.
+"""The named courses of `lookback dev sim fixes`: what can go wrong on a drive, each with the rules that it must pass.
 
 A course is a function of a draft: a road of some length, a seeded generator, and what is usual (home at night over a
 road that is mapped whole, GPS lost after 9 s, the autopilot steering itself). It changes what its case is about.

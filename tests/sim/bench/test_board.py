@@ -1,4 +1,4 @@
-"""`lookback bench`: with the packages of a vehicle, and what it reads from a board's sensors."""
+"""`lookback dev bench`: with the packages of a vehicle, and what it reads from a board's sensors."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def test_it_runs_with_what_a_vehicle_has(tmp_path: Path) -> None:
         "-c",
         WITHOUT,
         DESK,
+        "dev",
         "bench",
         "--seconds",
         "0.1",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError
 from sim.datasets import ReadOptions, open_dataset
-from sim.datasets.commands import add_command
+from sim.datasets.commands import add_arguments
 
 WIDTH, HEIGHT = 64, 48
 ORIGIN = (51.7600, -1.2600, 100.0)
@@ -69,12 +69,12 @@ def degrees_at() -> Callable[[float, float], tuple[float, float]]:
 
 @pytest.fixture
 def sim_import() -> Callable[..., int]:
-    """Runs `lookback sim import ...`."""
+    """Runs `lookback import ...`."""
 
     def run(*argv: object) -> int:
         parser = argparse.ArgumentParser()
-        add_command(parser.add_subparsers())
-        args = parser.parse_args(["import", *map(str, argv)])
+        add_arguments(parser)
+        args = parser.parse_args([*map(str, argv)])
         return int(args.run(args))
 
     return run

@@ -1,4 +1,4 @@
-"""What `lookback sim import` makes of any traverse, and what it refuses."""
+"""What `lookback import` makes of any traverse, and what it refuses."""
 
 from __future__ import annotations
 
@@ -174,8 +174,8 @@ def test_every_kind_has_a_reader_and_takes_options_that_there_are() -> None:
     assert set.union(*(set(kind.options) for kind in KINDS.values())) == options
 
 
-def test_the_command_is_part_of_lookback_sim(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["sim", "import", "--help"]
+def test_the_command_lists_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["import", "--help"]
     with pytest.raises(SystemExit):
         build_parser(words).parse_args(words)
     said = capsys.readouterr().out

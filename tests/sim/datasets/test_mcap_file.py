@@ -26,7 +26,7 @@ from edge.reference_map.store import open_map
 def recorded(write_traverse: Callable[..., Path], tmp_path: Path) -> tuple[Path, Path]:
     """A feed, and the file made of it."""
     feed = write_traverse(tmp_path / "feed", range(12))
-    assert main(["mcap", "write", str(feed), "-o", str(tmp_path / "feed.mcap")]) == 0
+    assert main(["dev", "mcap", "write", str(feed), "-o", str(tmp_path / "feed.mcap")]) == 0
     return feed, tmp_path / "feed.mcap"
 
 
@@ -43,7 +43,7 @@ def test_other_programs_find_pictures_and_positions(recorded: tuple[Path, Path])
 
 def test_there_and_back(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     before = read_feed(recorded[0])
-    assert main(["mcap", "read", str(recorded[1]), "-o", str(tmp_path / "again")]) == 0
+    assert main(["dev", "mcap", "read", str(recorded[1]), "-o", str(tmp_path / "again")]) == 0
     after = read_feed(tmp_path / "again")
     assert after.header == before.header
     assert [(row.stamp_ns, row.lat_deg, row.distance_m, row.heading_deg) for row in after.rows] == [
@@ -55,7 +55,7 @@ def test_there_and_back(recorded: tuple[Path, Path], tmp_path: Path) -> None:
 def test_a_file_that_was_cut_short_gives_what_it_has(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     data = recorded[1].read_bytes()
     (tmp_path / "short.mcap").write_bytes(data[: len(data) - 2000])  # without its index
-    assert main(["mcap", "read", str(tmp_path / "short.mcap"), "-o", str(tmp_path / "again")]) == 0
+    assert main(["dev", "mcap", "read", str(tmp_path / "short.mcap"), "-o", str(tmp_path / "again")]) == 0
     assert len(read_feed(tmp_path / "again").rows) == 12
 
 
@@ -63,9 +63,9 @@ def test_it_is_replayed_and_made_a_map_of_as_the_feed_itself(
     write_traverse: Callable[..., Path], recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:
     write_traverse(tmp_path / "street", range(60))
-    assert main(["mcap", "write", str(tmp_path / "street"), "-o", str(tmp_path / "street.mcap")]) == 0
+    assert main(["dev", "mcap", "write", str(tmp_path / "street"), "-o", str(tmp_path / "street.mcap")]) == 0
     query, query_mcap = (str(path) for path in recorded)
-    assert main(["mcap", "read", query_mcap, "-o", str(tmp_path / "unpacked")]) == 0
+    assert main(["dev", "mcap", "read", query_mcap, "-o", str(tmp_path / "unpacked")]) == 0
     lines = []
     for reference, replayed in (("street", query), ("street.mcap", query_mcap), ("street", tmp_path / "unpacked")):
         a_map = str(tmp_path / f"{len(lines)}.map")
@@ -100,7 +100,7 @@ def test_without_the_library_it_is_said_what_to_install(
 def test_messages_of_somebody_else_are_one_line(tmp_path: Path) -> None:
     for topic, encoding, data, told in (
         ("/camera", "json", b'{"picture": 1}', r"/camera: .*`data`"),
-        ("/camera", "cdr", b"\0\1", "no feed in it; for other recordings there is `lookback sim import rosbag`"),
+        ("/camera", "cdr", b"\0\1", "no feed in it; for other recordings there is `lookback import rosbag`"),
     ):
         with (tmp_path / "other.mcap").open("wb") as stream:
             writer = Writer(stream)
@@ -120,5 +120,5 @@ def test_mistakes_are_one_line(recorded: tuple[Path, Path], tmp_path: Path, caps
         (["write", str(recorded[0])], "x.mcap: cannot write it: File exists"),
     ):
         (tmp_path / "x.mcap").touch()
-        assert main(["mcap", *arguments, "-o", str(tmp_path / "x.mcap")]) == 78
+        assert main(["dev", "mcap", *arguments, "-o", str(tmp_path / "x.mcap")]) == 78
         assert told in capsys.readouterr().err

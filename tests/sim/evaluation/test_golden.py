@@ -1,4 +1,4 @@
-"""Recordings whose answers were right once, and must stay as they are; `lookback golden` makes them."""
+"""Recordings whose answers were right once, and must stay as they are; `lookback dev golden` makes them."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ def test_a_recording_becomes_a_test_with_one_command(
 ) -> None:
     out, again = write_traverse(tmp_path / "out", range(40)), write_traverse(tmp_path / "again", range(40), noise=8.0)
     folder = str(tmp_path / "golden/street")
-    assert main(["golden", folder, "--reference", str(out), "--query", str(again), "--sequence-length", "10"]) == 0
-    assert main(["golden", folder]) == 0
+    assert (
+        main(["dev", "golden", folder, "--reference", str(out), "--query", str(again), "--sequence-length", "10"]) == 0
+    )
+    assert main(["dev", "golden", folder]) == 0
     assert "unchanged" in capsys.readouterr().out
     expected = tmp_path / "golden/street" / EXPECTED
     lines = expected.read_text().splitlines()
     assert len(lines) == 40
     expected.write_text("\n".join([*lines[:20], lines[20].replace('"place":', '"place":1'), *lines[21:]]) + "\n")
-    assert main(["golden", folder]) == 1
+    assert main(["dev", "golden", folder]) == 1
     assert "line 21:\n  expected " in capsys.readouterr().out
-    assert main(["golden", folder, "--rebuild"]) == 0
+    assert main(["dev", "golden", folder, "--rebuild"]) == 0
     assert expected.read_text().splitlines() == lines
 
 
@@ -50,19 +52,19 @@ def test_what_was_recorded_in_the_field_becomes_a_test(write_traverse: Callable[
             '[telemetry]\nconnection = "udp:127.0.0.1:9"\n'
         )
         assert main(["record", str(config), "-o", str(tmp_path / name)]) == 0
-    assert main(["mcap", "write", str(tmp_path / "again"), "-o", str(tmp_path / "again.mcap")]) == 0
+    assert main(["dev", "mcap", "write", str(tmp_path / "again"), "-o", str(tmp_path / "again.mcap")]) == 0
     folder, options = tmp_path / "golden/field", ["--spacing-frames", "1", "--sequence-length", "5"]
-    made = ["golden", str(folder), "--reference", str(tmp_path / "out"), "--query", str(tmp_path / "again.mcap")]
+    made = ["dev", "golden", str(folder), "--reference", str(tmp_path / "out"), "--query", str(tmp_path / "again.mcap")]
     assert main([*made, *options]) == 0
-    assert main(["golden", str(folder)]) == 0
+    assert main(["dev", "golden", str(folder)]) == 0
     assert '"direction":"forward"' in (folder / EXPECTED).read_text()
 
 
 def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["golden", str(tmp_path)]) == 78
+    assert main(["dev", "golden", str(tmp_path)]) == 78
     assert "make one with --reference and --query" in capsys.readouterr().err
-    assert main(["golden", str(tmp_path), "--query", "x"]) == 78
+    assert main(["dev", "golden", str(tmp_path), "--query", "x"]) == 78
     (tmp_path / "golden.toml").write_text("query = 3\n")
-    assert main(["golden", str(tmp_path)]) == 78
-    assert main(["golden", str(tmp_path), "--query", "x", "--reference", "y"]) == 78
+    assert main(["dev", "golden", str(tmp_path)]) == 78
+    assert main(["dev", "golden", str(tmp_path), "--query", "x", "--reference", "y"]) == 78
     assert "exists already" in capsys.readouterr().err

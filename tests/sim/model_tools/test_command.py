@@ -1,4 +1,4 @@
-"""`lookback model`: import, info and verify as a user calls them."""
+"""`lookback dev model`: import, info and verify as a user calls them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
 
 def lookback_model(*argv: object) -> int:
-    words = ["model", *map(str, argv)]
+    words = ["dev", "model", *map(str, argv)]
     args = build_parser(words).parse_args(words)
     return int(args.run(args))
 

@@ -1,4 +1,4 @@
-"""`lookback train` from folders of pictures to an int8 network that describes; and what it refuses."""
+"""`lookback dev train` from folders of pictures to an int8 network that describes; and what it refuses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_pictures_become_an_int8_network(write_classes: Any, tmp_path: Path, cap
     pytest.importorskip("torch", reason="training needs the extra `torch`")
     pytest.importorskip("onnx", reason="importing models needs the extra `model`")
     weights = tmp_path / "small.npz"
-    assert main(["train", str(write_classes(3)), "-o", str(weights), *SMALL]) == 0
+    assert main(["dev", "train", str(write_classes(3)), "-o", str(weights), *SMALL]) == 0
     assert "epoch 2 of 2: loss" in (said := capsys.readouterr().out) and "2 held-out pictures: top-1" in said
     assert sorted(path.name for path in tmp_path.glob("small*")) == [
         "small.labels.txt",
@@ -28,7 +28,7 @@ def test_pictures_become_an_int8_network(write_classes: Any, tmp_path: Path, cap
         "small.ranges.json",
     ]
     beside = ["--labels", str(tmp_path / "small.labels.txt"), "--ranges", str(tmp_path / "small.ranges.json")]
-    assert main(["model", "import", str(weights), "-o", str(tmp_path / "model"), *beside]) == 0
+    assert main(["dev", "model", "import", str(weights), "-o", str(tmp_path / "model"), *beside]) == 0
     network = Network.load(tmp_path / "model")
     images = np.random.default_rng(1).integers(0, 255, (2, 224, 224, 3), dtype=np.uint8)
     fc6 = network.describe(images)
@@ -47,13 +47,13 @@ def test_pictures_become_an_int8_network(write_classes: Any, tmp_path: Path, cap
     ],
 )
 def test_options_out_of_range(options: list[str], line: str, tmp_path: Path, capsys: Any) -> None:
-    assert main(["train", str(tmp_path), "-o", str(tmp_path / "w.npz"), *options]) == 78
+    assert main(["dev", "train", str(tmp_path), "-o", str(tmp_path / "w.npz"), *options]) == 78
     assert capsys.readouterr().err == f"lookback: {line}\n"
 
 
 def test_without_pytorch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)  # as Python itself marks a module that cannot be imported
-    assert main(["train", str(tmp_path), "-o", str(tmp_path / "w.npz")]) == 78
+    assert main(["dev", "train", str(tmp_path), "-o", str(tmp_path / "w.npz")]) == 78
     assert capsys.readouterr().err == f"lookback: training needs PyTorch: {install_command('sim,model,torch')}\n"
 
 
@@ -64,11 +64,11 @@ def test_an_output_that_cannot_be_written(
     output: str, line: str, write_classes: Any, tmp_path: Path, capsys: Any
 ) -> None:
     pytest.importorskip("torch", reason="training needs the extra `torch`")
-    assert main(["train", str(write_classes(1)), "-o", str(tmp_path / output), *SMALL]) == 78
+    assert main(["dev", "train", str(write_classes(1)), "-o", str(tmp_path / output), *SMALL]) == 78
     assert line in capsys.readouterr().err
 
 
 def test_fewer_pictures_than_a_batch(write_classes: Any, tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("torch", reason="training needs the extra `torch`")
-    assert main(["train", str(write_classes(2)), "-o", str(tmp_path / "w.npz"), *SMALL, "--batch", "64"]) == 78
+    assert main(["dev", "train", str(write_classes(2)), "-o", str(tmp_path / "w.npz"), *SMALL, "--batch", "64"]) == 78
     assert "--batch: 64 pictures a step, but there are 4 in all" in capsys.readouterr().err

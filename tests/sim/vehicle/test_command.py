@@ -1,4 +1,4 @@
-"""`lookback sim autopilot` as a user has it: over UDP and on a pseudo-terminal."""
+"""`lookback dev sim autopilot` as a user has it: over UDP and on a pseudo-terminal."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_the_command_writes_a_feed_and_refuses_a_folder_that_has_one(
 ) -> None:
     scenario = tmp_path / "drive.toml"
     scenario.write_text("length_m = 200.0\nwidth = 64\nheight = 48\n")
-    command = ["sim", "drive", str(scenario), "-o", str(tmp_path / "feed"), "--spacing-m", "40"]
+    command = ["dev", "sim", "drive", str(scenario), "-o", str(tmp_path / "feed"), "--spacing-m", "40"]
     assert run(command) == 0
     assert len(read_feed(tmp_path / "feed").rows) == 5
     assert capsys.readouterr().err.endswith("feed: 5 frames over 200 m\n")
