@@ -75,8 +75,9 @@ class Daemon:
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         self._autopilot.poll()
-        if self._home_socket is not None and self._home_socket.requested():
-            self._autopilot.request_home(self._home_socket.reply)
+        request = self._home_socket.requested() if self._home_socket is not None else None
+        if self._home_socket is not None and request is not None:
+            self._autopilot.request_home(self._home_socket.reply, restore=request == "restore")
         waits_ns = self._clock_ns()
         frame = self._camera.take(TURN_S)
         waited_s = (self._clock_ns() - waits_ns) / 1e9

@@ -7,7 +7,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from edge.config import Config, HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
+from edge.config import HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
 from edge.errors import ConfigError, LinkLost
 from edge.mission import Start, WayHome, plan_way_home
 from edge.mission.files import encoder_of, write_way_home
@@ -15,7 +15,7 @@ from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.home_requests import Answer, Plan
 from edge.telemetry.link import parse_connection
-from edge.telemetry.local_socket import ask_for_home
+from edge.telemetry.local_socket import Request, ask_for_home
 
 TURN_S = 0.02
 CONNECT_S = 20.0
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback home`."""
     parser.description = (
         "Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
-        " Nothing else happens without -o, --upload or --ask. Nothing here starts a mission or changes a mode."
+        " Nothing else happens without -o, --upload, --ask or --restore. Nothing starts a mission or changes a mode."
     )
     parser.add_argument("map", type=Path, nargs="?", metavar="MAP", help="a map, or a folder of maps")
     where = parser.add_mutually_exclusive_group()
@@ -45,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where.add_argument("--upload", metavar="CONNECTION", help="upload it while the daemon is not running")
     where.add_argument("--ask", type=Path, metavar="CONFIG", help="have the running daemon of this config upload it")
+    where.add_argument(
+        "--restore", type=Path, metavar="CONFIG", help="have the running daemon upload the mission that it replaced"
+    )
     parser.add_argument(
         "--from", dest="start", metavar="LAT,LON", help="where the vehicle is (default: end of the drive)"
     )
@@ -62,7 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     if args.ask is not None:
-        return _ask(load_config(args.ask), args.ask)
+        return _ask(args.ask, "home")
+    if args.restore is not None:
+        return _ask(args.restore, "restore")
     if args.map is None:
         raise ConfigError("home: name a map, or ask the daemon with --ask CONFIG")
     config = HomeConfig(enabled=True)
@@ -135,8 +140,9 @@ def _turn(link: AutopilotConnection) -> None:
     time.sleep(TURN_S)
 
 
-def _ask(config: Config, path: Path) -> int:
+def _ask(path: Path, request: Request) -> int:
     """Have the running daemon do it, which has the map, the position and the link."""
+    config = load_config(path)
     if not (config.home.enabled and config.home.socket):
         raise ConfigError(f"{path}: [home] enabled and socket must be set for the daemon to be asked")
-    return 0 if ask_for_home(Path(config.home.socket), print) else 1
+    return 0 if ask_for_home(Path(config.home.socket), print, request) else 1

@@ -14,7 +14,10 @@ GROUND_SPEED, THROTTLE_UNCHANGED = 1.0, -1.0
 
 @dataclass(frozen=True)
 class MissionItem:
-    """One item: MAV_CMD, MAV_FRAME, the first four parameters, and a position in degrees and meters."""
+    """One item: MAV_CMD, MAV_FRAME, the first four parameters, and a position in degrees and meters.
+
+    goes_on: MAVLink's autocontinue, 0 or 1.
+    """
 
     command: int
     frame: int
@@ -22,6 +25,7 @@ class MissionItem:
     lat_deg: float = 0.0
     lon_deg: float = 0.0
     altitude_m: float = 0.0
+    goes_on: int = 1
 
 
 def mission_items(

@@ -59,7 +59,8 @@ class AutopilotConnection:
         self._protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
         self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
-        self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text)
+        replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
+        self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
         self._home.position = lambda: (self.position(), self.uncertainty_m)
         self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
@@ -205,9 +206,12 @@ class AutopilotConnection:
         """Whether the way home can be requested: the autopilot and how well it knows its position are known."""
         return self.state == "up" and self.position() is not None and self.uncertainty_m is not None
 
-    def request_home(self, reply: Callable[[Answer], object]) -> None:
-        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
-        self._send(self._home.request(reply, self._clock_ns()))
+    def request_home(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
+        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last.
+
+        restore: the mission that it has replaced instead.
+        """
+        self._send(self._home.request(reply, self._clock_ns(), restore=restore))
 
     def observe_position(self, fix: PlaceFix) -> None:
         """The position of a new match: evidence, whether or not one will be sent."""

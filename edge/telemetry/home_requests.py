@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -17,10 +18,11 @@ from edge.config import HomeConfig
 from edge.errors import SetupError
 from edge.geodesy import VehiclePosition
 from edge.journal.records import HomeAnswered, Record
-from edge.mission import Start, WayHome, mission_items
+from edge.mission import MissionItem, Start, WayHome, mission_items
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
-from edge.telemetry.mission_transfer import MissionTransfer
+from edge.telemetry.mission_transfer import MissionTransfer, Next
+from edge.telemetry.replaced_mission import ReplacedMission
 from edge.telemetry.vehicle import Vehicle
 
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
@@ -41,6 +43,9 @@ AUTOPILOTS = (ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4)
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
+CHECK_AGAIN_NS = 30_000_000_000
+"""From a check of a mission that may be cut off to the next, where the first came to no end."""
+GIVEN_BACK = "; `lookback home --restore` uploads the one before"
 Plan = Callable[[Start], WayHome]
 log = logging.getLogger(__name__)
 
@@ -82,8 +87,9 @@ class HomeRequests:
         vehicle: Vehicle,
         record: Callable[[Record], object] = lambda record: None,
         send_text: Callable[[str, int], object] = lambda text, severity: None,
+        replaced: Path | None = None,
     ) -> None:
-        """send_text: queues a line of a MAV_SEVERITY for the pilot."""
+        """send_text: queues a line of a MAV_SEVERITY for the pilot. replaced: file of the mission that is replaced."""
         self._config, self._component_id, self._vehicle = config, component_id, vehicle
         self._record, self._send_text = record, send_text
         self.plan: Plan | None = None
@@ -91,7 +97,10 @@ class HomeRequests:
         self.position: Callable[[], tuple[VehiclePosition | None, float | None]] = lambda: (None, None)
         """The vehicle's position by the autopilot, and its standard deviation in meters; None where not known."""
         self._transfer: MissionTransfer | None = None
-        self._items, self._way = 0, ""
+        self._replaced = ReplacedMission(replaced)
+        self._checks = False  # the transfer is not of a request
+        self._check_ns = self._warned_session = 0
+        self._items, self._what, self._not = 0, "", ""  # of the transfer, and the words for both of its ends
         self._sender: tuple[int, int] | None = None  # of the command that is not answered yet
         self._reply: Callable[[Answer], object] | None = None  # of the local program
         self._last: tuple[tuple[int, int], int, Answer] | None = None  # to whom, when, what
@@ -110,9 +119,9 @@ class HomeRequests:
             return []
         return [*self._transfer.read(message, now_ns), *self._finished(now_ns)]
 
-    def request(self, reply: Callable[[Answer], object], now_ns: int) -> list[Message]:
-        """Request the way home from this computer; `reply` gets each answer, the final one last."""
-        answer, messages = self._begin(now_ns)
+    def request(self, reply: Callable[[Answer], object], now_ns: int, *, restore: bool = False) -> list[Message]:
+        """Request the way home from this computer, or the mission that it replaced; the final answer comes last."""
+        answer, messages = self._begin(now_ns, restore=restore)
         reply(answer)
         if not answer.is_final:
             self._reply = reply
@@ -121,7 +130,7 @@ class HomeRequests:
     def due(self, now_ns: int) -> list[Message]:
         """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
         if self._transfer is None:
-            return []
+            return self._check_if_due(now_ns)
         why = self._why_not_now()
         messages = self._transfer.cancel(why, now_ns) if why else []
         return [*messages, *self._transfer.due(now_ns), *self._finished(now_ns)]
@@ -159,24 +168,29 @@ class HomeRequests:
             self._sender = sender
         return [self._acknowledgement(sender, answer), *messages]
 
-    def _begin(self, now_ns: int) -> tuple[Answer, list[Message]]:
+    def _begin(self, now_ns: int, *, restore: bool = False) -> tuple[Answer, list[Message]]:
         """The first answer to a request, and the first messages of the transfer."""
+        words = ("restored", "not restored") if restore else ("uploaded", "no way home")
+        home_first = self._vehicle.autopilot == ARDUPILOT
         try:
-            way = self._planned()
+            self._check_request()
+            items, what = self._kept_items() if restore else self._way_items(home_first=home_first)
         except Rejected as error:
-            return self._answered(Answer(error.result, f"no way home: {error}")), []
-        config, vehicle = self._config, self._vehicle
-        home_first = vehicle.autopilot == ARDUPILOT
-        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
-        self._transfer = MissionTransfer(items, vehicle.system_id or 1, first_is_home=home_first)
-        self._items, self._way = len(items), str(way)
-        for warning in way.briefs:
-            self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
-        log.info("way home: %s", way)
-        return Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {way}"), self._transfer.start(now_ns)
+            return self._answered(Answer(error.result, f"{words[1]}: {error}")), []
+        self._items, self._what, self._not = len(items), f"{words[0]} and verified: {what}", words[1]
+        system_id = self._vehicle.system_id or 1
 
-    def _planned(self) -> WayHome:
-        """The way home from here; Rejected."""
+        def keep(present: list[MissionItem]) -> Next:
+            if self._replaced.begin(system_id, int(home_first), present, items):
+                self._send_text("Lookback: cannot keep the mission that is replaced", mavlink.MAV_SEVERITY_WARNING)
+            return "upload"
+
+        self._transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
+        log.info("uploading %s", what)
+        return Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}"), self._transfer.start(now_ns)
+
+    def _check_request(self) -> None:
+        """Rejected where no request can be done now."""
         if not self._config.enabled:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
         why = "a mission is being uploaded" if self._transfer is not None else self._why_not_now()
@@ -184,6 +198,43 @@ class HomeRequests:
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
         if self._vehicle.autopilot not in AUTOPILOTS:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
+
+    def _kept_items(self) -> tuple[list[MissionItem], str]:
+        items = self._replaced.items(self._vehicle.system_id or 1)
+        if len(items) <= self._replaced.kept.first:
+            raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
+        return items, f"the mission that was replaced, {len(items)} items"
+
+    def _way_items(self, *, home_first: bool) -> tuple[list[MissionItem], str]:
+        way, config = self._planned(), self._config
+        for warning in way.briefs:
+            self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
+        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
+        return items, str(way)
+
+    def _check_if_due(self, now_ns: int) -> list[Message]:
+        """Look at the mission where an upload of an earlier run was cut off, and clear it if it is a part of that."""
+        kept, vehicle = self._replaced.kept, self._vehicle
+        if kept.is_settled or not vehicle.connected or vehicle.system_id != kept.system_id:
+            return []
+        if self._warned_session != vehicle.session:
+            self._warned_session, self._check_ns = vehicle.session, now_ns
+            text = "Lookback: upload cut off, do not start the mission"  # 50 characters, one STATUSTEXT
+            log.warning("%s", text)
+            self._send_text(text, mavlink.MAV_SEVERITY_WARNING)
+        if now_ns < self._check_ns or self._why_not_now():
+            return []
+        self._check_ns = now_ns + CHECK_AGAIN_NS
+
+        def clear_if_cut_off(present: list[MissionItem]) -> Next:
+            return "clear" if self._replaced.is_cut_off(present) else "leave"
+
+        self._items, self._what, self._not, self._checks = 0, "", "mission checked", True
+        self._transfer = MissionTransfer((), kept.system_id, first_is_home=bool(kept.first), decide=clear_if_cut_off)
+        return self._transfer.start(now_ns)
+
+    def _planned(self) -> WayHome:
+        """The way home from here; Rejected."""
         if self._vehicle.kind not in ON_THE_GROUND and not self._config.altitude_m:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
         position, sigma_m = self.position()
@@ -213,11 +264,16 @@ class HomeRequests:
         if self._transfer is None or self._transfer.outcome is None:
             return []
         outcome, self._transfer = self._transfer.outcome, None
+        if outcome.is_settled:
+            self._replaced.settle()
         if outcome.verified:
-            text = f"uploaded and verified: {self._way}"
-            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, text, self._items))
+            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, self._what, self._items))
         else:
-            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"no way home: {outcome.why}"))
+            more = GIVEN_BACK if outcome.is_settled and self._checks and self._replaced.kept.replaced else ""
+            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{self._not}: {outcome.why}{more}"))
+        if self._checks:
+            self._checks = False
+            return []
         reply, self._reply = self._reply, None
         if reply is not None:
             reply(answer)

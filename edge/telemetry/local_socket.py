@@ -1,7 +1,7 @@
-"""A socket of this computer on which `lookback home --ask` requests the way home from the daemon.
+"""A socket of this computer on which `lookback home` requests the way home from the daemon, or the mission before it.
 
-A client connects and sends one line, `home`. The answers are JSON objects, one per line; the connection ends after the
-final one. The file's mode permits the daemon's user and group only.
+A client connects and sends one line within a second: `home` or `restore`. The answers are JSON objects, one per line;
+the connection ends after the final one. The file's mode permits the daemon's user and group only.
 """
 
 from __future__ import annotations
@@ -9,15 +9,20 @@ from __future__ import annotations
 import contextlib
 import logging
 import socket
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import msgspec
 
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry.home_requests import Answer
 
-REQUEST = b"home\n"
+Request: TypeAlias = Literal["home", "restore"]
+REQUESTS: dict[bytes, Request] = {b"home\n": "home", b"restore\n": "restore"}
+SILENT_NS = 1_000_000_000
+"""How long a client may be connected without a request, while others wait."""
 ANSWER_S = 180.0
 """How long a client waits; an upload that is repeated and cleared takes less."""
 MODE = 0o660
@@ -35,9 +40,11 @@ class LocalAnswer(msgspec.Struct, frozen=True):
 class LocalSocket:
     """Accepts one client at a time; nothing in here blocks."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         """ConfigError where the socket cannot be made."""
-        self._path = path
+        self._path, self._clock_ns = path, clock_ns
+        self._silent_ns = 0  # when the client is sent away
+        self._is_answered = False  # the client has requested something
         self._client: socket.socket | None = None
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.setblocking(False)
@@ -46,28 +53,33 @@ class LocalSocket:
                 path.unlink()  # a daemon that was killed left it
             self._listener.bind(str(path))
             path.chmod(MODE)
-            self._listener.listen(1)
+            self._listener.listen()
         except OSError as error:
             self._listener.close()
             raise ConfigError(f"[home] socket: {path}: cannot make it: {error.strerror or error}") from None
 
-    def requested(self) -> bool:
-        """Whether a client has just requested the way home; its answers go to `reply`."""
+    def requested(self) -> Request | None:
+        """What a client has just requested; its answers go to `reply`."""
         if self._client is None:
             with contextlib.suppress(OSError):
                 self._client, _ = self._listener.accept()
                 self._client.setblocking(False)
+                self._silent_ns, self._is_answered = self._clock_ns() + SILENT_NS, False
         if self._client is None:
-            return False
+            return None
         try:
-            data = self._client.recv(len(REQUEST))
+            data = self._client.recv(max(map(len, REQUESTS)))
         except BlockingIOError:
-            return False
+            if not self._is_answered and self._clock_ns() > self._silent_ns:
+                self._hang_up()
+            return None
         except OSError:
             data = b""
-        if data != REQUEST:  # gone, or no client of ours
+        request = REQUESTS.get(data)
+        if request is None:  # gone, or no client of ours
             self._hang_up()
-        return data == REQUEST
+        self._is_answered = request is not None
+        return request
 
     def reply(self, answer: Answer) -> None:
         """Send an answer to the client that requested it, if it still listens."""
@@ -92,24 +104,24 @@ class LocalSocket:
             self._client = None
 
 
-def ask_for_home(path: Path, on_text: Callable[[str], object]) -> bool:
-    """Request the way home from the daemon that listens on a socket; whether the autopilot now has the mission.
+def ask_for_home(path: Path, on_text: Callable[[str], object], request: Request = "home") -> bool:
+    """Request a mission from the daemon that listens on a socket; whether the autopilot now has it.
 
     on_text: gets each line for people. LinkLost where no daemon answers.
     """
     accepted = False
-    for answer in _answers(path):
+    for answer in _answers(path, request):
         on_text(answer.text)
         accepted = answer.final and answer.accepted
     return accepted
 
 
-def _answers(path: Path) -> Iterator[LocalAnswer]:
+def _answers(path: Path, request: Request) -> Iterator[LocalAnswer]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         connection.settimeout(ANSWER_S)
         try:
             connection.connect(str(path))
-            connection.sendall(REQUEST)
+            connection.sendall(f"{request}\n".encode())
             with connection.makefile("rb") as lines:
                 for line in lines:
                     answer = msgspec.json.decode(line, type=LocalAnswer)

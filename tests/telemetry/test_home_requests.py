@@ -27,6 +27,10 @@ ACCEPTED, FAILED, IN_PROGRESS = (
     mavlink.MAV_RESULT_IN_PROGRESS,
 )
 REJECTED, DENIED = mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_DENIED
+OLD = [
+    mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, -274000000 + number, 1530000000, 0)
+    for number in range(30)
+]
 DRIVING_ITSELF = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
 
 
@@ -49,6 +53,25 @@ def results(rig: Rig) -> list[int]:
 
 def finished(rig: Rig) -> Callable[[], bool]:
     return lambda: any(result != IN_PROGRESS for result in results(rig))
+
+
+def stop_at_item(rig: Rig, item: int) -> None:
+    """Request the way home on a link that loses one item of the upload, until those before it have arrived."""
+
+    def loses(message: Any) -> bool:
+        return message.get_type() == "MISSION_ITEM_INT" and (message.seq, message.get_srcComponent()) == (item, 191)
+
+    rig.wire.loses = loses
+    rig.autopilot.send(command())
+    rig.run(3.0, lambda: len(rig.received("MISSION_ITEM_INT")) == item)
+
+
+def kill_in_mid_upload(rig: Rig) -> None:
+    """End our side without a word, after some of the items were replaced; then start it again."""
+    stop_at_item(rig, 3)
+    rig.crash()
+    rig.wire.loses = lambda message: False
+    rig.connect()
 
 
 @pytest.fixture
@@ -189,20 +212,22 @@ def test_a_lost_last_item_is_sent_again(home: Rig) -> None:
     home.autopilot.send(command())
     assert home.run(20.0, finished(home))
     assert lost == 2
-    assert len(home.received("MISSION_REQUEST_LIST")) == 2, "one was denied"
+    assert len(home.received("MISSION_REQUEST_LIST")) == 3, "that of the mission before, and one that was denied"
     assert results(home)[-1] == ACCEPTED
 
 
-def test_a_silent_autopilot_is_given_up(home: Rig) -> None:
-    home.wire.loses = lambda message: message.get_type() == "MISSION_COUNT"
+@pytest.mark.parametrize(
+    ("sender", "doubt"), [(1, ""), (191, "; look at the autopilot's mission before you start it")], ids=["its", "ours"]
+)
+def test_a_silent_autopilot_is_given_up(home: Rig, sender: int, doubt: str) -> None:
+    """Of no doubt is what it has while we have not begun to change it."""
+    home.wire.loses = lambda message: message.get_type() == "MISSION_COUNT" and message.get_srcComponent() == sender
     home.autopilot.send(command())
     assert not home.run(8.0, finished(home)), "1.5 s and five repetitions"
     assert home.run(3.0, finished(home))
     assert results(home)[-1] == FAILED
     assert len(home.received("MISSION_COUNT")) == 0
-    assert home.journalled(HomeAnswered)[-1].text == (
-        "no way home: the autopilot does not answer; look at the autopilot's mission before you start it"
-    )
+    assert home.journalled(HomeAnswered)[-1].text == f"no way home: the autopilot does not answer{doubt}"
 
 
 def test_a_mission_that_stops_halfway_is_cleared(home: Rig) -> None:
@@ -227,7 +252,7 @@ def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
     """It requests the first item again and again, although it gets it."""
     transfer = MissionTransfer([MissionItem(16, 3, (0.0, 0.0, 0.0, 0.0))] * 3, 1, first_is_home=False)
     request, now_s = mavlink.MAVLink_mission_request_int_message(1, 191, 0, 0), 0
-    sent = transfer.start(0)
+    sent = transfer.start(0) + transfer.read(mavlink.MAVLink_mission_count_message(1, 191, 0, 0), 0)
     while transfer.outcome is None and now_s < 300:
         now_s += 1
         sent += transfer.read(request, now_s * 10**9) + transfer.due(now_s * 10**9)
@@ -241,18 +266,81 @@ def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
 def test_a_daemon_that_ends_in_mid_upload_leaves_no_mixture(open_home: OpenRig, firmware: str, left: int) -> None:
     """ArduPilot has replaced some of the 30 old items by then; PX4 has still all of them."""
     rig = open_home(firmware=firmware)
-    old = [
-        mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, -274000000, 1530000000, 0)
-        for number in range(30)
-    ]
-    rig.autopilot.mission.items = list(old)
-    rig.wire.loses = lambda message: message.get_type() == "MISSION_ITEM_INT" and message.seq == 3
-    rig.autopilot.send(command())
-    rig.run(0.5)
+    rig.autopilot.mission.items = list(OLD)
+    stop_at_item(rig, 3)
     rig.connection.close()
     rig.autopilot.step()
-    assert rig.autopilot.mission.items == old[:left]
+    assert rig.autopilot.mission.items == OLD[:left]
     assert rig.journalled(HomeAnswered)[-1].text == "no way home: Lookback ended"
+
+
+@pytest.fixture
+def of_pilot(open_home: OpenRig) -> Rig:
+    """An ArduPilot with a mission of the pilot's."""
+    rig = open_home()
+    rig.autopilot.mission.items = list(OLD)
+    return rig
+
+
+def test_after_a_kill_in_mid_upload_the_mixture_is_cleared_and_the_old_mission_given_back(of_pilot: Rig) -> None:
+    kill_in_mid_upload(of_pilot)
+    assert len(of_pilot.autopilot.mission.items) > 3, "a mixture"
+    assert of_pilot.run(30.0, lambda: of_pilot.autopilot.mission.items == [])
+    of_pilot.run(5.0)
+    texts = "".join(one.text for one in of_pilot.received("STATUSTEXT"))
+    assert "Lookback: upload cut off, do not start the mission" in texts
+    assert of_pilot.journalled(HomeAnswered)[-1].text == (
+        "mission checked: a mission that was cut off is cleared; `lookback home --restore` uploads the one before"
+    )
+    answers: list[Answer] = []
+    of_pilot.connection.request_home(answers.append, restore=True)
+    assert of_pilot.run(20.0, lambda: answers[-1].is_final)
+    assert answers[-1].text == "restored and verified: the mission that was replaced, 30 items"
+    assert [item.x for item in of_pilot.autopilot.mission.items[1:]] == [item.x for item in OLD[1:]]
+    of_pilot.crash()
+    of_pilot.connect()
+    of_pilot.run(5.0)
+    assert "cut off" not in "".join(one.text for one in of_pilot.received("STATUSTEXT")[-2:]), "it is settled"
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+def test_the_pilot_s_mission_is_given_back_after_two_uploads(open_home: OpenRig, firmware: str) -> None:
+    rig = open_home(firmware=firmware)
+    rig.autopilot.mission.items = list(OLD)
+    answers: list[Answer] = []
+    for restore in (False, False, True):
+        rig.connection.request_home(answers.append, restore=restore)
+        assert rig.run(20.0, lambda: answers[-1].is_final)
+        assert answers[-1].is_accepted, answers[-1].text
+    assert [item.x for item in rig.autopilot.mission.items[1:]] == [item.x for item in OLD[1:]]
+
+
+def test_a_mission_that_the_pilot_wrote_after_the_kill_stays(of_pilot: Rig) -> None:
+    kill_in_mid_upload(of_pilot)
+    other = [mavlink.MAVLink_mission_item_int_message(1, 1, n, 3, 16, 0, 1, 0, 0, 0, 0, 5 * n, 7, 0) for n in range(4)]
+    of_pilot.run(10.0)  # the upload has timed out
+    of_pilot.crash()
+    of_pilot.connect()
+    of_pilot.autopilot.mission.items = list(other)
+    of_pilot.run(20.0)
+    assert of_pilot.autopilot.mission.items == other
+
+
+def test_a_mixture_is_not_cleared_while_the_vehicle_drives_itself(of_pilot: Rig) -> None:
+    before = of_pilot.autopilot.base_mode
+    kill_in_mid_upload(of_pilot)
+    of_pilot.autopilot.base_mode = DRIVING_ITSELF
+    mixture = list(of_pilot.autopilot.mission.items)
+    of_pilot.run(20.0)
+    assert of_pilot.autopilot.mission.items == mixture
+    of_pilot.autopilot.base_mode = before
+    assert of_pilot.run(30.0, lambda: of_pilot.autopilot.mission.items == [])
+
+
+def test_nothing_is_restored_where_nothing_was_replaced(home: Rig) -> None:
+    answers: list[Answer] = []
+    home.connection.request_home(answers.append, restore=True)
+    assert answers[-1].text == "not restored: no mission is known that was replaced"
 
 
 @pytest.mark.parametrize("result", [mavlink.MAV_MISSION_INVALID_PARAM5_X, mavlink.MAV_MISSION_NO_SPACE, 99])

@@ -63,6 +63,26 @@ def test_strangers_and_clients_that_leave_request_nothing(tmp_path: Path, listen
     assert asked(tmp_path / "home.socket", listener, VERIFIED)[0]
 
 
+def test_a_silent_client_does_not_keep_others_waiting(tmp_path: Path) -> None:
+    now_ns = 0
+    path = tmp_path / "home.socket"
+    with (
+        closing(LocalSocket(path, lambda: now_ns)) as listener,
+        socket.socket(socket.AF_UNIX) as silent,
+        socket.socket(socket.AF_UNIX) as client,
+    ):
+        silent.connect(str(path))
+        client.connect(str(path))
+        client.sendall(b"restore\n")
+        assert [listener.requested() for _ in range(3)] == [None] * 3
+        now_ns += 1_000_000_001
+        assert [listener.requested() for _ in range(2)] == [None, "restore"]
+        now_ns += 100_000_000_000
+        assert listener.requested() is None, "one that waits for its answer is not sent away"
+        listener.reply(VERIFIED)
+        assert client.recv(1000)
+
+
 def test_a_daemon_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LinkLost, match="is `lookback run` running"):
         ask_for_home(tmp_path / "home.socket", lambda text: None)
