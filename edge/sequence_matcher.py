@@ -37,7 +37,7 @@ PARALLAX_EVERY = 8
 SECOND_EVERY = 2
 """Places of which the second camera's frame is matched at one: two cameras then cost about twice what one costs."""
 MOST_MISSED = 0.5
-"""Share of a sequence; if more places than this were passed without a frame, a new sequence begins."""
+"""Share of a sequence; if more of it was driven without a frame, a new sequence begins."""
 
 Stopwatch = Callable[[str], None]
 
@@ -52,7 +52,6 @@ class CameraMatcher:
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
         """config: with [camera] view of that camera. `stopwatch(stage)` is called after each stage of a frame."""
         self._config, self._stopwatch = config, stopwatch
-        self._most_missed = MOST_MISSED * config.sequence.length
         self._normalizer = OnlineNormalizer(
             config.sequence.length,
             renormalize_ring=config.descriptor.renormalize_ring,
@@ -98,19 +97,19 @@ class CameraMatcher:
         """Whether there are enough frames for a sequence, and it is not known yet which part of the map to search."""
         return self.search.part is None and self._normalizer.is_full
 
-    def ends_sequence(self, missed: int) -> bool:
-        """Whether so many places without a frame are too many for a line to run over."""
-        return missed > self._most_missed
+    def ends_sequence(self, step: float, usual: float) -> bool:
+        """Whether a step between two frames is too long for a line to run over; usual: step of this camera's frames."""
+        return step > (1 + MOST_MISSED * self._config.sequence.length) * usual
 
     def push(
-        self, raw: NDArray[np.float32], near: Near | None, missed: int, step: float = 1.0, *, is_measured: bool
+        self, raw: NDArray[np.float32], near: Near | None, step: float, usual: float, *, is_measured: bool
     ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
-        near, missed: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last frame.
-        is_measured: whether the odometer is known.
+        near: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last frame; usual:
+        the same from one frame to the next. is_measured: whether the odometer is known.
         """
-        if self.ends_sequence(missed):
+        if self.ends_sequence(step, usual):
             self.reset()
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
@@ -205,14 +204,15 @@ class SequenceMatcher:
         # A line over rows whose distance is not known may be steeper, and takes the lane for none: without them it is
         # better, and as long as there is no answer yet, nothing is lost.
         begins_again = odometer_m is not None and 0 < (self._unmeasured or 0) <= FIRST_FRAMES
-        if begins_again or self._first.ends_sequence(missed):
+        usual = self._usual_step
+        if begins_again or self._first.ends_sequence(step, usual):
             self.reset()
-        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, self._usual_step)
+        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual)
         if odometer_m is not None:
             self._unmeasured = None
         elif self._unmeasured is not None:
             self._unmeasured += 1
-        match = self.best = self._first.push(raw, near, missed, step, is_measured=odometer_m is not None)
+        match = self.best = self._first.push(raw, near, step, usual, is_measured=odometer_m is not None)
         vote = PlaceVote.of(match, self._drives) if match else None
         believed = self._believed(match, self._consensus.update(vote, odometer_m, step))
         for camera in self._cameras:
@@ -244,9 +244,9 @@ class SequenceMatcher:
         self._passed += 1 + missed
         if self._passed < SECOND_EVERY:
             return None
-        missed, self._passed = self._passed - 1, 0
-        step = (1 + missed) * self._usual_step
-        match = self._second.push(raw, near, missed, step, is_measured=self._drives.is_metric)
+        step, usual = self._passed * self._usual_step, SECOND_EVERY * self._usual_step
+        self._passed = 0
+        match = self._second.push(raw, near, step, usual, is_measured=self._drives.is_metric)
         vote = self._vote_of_second(match) if match is not None else None
         if vote is not None:
             self._consensus.add(vote, distance_m)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import CameraConfig, Config, MappingConfig, RigConfig
+from edge.config import CameraConfig, Config, MappingConfig, RigConfig, SamplingConfig
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.builder import Place
@@ -113,18 +113,35 @@ def test_a_first_camera_that_sees_nothing_is_not_followed(road: Road, maps: MapS
 
 
 @pytest.mark.parametrize("road", [("forward", 1)], indirect=True)
-def test_too_many_missed_frames_begin_the_second_cameras_sequence_anew(road: Road, maps: MapSet) -> None:
-    """Those of the first one go on."""
+@pytest.mark.parametrize(("missed", "begins_anew"), [(19, False), (25, True)])
+def test_half_a_sequence_that_was_missed_begins_the_second_cameras_anew(
+    road: Road, maps: MapSet, missed: int, begins_anew: bool
+) -> None:
+    """As long a one as of the first camera, although it has half as many frames. The first one's goes on."""
     mapping = MappingConfig(folder="maps", recognize=True, camera=CameraConfig(view="rear"))
     matcher = SequenceMatcher(maps, Config(mapping=mapping))
     found = []
     for frame, place in enumerate(road.places):
-        missed = 25 if frame == 60 else 0
-        found.append(matcher.push_second(road.seen(place, "rear", signal=1.0), None, missed, SPACING_M * frame))
+        lost = missed if frame == 60 else 0
+        found.append(matcher.push_second(road.seen(place, "rear", signal=1.0), None, lost, SPACING_M * frame))
         matcher.push(road.seen(place, "front", signal=1.0), distance_m=SPACING_M * frame)
     assert found[58] is not None
-    assert found[60] is None
+    assert (found[60] is None) == begins_anew
     assert matcher.best is not None
+
+
+@pytest.mark.parametrize("road", [("reverse", 1)], indirect=True)
+@pytest.mark.parametrize(("by", "missed"), [("distance", 25), ("frames", 0)])
+def test_a_hole_of_over_half_a_sequence_begins_a_new_one(
+    road: Road, maps: MapSet, by: Literal["distance", "frames"], missed: int
+) -> None:
+    """Whether the camera or the odometer noticed it."""
+    matcher, driven_m = SequenceMatcher(maps, Config(sampling=SamplingConfig(by=by))), 0.0
+    for frame, place in enumerate(road.places[:60]):
+        hole = frame == 50
+        driven_m += 26 * SPACING_M if hole else SPACING_M
+        match = matcher.push(road.seen(place, "front", signal=1.0), missed=missed * hole, distance_m=driven_m)
+        assert (match is None) == (frame < 15 or hole or frame > 50)
 
 
 @pytest.mark.parametrize("road", [("reverse", 1)], indirect=True)

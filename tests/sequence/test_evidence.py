@@ -11,16 +11,22 @@ from edge.config import AcceptanceConfig
 from edge.sequence.evidence import HoldOff, Neighborhood, best_match
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
-UNKNOWN = np.full(100, np.nan)
+UNKNOWN, NOTHING = np.full(100, np.nan), np.zeros(100)
 CONFIG = AcceptanceConfig(window_m=10.0, window_places=3)
 
 
-def match(costs: np.ndarray, neighborhood: Neighborhood):
-    search = SequenceSearch([(0, 100)], [("forward", "same")], 5, (1.0,))
-    newest = np.zeros((1, 100), dtype=np.int32)
-    search.refill(np.zeros((5, 1, 100), dtype=np.int32))
-    lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), 5)  # as the search would give them
-    return best_match(search, lines, newest, neighborhood)
+def match(
+    costs: np.ndarray,
+    neighborhood: Neighborhood,
+    newest: np.ndarray = NOTHING,
+    *,
+    frames: int = 5,
+    step: float = 1.0,
+):
+    search = SequenceSearch([(0, 100)], [("forward", "same")], frames, (1.0,))
+    search.refill(np.zeros((frames, 1, 100), dtype=np.int32), [step * frame for frame in range(frames)])
+    lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), frames)  # as the search would give them
+    return best_match(search, lines, newest[np.newaxis].astype(np.int32), neighborhood)
 
 
 def neighbors_by_route(spacing_m: float) -> Neighborhood:
@@ -35,6 +41,16 @@ def test_second_best_is_looked_for_outside_the_window() -> None:
     assert (found.place, found.uniqueness) == (40, pytest.approx(1.3))
     found = match(costs, neighbors_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
     assert found.uniqueness == pytest.approx(1.01)
+
+
+@pytest.mark.parametrize(("frames", "step"), [(20, 2.0), (40, 1.0), (40, 0.5)])
+def test_windows_are_as_long_as_what_is_driven_and_have_a_place_for_each_frame(frames: int, step: float) -> None:
+    costs, newest = np.full(100, 1500), np.full(100, 500)
+    costs[50], costs[38], costs[62] = 1000, 1400, 1300
+    newest[45], newest[80] = 300, 400
+    found = match(costs, neighbors_by_route(2.0), newest, frames=frames, step=step)
+    assert found.sharpness == pytest.approx(0.3), "of the line that ends 12 places further on"
+    assert found.row_share == 0.0, "no place is more like the newest frame than the one 5 places back"
 
 
 def test_without_meters_the_window_is_in_places() -> None:
