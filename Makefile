@@ -41,7 +41,7 @@ soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pytest -m soak tests/faults tests/localization
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(nproc) -o soak
-	$(BIN)/lookback dev sim gps -o soak/gps
+	$(BIN)/lookback dev gps -o soak/gps
 
 check: lint test smoke
 
@@ -55,10 +55,10 @@ smoke: $(VENV)/.dev
 	$(BIN)/lookback demo -o demo --require-good
 
 bench: $(VENV)/.dev
-	$(BIN)/python -m sim.bench -o docs/bench.md
+	$(BIN)/python -m sim.research.bench -o docs/bench.md
 
 bench-quick: $(VENV)/.dev
-	$(BIN)/python -m sim.bench --quick
+	$(BIN)/python -m sim.research.bench --quick
 
 # What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
 dist: $(VENV)/.dev

@@ -5,11 +5,11 @@ vehicle      the simulated autopilot: firmware, dead reckoning, position inputs,
 trial        `lookback dev sim fixes`: many seeded drives, judged by the truth
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
-evaluation   `lookback eval`: the paper's comparisons, and `lookback dev golden`
+evaluation   `lookback eval`: a map's precision and recall in your recordings; `lookback dev golden`
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback dev model`: import, quantize, verify
-training     `lookback dev train`
-bench        `make bench`
+bench        `lookback dev bench`: this board
+research     what was measured to build Lookback: the paper's comparisons, training, `make bench`; not in the wheel
 commands     the list of `lookback dev sim` commands
 """
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from edge.errors import ConfigError
 from sim.trial import command as trial_command
-from sim.trial import flights_command, gps_command
 from sim.vehicle import command as autopilot_command
 from sim.world.recording import SPACING_M, record_drive
 from sim.world.scenario import load_scenario
@@ -28,8 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)
     trial_command.add_command(sim_commands)
-    gps_command.add_command(sim_commands)
-    flights_command.add_command(sim_commands)
 
 
 def _record(args: argparse.Namespace) -> int:

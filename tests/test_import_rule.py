@@ -99,6 +99,12 @@ def test_edge_never_imports_sim() -> None:
         assert not any(name.split(".")[0] == "sim" for name in imports(file)), file
 
 
+def test_what_is_in_the_wheel_never_imports_research() -> None:
+    for file in (ROOT / "sim").rglob("*.py"):
+        if "research" not in file.parts:
+            assert not any(name.startswith("sim.research") for name in imports(file)), file
+
+
 def test_the_vehicle_never_loads_what_is_for_the_desk() -> None:
     """Heavy or foreign packages are imported where they are asked for, and pymavlink.mavutil nowhere in edge."""
     for file in (ROOT / "edge").rglob("*.py"):

@@ -17,7 +17,7 @@ from edge.sequence import PlaceMatch
 from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
-from sim.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 PLACES, DIMENSIONS, SPACING_M = 200, 256, 2.0
 AHEAD_PLACES = 10

@@ -24,12 +24,17 @@ COMMANDS = {
     "completion": "edge.commands.completion",
 }
 """Module of each command of a vehicle, with its `add_arguments`; entry points `lookback.commands` name further ones."""
+RESEARCH = "sim.research"
+ONLY_IN_A_CLONE = "only in a clone of the repository, not in the package"
 DEV = "dev"
 """The command above those of entry points `lookback.dev`."""
 MOVED = {
     "check --default": "doctor --default",
     "check": "doctor --offline",
     "sim import": "import",
+    "sim gps": "dev gps",
+    "sim flights": "dev flights",
+    **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run", "shrinking")},
     **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "model", "sim", "train")},
 }
 """Commands of version 0.1, and what they are now."""
@@ -87,10 +92,13 @@ def _fill(name: str, module: str, commands: argparse._SubParsersAction[argparse.
     try:
         add_arguments: Callable[[argparse.ArgumentParser], None] = import_module(module).add_arguments
     except ModuleNotFoundError as error:
-        missing = error.name
+        missing = error.name or ""
+        needs = f"needs the package {missing}: {install_command('sim')}"
+        if missing.startswith(RESEARCH):
+            needs = ONLY_IN_A_CLONE
 
         def refuse(args: argparse.Namespace) -> int:
-            raise ConfigError(f"{name}: needs the package {missing}: {install_command('sim')}")
+            raise ConfigError(f"{name}: {needs}")
 
         # No option is known here, so a dash means nothing: all words are the missing command's.
         parser = commands.add_parser(name, help=_about(module), prefix_chars="\0", add_help=False)
@@ -107,5 +115,7 @@ def _about(module: str) -> str:
     if spec is None or spec.origin is None:
         return "not installed"
     file = Path(spec.origin).parent.joinpath(*rest.split(".")).with_suffix(".py") if rest else Path(spec.origin)
+    if not file.exists():
+        return ONLY_IN_A_CLONE
     docstring = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return docstring.partition("\n")[0].partition(": ")[2].rstrip(".").replace("%", "%%")

@@ -1,11 +1,14 @@
-"""What each stage costs, beside other implementations and the least that this machine can take.
+"""`lookback dev bench`: how long a frame takes on this board.
 
-`machine`: memory bandwidth and int8 rate. `timing`: alternating runs. `*_rows`: the measurements, stage by stage.
-`simulated_map`: maps of any size. `rows`: the page in Markdown. `python -m sim.bench` runs them.
+board    the command, and the sensors of the board
+frames   the stages of a frame, through the daemon's recognizer
+simulated_map  maps of any size
+machine  what the board is
+timing   functions run alternately
 """
 
 import os
 
-# Before NumPy and faiss load their libraries, which read it once: the bench measures one thread.
+# Before NumPy loads its library, which reads it once: the bench measures one thread.
 for _library in ("OMP", "OPENBLAS", "MKL"):
     os.environ[f"{_library}_NUM_THREADS"] = "1"

@@ -21,7 +21,7 @@ from edge.config import RigConfig
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from edge.recognizer import model_key
-from sim.bench.frame_rows import SIZE_PX, run_frames
+from sim.bench.frames import SIZE_PX, run_frames
 from sim.bench.machine import machine_name
 from sim.bench.simulated_map import write_simulated_map
 from sim.bench.timing import wall_ns

@@ -1,4 +1,1 @@
-"""`lookback eval`: the paper's comparisons on traverses of your own. `lookback dev golden`: a recording as a test.
-
-feeds -> methods (a named row each) -> cost matrix -> answers -> metrics -> report
-"""
+"""`lookback eval`: how well a map is recognized in your recordings. `lookback dev golden`: a recording as a test."""

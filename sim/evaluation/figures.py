@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import io
-import itertools
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import matplotlib as mpl
-import numpy as np
-from numpy.typing import NDArray
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -19,7 +15,6 @@ from sim.evaluation.metrics import PrecisionRecall
 
 DPI = 110
 WIDTH_IN = 6.4
-MARKERS = "osD^v<>Pp*hX"
 
 
 def precision_recall_plot(curves: Mapping[str, PrecisionRecall]) -> bytes:
@@ -30,90 +25,6 @@ def precision_recall_plot(curves: Mapping[str, PrecisionRecall]) -> bytes:
     axes.set(xlabel="recall of places", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.03))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="lower left", ncols=2)
-    return to_png(figure)
-
-
-def time_plot(points: Mapping[str, tuple[float, float]], time: str, score: str) -> bytes:
-    """A named point for each (time, score); the times in steps of equal ratio."""
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.2))
-    for (name, (x, y)), marker in zip(points.items(), itertools.cycle(MARKERS), strict=False):
-        axes.scatter(x, y, marker=marker, s=50, label=name)
-        axes.annotate(name, (x, y), xytext=(6, 4), textcoords="offset points", fontsize=7)
-    axes.set(xlabel=time, ylabel=score, xscale="log")
-    axes.grid(alpha=0.3, which="both")
-    axes.margins(0.2)
-    return to_png(figure)
-
-
-def match_plot(
-    errors: NDArray[np.float64],
-    costs: NDArray[np.floating],
-    place: NDArray[np.intp],
-    wrong: NDArray[np.bool_],
-    tolerance: float,
-) -> bytes:
-    """The cost matrix (Q, N), the true band, and every answer: right ones dark, wrong ones red."""
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 5.0))
-    low, high = np.quantile(costs, [0.02, 0.98])
-    axes.imshow(costs, cmap="Greys_r", aspect="auto", vmin=low, vmax=high, interpolation="nearest")
-    axes.contour(errors <= tolerance, levels=[0.5], colors="tab:blue", linewidths=0.7)
-    queries = np.arange(len(place))
-    for chosen, color, label in ((~wrong, "tab:green", "right"), (wrong, "tab:red", "wrong")):
-        shown = chosen & (place >= 0)
-        axes.plot(place[shown], queries[shown], ".", color=color, markersize=2.5, label=label)
-    axes.set(xlabel="place of the reference", ylabel="query frame", xlim=(0, costs.shape[1] - 1))
-    axes.legend(fontsize=7, loc="upper right", markerscale=3)
-    return to_png(figure)
-
-
-def bar_plot(groups: Sequence[str], bars: Mapping[str, Sequence[float]], label: str) -> bytes:
-    """Grouped bars: one group a pair, one bar a method."""
-    figure, axes = plt.subplots(figsize=(max(WIDTH_IN, 1.6 * len(groups)), 4.0))
-    width = 0.85 / max(len(bars), 1)
-    colors = plt.get_cmap("tab20").colors  # type: ignore[attr-defined]
-    for index, (name, heights) in enumerate(bars.items()):
-        offset = (index - (len(bars) - 1) / 2) * width
-        axes.bar(np.arange(len(groups)) + offset, heights, width, label=name, color=colors[index % len(colors)])
-    axes.set_xticks(range(len(groups)), [textwrap.fill(group, 18) for group in groups], fontsize=7)
-    axes.set(ylabel=label, ylim=(0, 1.02))
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
-    return to_png(figure)
-
-
-def line_plot(lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, y_label: str) -> bytes:
-    """A line a name: (x values, y values); NaN breaks it."""
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.0))
-    for index, (name, (x, y)) in enumerate(lines.items()):
-        axes.plot(x, y, marker=MARKERS[index % len(MARKERS)], markersize=4, label=name, linewidth=1.2)
-    axes.set(xlabel=x_label, ylabel=y_label, ylim=(0, 1.03))
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
-    return to_png(figure)
-
-
-def scatter_plot(panels: Mapping[str, NDArray[np.floating]], labels: Sequence[str]) -> bytes:
-    """Points (n, 2) of each panel, colored by frame, with the commonest categories by marker."""
-    figure, all_axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.6), squeeze=False)
-    names, counts = np.unique(np.array(labels), return_counts=True)
-    common = names[np.argsort(-counts, kind="stable")][:5].tolist()
-    for axes, (title, points) in zip(all_axes[0], panels.items(), strict=True):
-        for marker, name in zip(MARKERS, [*common, None], strict=False):
-            chosen = np.array([label == name if name else label not in common for label in labels])
-            axes.scatter(
-                *points[chosen].T,
-                c=np.flatnonzero(chosen),
-                vmin=0,
-                vmax=len(labels),
-                s=9,
-                marker=marker,
-                label=name or "other",
-                cmap="viridis",
-            )
-        axes.set_title(title, fontsize=9)
-        axes.set_xticks([])
-        axes.set_yticks([])
-    all_axes[0, -1].legend(fontsize=6)
     return to_png(figure)
 
 

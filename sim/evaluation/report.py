@@ -12,7 +12,6 @@ from pathlib import Path
 import jinja2
 
 from edge.errors import ConfigError
-from sim.evaluation.bootstrap import Interval
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 
@@ -61,6 +60,24 @@ def _write_files(folder: Path, section: Section) -> None:
 
 def _plain(cell: Cell) -> str | int | float:
     return f"{cell.value!r} [{cell.low!r}, {cell.high!r}]" if isinstance(cell, Interval) else cell
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A score on the traverse as driven, and the percentile interval of its resamples at `level`.
+
+    decided: of a difference, whether the interval excludes 0; otherwise it is noise.
+    """
+
+    value: float
+    low: float
+    high: float
+    level: float
+
+    @property
+    def decided(self) -> bool:
+        """Whether 0 lies outside the interval."""
+        return self.low > 0 or self.high < 0
 
 
 Cell = str | int | float | Interval

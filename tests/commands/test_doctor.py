@@ -77,7 +77,7 @@ def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path],
     values = {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 7.0, "EK3_SRC1_POSXY": 3.0, **WHEELS}
     connection = fly({name: (value, real) for name, value in values.items()})
     config = write_config(telemetry={"connection": connection, "emit": "external_position"})
-    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert [one for one in findings if one.level == "bad"] == []
     assert "ArduPilot 4." in told(findings, "autopilot", "good")
     assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
@@ -95,7 +95,7 @@ def test_a_wrong_parameter_says_why_and_what_to_set(
     real = mavlink.MAV_PARAM_TYPE_REAL32
     connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (0.0, real)})
     config = write_config(telemetry={"connection": connection, "emit": "auto"})
-    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
     words = told(findings, "parameter", "bad")
     assert "AHRS_OPTIONS = 0: else a rover" in words
     assert "set its bits 3" in words
@@ -157,7 +157,7 @@ def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
     values = {"EKF2_EV_CTRL": 0.0, "EKF2_GPS_MODE": 0.0}
     connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
     config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "send"})
-    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
     assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
 
@@ -172,7 +172,7 @@ def test_integers_of_px4_come_as_bytes(
 
     connection = fly({"EKF2_AGP0_CTRL": (as_float(1), kind), "EKF2_AGP0_ID": (as_float(2), kind)}, "px4")
     config = write_config(telemetry={"connection": connection, "emit": "global_position_sensor"})
-    findings = list(examine(config, 20.0, tmp_path / "dev"))
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert "EKF2_AGP0_CTRL = 1" in told(findings, "parameter", "good")
     assert "EKF2_AGP0_ID = 2: it must equal [telemetry] sensor_id -> set it to 1" in told(findings, "parameter", "bad")
 

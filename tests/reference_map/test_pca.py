@@ -14,7 +14,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.costs import COST_ONE, CostMatcher
 from edge.reference_map.pca import principal_directions, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
-from sim.evaluation.shrinking import cost_of_shrinking
+from sim.research.evaluation.shrinking import cost_of_shrinking
 
 DIMENSIONS = 64
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)

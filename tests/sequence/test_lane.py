@@ -15,7 +15,7 @@ from edge.reference_map.builder import Place
 from edge.sequence import PlaceMatch
 from edge.sequence.parallax import NO_LAGS, Lags, Lanes, lags_of, lane_costs
 from edge.sequence.place_search import PlaceSearch
-from sim.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 PLACES, LENGTH, DIMENSIONS = 120, 10, 64
 LAG = 4

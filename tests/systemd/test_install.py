@@ -37,30 +37,6 @@ def run(script: Path, *arguments: str | Path, systemd: int = 252) -> subprocess.
 
 
 @pytest.fixture(scope="module")
-def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the checkout without the weights, which would be zipped and unzipped in every test."""
-    checkout = tmp_path_factory.mktemp("checkout")
-    shutil.copy(SYSTEMD.parent / "pyproject.toml", checkout)
-    (checkout / "README.md").touch()
-    for package in ("edge", "sim", "systemd"):
-        ignore = shutil.ignore_patterns("models", "__pycache__")
-        shutil.copytree(SYSTEMD.parent / package, checkout / package, ignore=ignore)
-    return checkout
-
-
-@pytest.fixture(scope="module")
-def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source, folder = tmp_path_factory.mktemp("source") / "copy", tmp_path_factory.mktemp("wheel")
-    shutil.copytree(checkout, source)  # building leaves files in it
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(folder), str(source)]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    if "No matching distribution found for setuptools" in built.stderr:
-        pytest.skip("needs a package index, for setuptools")
-    assert built.returncode == 0, built.stderr
-    return next(folder.glob("lookback_nav-*.whl"))
-
-
-@pytest.fixture(scope="module")
 def root(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A system with Lookback installed once; no test leaves it changed."""
     root = tmp_path_factory.mktemp("root")

@@ -93,7 +93,7 @@ def test_everything_works_with_its_descriptors(
     assert np.abs(places - np.arange(LENGTH - 1, FRAMES)).max() <= 1
 
     Path("plan.toml").write_text(PLAN)
-    assert main(["eval", "networks", "plan.toml", "--model", f"given={model}", "-o", "report"]) == 0
+    assert main(["dev", "paper", "networks", "plan.toml", "--model", f"given={model}", "-o", "report"]) == 0
     with Path("report/networks.csv").open(encoding="utf-8") as stream:
         rows = {row["network"]: row for row in csv.DictReader(stream)}
     assert float(rows["given"]["accuracy"]) > 0.5  # its weights are random

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import Pose
-from sim.trial.recorded_drive import Columns, read_columns, read_messages
+from sim.research.trial.recorded_drive import Columns, read_columns, read_messages
 from sim.vehicle.estimator import AS_FLOWN, Estimator, FilterNoise, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.position_inputs import Moment, PositionInputs, east_north_m

@@ -1,0 +1,7 @@
+"""What was measured to build Lookback, and how: not in the wheel, run from a clone.
+
+evaluation  `lookback dev paper`: the paper's comparisons, other methods, networks side by side
+trial       `lookback dev gps`, `lookback dev flights`: errors of GPS, and recorded drives computed anew
+training    `lookback dev train`: the shipped network trained again
+bench       `make bench`: what each stage costs
+"""

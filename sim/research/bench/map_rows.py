@@ -1,0 +1,138 @@
+"""What size costs: opening a map, verifying it, and a frame on it, with and without a position."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.descriptor import NormalizedRows
+from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
+from edge.sequence import PlaceMatch
+from edge.sequence.place_search import Near, PlaceSearch
+from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_simulated_map, write_simulated_tiles
+from sim.bench.timing import Times, race, wall_ns
+from sim.research.bench.rows import Row, Section, Target
+
+RADIUS_M = 500.0
+TILES = 100
+WHOLE = 10_000
+SHARE_OF_MEMORY = 0.8
+
+
+class Drive:
+    """A vehicle that drives along the maps of a set, a place a frame, and sees it as they have it."""
+
+    def __init__(self, map_set: MapSet, start: int, *, known: bool) -> None:
+        self.map_set = map_set
+        config = Config()
+        self.search = PlaceSearch(map_set, config)
+        self._length = config.sequence.length
+        self._known = known
+        self._place = start
+        self._ring: list[np.ndarray] = []
+        for _ in range(self._length):
+            self.step()
+
+    def step(self) -> PlaceMatch | None:
+        """One frame."""
+        self._ring = [*self._ring, self._look()][-self._length :]
+        near = Near(*match_position(self._place), RADIUS_M) if self._known else None
+        change = NormalizedRows(self._ring[-1][np.newaxis])
+        self._place += 1
+        return self.search.push(change, lambda: np.stack(self._ring), near)
+
+    def _look(self) -> NDArray[np.float32]:
+        index = self.map_set.index
+        number = index.map_of(self._place)
+        return seen_at(self.map_set.maps[number].descriptors, self._place - index.starts[number])
+
+
+def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Section:
+    """Rows of each size; those for which disk or memory do not suffice are one line that says so."""
+    rows: list[Row] = []
+    targets: list[Target] = []
+    small = folder / "whole.map"
+    write_simulated_map(small, WHOLE, model)
+    for places in sizes:
+        need, disk = map_bytes(places, model.dimensions), shutil.disk_usage(folder).free
+        if need > SHARE_OF_MEMORY * disk:
+            rows.append(
+                Row(f"{places:,} places", note=f"skipped: needs {need / 1e9:.1f} GB and {disk / 1e9:.1f} GB free")
+            )
+            continue
+        path = folder / f"{places}.map"
+        write_simulated_map(path, places, model)
+        rows += _opening(path, places, rounds, targets)
+        rows += _frames(path, small, f"{places:,} places", places, rounds, targets)
+        shutil.rmtree(path)
+        if places >= TILES * Config().map.places_per_frame // 2:
+            rows += _tiles(folder / "tiles", small, places, rounds, model)
+    shutil.rmtree(small)
+    return Section("Maps from a pocket to a city", rows, targets)
+
+
+def _tiles(path: Path, small: Path, places: int, rounds: int, model: ModelKey) -> list[Row]:
+    """The same in a folder of maps."""
+    write_simulated_tiles(path, places, TILES, model)
+    what = f"{places:,} places in {TILES} tiles"
+    opening = race({"open": lambda: PlaceSearch(open_map_set(path), Config())}, max(2, rounds // 3), wall_ns)["open"]
+    rows = [Row(f"{what}: opening, with its search", opening, note="wall-clock time, files in the page cache")]
+    rows += _frames(path, small, what, places, rounds, [])
+    shutil.rmtree(path)
+    return rows
+
+
+def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+    def open_it() -> PlaceSearch:
+        return PlaceSearch(open_map_set(path), Config())
+
+    opening = race({"open": open_it}, max(2, rounds // 3), wall_ns)["open"]
+    start = wall_ns()
+    open_map(path)
+    verifying = Times(((wall_ns() - start) / 1e6,))
+    if places == 100_000:
+        value = f"{opening.median_ms / 1e3:.2f} s, then {verifying.median_ms / 1e3:.1f} s between frames"
+        targets.append(Target("opening a map of 100,000 places", "0.5 s or less", value, opening.median_ms <= 500))
+    return [
+        Row(f"{places:,} places: opening, with its search", opening, note="wall-clock time, files in the page cache"),
+        Row(f"{places:,} places: checksum of the descriptors, between frames", verifying, note="wall-clock time"),
+    ]
+
+
+def _frames(path: Path, small: Path, title: str, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+    """A frame with a position known to 500 m, or of the whole map, against 10,000 places searched whole.
+
+    title: of the map, for people.
+    """
+    reference = Drive(open_map_set(small), 100, known=False)
+    racers: dict[str, Callable[[], object]] = {"whole": reference.step}
+    what = "searched whole"
+    if places > Config().map.places_per_frame:
+        what = f"position known to {RADIUS_M:.0f} m"
+        racers["lost"] = Drive(open_map_set(path), places // 2, known=False).step
+    around = Drive(open_map_set(path), places // 2, known=True)
+    racers["known"] = around.step
+    times = race(racers, rounds)
+    ratio = times["known"].ratio(times["whole"])
+    part = around.search.part
+    note = f"{len(part.places):,} places of it" if part else "gone through in slices: too many places for a frame"
+    rows = [Row(f"{title}, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
+    if "lost" in times:
+        lost = times["lost"]
+        rows.append(
+            Row(
+                f"{title}, no position: a slice, or what was found in one",
+                lost,
+                "10,000 places",
+                lost.ratio(times["whole"]),
+            )
+        )
+    if places == 1_000_000:
+        wanted = "1,000,000 places with a position known to 500 m, against 10,000 scanned in full"
+        targets.append(Target(wanted, "1.5x or less", f"{ratio:.2f}x", ratio <= 1.5))
+    return rows

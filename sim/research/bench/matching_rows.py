@@ -1,0 +1,108 @@
+"""Both region orders of one query against a whole map: ours, and what others would do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import faiss
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from edge.reference_map.costs import CostMatcher, encode, squared_norms
+from sim.bench.timing import race
+from sim.research.bench.machine import Machine, read_all
+from sim.research.bench.rows import Row, Section, Target, against
+
+faiss.omp_set_num_threads(1)
+REGIONS, DIMENSIONS = 2, 4096
+BLOCK = 1000
+OURS, READING = "ours, both orders", "reading the map's bytes once"
+LARGEST_FLOAT = 20_000  # places of which the rivals in float32 and float64 still fit beside each other into memory
+
+
+def measure(machine: Machine, places: list[int], rounds: int, dimensions: int = DIMENSIONS) -> Section:
+    """A section with the rows of every size; targets are for sizes of 10,000 and up."""
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for count in places:
+        more_rows, more_targets = _of_size(machine, count, rounds, dimensions)
+        rows, targets = rows + more_rows, targets + more_targets
+    return Section("Matching, one frame", rows, targets)
+
+
+def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tuple[list[Row], list[Target]]:
+    rng = np.random.default_rng(places)
+    descriptors, sq8 = _simulated(rng, places, dimensions)
+    matcher = CostMatcher(descriptors, np.maximum(_norms(descriptors), 1))
+    query = rng.normal(size=(1, REGIONS, dimensions)).astype(np.float32)
+    ring = rng.normal(size=(40, REGIONS, dimensions)).astype(np.float32)
+    flat = query.reshape(1, -1)
+    both = np.concatenate([flat, query[:, ::-1].reshape(1, -1)])
+    racers: dict[str, Callable[[], object]] = {
+        OURS: lambda: matcher.costs(query),
+        READING: lambda: read_all(descriptors),
+        "faiss SQ8, one order": lambda: sq8.search(flat, 1),
+        "faiss SQ8, both orders": lambda: sq8.search(both, 1),
+    }
+    if places <= LARGEST_FLOAT:
+        racers |= _float_rivals(descriptors, both)
+    times = race(racers, rounds)
+    what = f"{places:,} places x {REGIONS * dimensions}"
+    rows = [against(f"{what}: {OURS}", OURS, times, READING)]
+    rows += [against(f"{what}: {name}", name, times, OURS) for name in list(racers)[1:]]
+    macs = machine.floor_ms(descriptors.size, descriptors.size * len(ring))
+    whole = race({"ring": lambda: matcher.costs(ring)}, max(2, rounds // 3))["ring"]
+    rows.append(Row(f"{what}: 40 rows, when the ring is normalized again", whole, "its floor", whole.median_ms / macs))
+    if places < 10_000:
+        return rows, []
+    over = times[OURS].ratio(times[READING])
+    to_faiss = times[OURS].ratio(times["faiss SQ8, one order"])
+    return rows, [
+        Target(
+            f"matching {places:,} x {REGIONS * dimensions}, both orders, against reading the map's bytes once",
+            "1.3x or less",
+            f"{over:.2f}x",
+            over <= 1.3,
+        ),
+        Target(
+            f"matching {places:,} x {REGIONS * dimensions}, both orders, against faiss SQ8 on one",
+            "1x or less",
+            f"{to_faiss:.2f}x",
+            to_faiss <= 1.0,
+        ),
+    ]
+
+
+def _simulated(
+    rng: np.random.Generator, places: int, dimensions: int
+) -> tuple[NDArray[np.int8], faiss.IndexScalarQuantizer]:
+    """Descriptors (R, N, D) int8 of a map, and faiss's 8-bit index of the same numbers."""
+    kind = faiss.ScalarQuantizer.QT_8bit_direct_signed
+    index = faiss.IndexScalarQuantizer(REGIONS * dimensions, kind, faiss.METRIC_INNER_PRODUCT)
+    out = np.empty((REGIONS, places, dimensions), dtype=np.int8)
+    for start in range(0, places, BLOCK):
+        block = rng.standard_normal((min(BLOCK, places - start), REGIONS, dimensions), np.float32)
+        out[:, start : start + BLOCK] = encode(block)
+        index.add(out[:, start : start + BLOCK].swapaxes(0, 1).reshape(len(block), -1).astype(np.float32))
+    return out, index
+
+
+def _norms(descriptors: NDArray[np.int8]) -> NDArray[np.int32]:
+    """Squared norms in blocks: in one piece they would need four times the map."""
+    starts = range(0, descriptors.shape[1], BLOCK)
+    return np.concatenate([squared_norms(descriptors[:, start : start + BLOCK]) for start in starts])
+
+
+def _float_rivals(descriptors: NDArray[np.int8], both: NDArray[np.float32]) -> dict[str, Callable[[], object]]:
+    """Exact search in float32 with unit rows (NumPy's BLAS, faiss), and SciPy's own loop."""
+    floats = descriptors.swapaxes(0, 1).reshape(descriptors.shape[1], -1).astype(np.float32)
+    floats /= np.linalg.norm(floats, axis=1, keepdims=True)
+    index = faiss.IndexFlatIP(floats.shape[1])
+    index.add(floats)
+    return {
+        # A product with one vector after another is four times as fast here as one with both.
+        "numpy float32, both orders": lambda: [1 - floats @ one for one in both],
+        "scipy cdist cosine, both orders": lambda: cdist(both, floats, "cosine"),
+        "faiss IndexFlatIP, both orders": lambda: index.search(both, 1),
+    }

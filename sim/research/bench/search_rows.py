@@ -1,0 +1,95 @@
+"""Sequence search: running sums against eq. 2 computed directly for every frame, and against SeqSLAM's search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.sequence import VIEWS_OPPOSED
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from sim.bench.timing import Times, race
+from sim.research.bench.rows import Row, Section, Target, against
+from sim.research.evaluation import seqslam
+
+LENGTHS = (10, 40, 80)
+LARGEST_SEQSLAM = 10_000  # places; all its trajectories are held at once, 8 bytes each of their frames
+SLOPES = slopes_around_diagonal(0.2, 21)
+
+
+def measure(places: list[int], rounds: int) -> Section:
+    """Two lines of planes (directions with their region order), 21 slopes, as the daemon searches."""
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for count in places:
+        ours: dict[int, Callable[[], object]] = {length: running(count, length) for length in LENGTHS}
+        steady = race({str(length): ours[length] for length in LENGTHS}, rounds)
+        for length in LENGTHS:
+            rivals = {"ours": ours[length], "direct gather": direct(count, length)}
+            if count <= LARGEST_SEQSLAM:
+                rivals["SeqSLAM's search, one direction"] = _seqslam(count, length)
+            times = race(rivals, max(2, rounds // 5))
+            what = f"{count:,} places, L = {length}"
+            rows.append(Row(f"{what}: ours", steady[str(length)], "L = 10", steady[str(length)].ratio(steady["10"])))
+            rows += [against(f"{what}: {rival}", rival, times, "ours") for rival in list(rivals)[1:]]
+            if count == max(places) and length == 40:
+                targets.append(_gather_target(what, times))
+        targets += [_length_target(count, steady)] if count == max(places) else []
+    return Section("Sequence search, one frame", rows, targets)
+
+
+def _length_target(places: int, steady: dict[str, Times]) -> Target:
+    ratio = steady["80"].ratio(steady["10"])
+    return Target(f"search, {places:,} places, L = 80 against L = 10", "1.1x or less", f"{ratio:.2f}x", ratio <= 1.1)
+
+
+def _gather_target(what: str, times: dict[str, Times]) -> Target:
+    faster = times["direct gather"].ratio(times["ours"])
+    return Target(f"search, {what}, against the direct gather", "100x faster", f"{faster:.0f}x faster", faster >= 100)
+
+
+def _rows(places: int, count: int) -> NDArray[np.int32]:
+    return np.random.default_rng(places).integers(10_000, 20_000, (count, 2, places), dtype=np.int32)
+
+
+def running(places: int, length: int) -> Callable[[], Lines | None]:
+    """One frame of the daemon's search: a row in, and the best line that ends at each place."""
+    search = SequenceSearch([(0, places)], VIEWS_OPPOSED, length, SLOPES)
+    *before, newest = _rows(places, length)
+    for row in before:
+        search.push(row)
+
+    def step() -> Lines | None:
+        search.push(newest)
+        return search.lines()
+
+    return step
+
+
+def direct(places: int, length: int) -> Callable[[], NDArray[np.int32]]:
+    """Equation 2 as it stands, vectorized over places: for each slope the L costs along each line, gathered, summed."""
+    rows = _rows(places, length)
+    at = np.arange(places)
+    # Rounded as in the frame in which the running sums are full for the first time, so that the two can be compared.
+    marks = [np.array([math.floor(slope * frame + 0.5) for frame in range(1, length + 1)]) for slope in SLOPES]
+
+    def step() -> NDArray[np.int32]:
+        best = np.full(places, NO_LINE, dtype=np.int32)
+        for order, sign in ((1, 1), (0, -1)):
+            for passed in marks:
+                lines = at - sign * (passed[-1] - passed)[:, np.newaxis]
+                inside = ((lines >= 0) & (lines < places)).all(axis=0)
+                sums = rows[np.arange(length)[:, np.newaxis], order, lines.clip(0, places - 1)].sum(axis=0)
+                np.minimum(best, np.where(inside, sums, NO_LINE), out=best)
+        return best
+
+    return step
+
+
+def _seqslam(places: int, length: int) -> Callable[[], object]:
+    """The published search for one query, through differences whose contrast was enhanced before."""
+    differences = _rows(places, length + 1)[:, 0].T.astype(np.float32)
+    settings = seqslam.SeqslamSettings(length=length, mode="causal", slope_min=SLOPES[0], slope_max=SLOPES[-1])
+    return lambda: seqslam.search(differences, settings)

@@ -1,0 +1,259 @@
+"""How far the place belief can be trusted: simulated worlds, front against rear, all of the road mapped or part of it.
+
+    python -m sim.research.evaluation.belief --seeds 911 923 --cache FOLDER
+
+Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
+and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
+vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day), as
+is the parallax of the lane home.
+With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig
+from edge.descriptor.network import Network
+from edge.descriptor.regions import cut_regions
+from edge.localization.region_lines import lag_places
+from edge.reference_map import ModelKey
+from edge.reference_map.builder import Place
+from edge.sequence import Direction
+from edge.sequence_matcher import SequenceMatcher
+from sim.evaluation.metrics import Answers, at_threshold, joined, precision_recall, recall_at_precision
+from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.world.camera import open_renderer
+from sim.world.recording import times_by_distance
+from sim.world.scenario import LightName, Scenario
+
+LIGHTS: tuple[LightName, ...] = ("night", "dusk", "day", "snow")
+DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
+SPACING_M = 2.0
+TOLERANCE_M = 40.0
+HOME_LEFT_M = 3.5  # of the map's drive is the lane home
+FIRST_FRAME = 16  # the first that can have an answer
+Cut = Literal["whole", "first half", "second half", "thirds"]
+CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Described:
+    """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,)."""
+
+    raw: NDArray[np.float32]
+    route_m: Floats
+    driven_m: Floats
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
+
+    lag_m: meters by which the left region lags behind the right one, NaN where they do not say.
+    """
+
+    along_m: Floats
+    confidence: Floats
+    match_m: Floats
+    uniqueness: Floats
+    lag_m: Floats
+
+
+def described(scenario: Scenario, network: Network, cache: Path) -> Described:
+    """Render a drive at each SPACING_M and describe it, unless `cache` has it."""
+    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
+    if not (cache / name).exists():
+        drive = scenario.drive()
+        times_s = times_by_distance(drive, SPACING_M)
+        renderer = open_renderer(scenario, drive)
+        images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
+        raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.size)) for image in images])
+        renderer.close()
+        route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
+        np.savez(cache / name, raw=raw, route_m=route_m, distance_m=driven_m)
+    stored = np.load(cache / name)
+    return Described(stored["raw"], stored["route_m"], stored["distance_m"])
+
+
+def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
+    """Which places [start, end) of the map are left."""
+    half, third = places // 2, places // 3
+    return {
+        "whole": [(0, places)],
+        "first half": [(0, half)],
+        "second half": [(half, places)],
+        "thirds": [(0, third), (2 * third, places)],
+    }[cut]
+
+
+def believe(
+    road: Described,
+    query: Described,
+    cut: Cut,
+    odometer_scale: float = 1.0,
+    *,
+    rear: Described | None = None,
+    rig: RigConfig | None = None,
+) -> Beliefs:
+    """What is believed, frame by frame, on a drive over a road of which a part is mapped.
+
+    rear: the same drive as a rear camera saw it, which recognizes as well.
+    """
+    mapping = MappingConfig(folder="maps", recognize=rear is not None, camera=CameraConfig(view="rear"))
+    # Without a rig there is no lane, but any parallax, so that it is measured.
+    config, rows = Config(rig=rig or RigConfig(parallax=1.0), mapping=mapping), np.arange(len(road.raw))
+    drives = [
+        MappedDrive(
+            road.raw[start:end].astype(np.float32),
+            [Place(row, route_m=float(road.route_m[row])) for row in rows[start:end].tolist()],
+            "rear",
+        )
+        for start, end in kept(cut, len(rows))
+    ]
+    found = np.full((len(query.raw), 5), np.nan)
+    found[:, 1] = found[:, 3] = 0.0
+    model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
+    with temporary_map(drives, model, config.descriptor) as map_set:
+        matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
+        for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
+            distance_m = float(driven_m) * odometer_scale
+            if rear is not None:
+                matcher.push_second(rear.raw[frame].astype(np.float32), None, 0, distance_m)
+            match = matcher.push(raw, distance_m=distance_m)
+            if match is not None and match.confidence > 0:
+                found[frame, :2] = route_m[match.place_index], match.confidence
+            if match is not None and match.parallax is not None:
+                found[frame, 4] = lag_places(match.parallax) * SPACING_M
+            if matcher.best is not None and frame >= config.sequence.length - 1:
+                found[frame, 2:4] = route_m[matcher.best.place_index], matcher.best.uniqueness
+    return Beliefs(*found.T)
+
+
+def offset_m(query: Described, whole: Beliefs) -> float:
+    """Meters of the route by which unique matches lie beyond the vehicle."""
+    unique = whole.uniqueness >= AcceptanceConfig().uniqueness_min
+    return float(np.median((whole.match_m - query.route_m)[unique]))
+
+
+def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
+    """As `calibrate` would write it; ahead_m: as `offset_m` has it."""
+    if way == "forward":
+        return RigConfig(ahead_forward_swapped_m=ahead_m)
+    is_known = whole.confidence >= AcceptanceConfig().confidence_min
+    parallax = float(np.nanmedian(whole.lag_m[is_known])) / HOME_LEFT_M
+    return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M, parallax=max(0.0, parallax))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Answers by belief and by uniqueness alone, and meters driven on the map before the first right belief."""
+
+    belief: Answers
+    uniqueness: Answers
+    first_m: float
+
+
+def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> Judged:
+    """Frames beyond the map's end by less than the tolerance count if they are wrong, and not if they are right."""
+    true_m = query.route_m + ahead_m
+    on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
+    right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
+    believed = np.flatnonzero(right & (beliefs.confidence >= AcceptanceConfig().confidence_min))
+    first_m = query.driven_m[believed[0]] - query.driven_m[on_map.argmax()] if believed.size else np.inf
+    answers = [
+        _answers(confidence, np.abs(place_m - true_m) <= TOLERANCE_M, on_map)
+        for confidence, place_m in (
+            (beliefs.confidence, beliefs.along_m),
+            (beliefs.uniqueness, beliefs.match_m),
+        )
+    ]
+    return Judged(answers[0], answers[1], float(first_m))
+
+
+def _answers(confidence: Floats, right: NDArray[np.bool_], on_map: NDArray[np.bool_]) -> Answers:
+    counts = (on_map | ~right) & (np.arange(len(right)) >= FIRST_FRAME)
+    return Answers(np.where(confidence > 0, confidence, np.nan)[counts], right[counts], on_map[counts])
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A drive as the front camera saw it and, where both recognize, the rear camera."""
+
+    front: Described
+    rear: Described | None
+
+
+def worlds(
+    seeds: list[int], length_m: float, cache: Path, *, both: bool
+) -> Iterator[tuple[Described, dict[str, Driven]]]:
+    """The road of each seed as the rear camera saw it, and the drives on it by "light direction"."""
+    network = Network.load()
+    for seed in seeds:
+        scene = partial(Scenario, seed=seed, length_m=length_m)
+        road = described(scene(view="rear", drive_seed=1), network, cache)
+        drives = {}
+        for drive_seed, (light, way) in enumerate(product(LIGHTS, DIRECTIONS), start=2):
+            seen = partial(scene, light=light, direction=way, drive_seed=drive_seed)
+            rear = described(seen(view="rear"), network, cache) if both else None
+            drives[f"{light} {way}"] = Driven(described(seen(), network, cache), rear)
+        yield road, drives
+
+
+def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> Iterator[tuple[Cut, Judged]]:
+    """Each drive over the road with each part of it mapped."""
+    alone = {name: believe(road, drive.front, "whole", odometer) for name, drive in drives.items()}
+    for cut, (name, drive) in product(CUTS, drives.items()):
+        light, _, way = name.partition(" ")
+        other = f"{'dusk' if light == 'day' else 'day'} {way}"
+        ahead_m = offset_m(drives[other].front, alone[other])
+        rig = rig_of("forward" if way == "forward" else "reverse", ahead_m, alone[other])
+        beliefs = believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
+        mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
+        yield cut, judge(drive.front, mapped_m, beliefs, ahead_m)
+
+
+def _row(cut: Cut, judged: list[Judged]) -> str:
+    cells = []
+    for kind, threshold in (
+        ("uniqueness", AcceptanceConfig().uniqueness_min),
+        ("belief", AcceptanceConfig().confidence_min),
+    ):
+        answers: list[Answers] = [getattr(one, kind) for one in judged]
+        at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
+        precision, recall = at_threshold(joined(answers), threshold)
+        cells.append(f"{at_100:.2f} / {precision:.4f} / {recall:.2f}")
+    return f"| {cut} | {' | '.join(cells)} | {np.median([one.first_m for one in judged]):.0f} m |"
+
+
+def main() -> None:
+    """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
+    parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
+    parser.add_argument("--both-cameras", action="store_true", help="a rear camera recognizes as well")
+    args = parser.parse_args()
+    judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
+    args.cache.mkdir(parents=True, exist_ok=True)
+    for road, drives in worlds(args.seeds, args.length, args.cache, both=args.both_cameras):
+        for cut, one in judge_world(road, drives, args.odometer):
+            judged[cut].append(one)
+    print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief |\n|---|---|---|---|")
+    for cut in CUTS:
+        print(_row(cut, judged[cut]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""`lookback dev paper`: run the paper's comparisons on your traverses.
+
+Each action is imported when it runs: matplotlib alone takes half a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback dev paper`."""
+    actions = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_run(actions.add_parser("run", help="run a plan and write its report"))
+    _add_networks(actions.add_parser("networks", help="compare networks on the traverses of a plan"))
+    _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
+    shrinking = actions.add_parser(
+        "shrinking", help="measure the effect of fewer dimensions on matching, with a map that has them"
+    )
+    shrinking.add_argument("map", type=Path, metavar="MAP", help="a map that `map build --dimensions` made")
+    shrinking.set_defaults(run=_shrinking)
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    _add_plan(parser)
+    parser.set_defaults(run=_run)
+
+
+def _add_networks(parser: argparse.ArgumentParser) -> None:
+    _add_plan(parser)
+    parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="NAME=PATH",
+        help="a network file or folder beside those of the plan; may be repeated",
+    )
+    parser.set_defaults(run=_networks)
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "plan",
+        type=Path,
+        metavar="PLAN",
+        help="a plan (TOML, see plan.py beside this module), or one of simulator, real_feeds, real_front_rear",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for HTML, CSV and PNG files"
+    )
+    parser.add_argument(
+        "--feeds", type=Path, metavar="FOLDER", help="folder of the plan's feeds (default: beside the plan)"
+    )
+    parser.add_argument(
+        "--models", type=Path, metavar="FOLDER", help="folder of the plan's models (default: beside the plan)"
+    )
+
+
+def _add_match(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "costs", type=Path, metavar="COSTS.npy", help="array (reference x query); lower is more similar"
+    )
+    parser.add_argument(
+        "--truth", type=Path, help=".csv or .npy: the true reference index of each query frame, -1 off the map"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, default=5.0, metavar="N", help="a match is correct within N places (default 5)"
+    )
+    parser.add_argument("--length", type=int, default=20, help="frames in a sequence (default 20)")
+    parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches to this CSV file")
+    parser.set_defaults(run=_match)
+
+
+def _run(args: argparse.Namespace) -> int:
+    from sim.research.evaluation.run import run
+
+    return run(args)
+
+
+def _networks(args: argparse.Namespace) -> int:
+    from sim.research.evaluation.network_comparison import run
+
+    return run(args)
+
+
+def _match(args: argparse.Namespace) -> int:
+    from sim.research.evaluation.match_command import run
+
+    return run(args)
+
+
+def _shrinking(args: argparse.Namespace) -> int:
+    from sim.research.evaluation.shrinking import run
+
+    return run(args)

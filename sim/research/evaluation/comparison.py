@@ -1,0 +1,281 @@
+"""Every method on every pair: tables and curves of figs. 5 to 9, and pictures of the best and worst matches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.evaluation import figures
+from sim.evaluation.metrics import at_threshold, max_f1_of_places, precision_recall, recall_of_best, scores
+from sim.evaluation.report import Cell, Figure, Picture, Section, Table
+from sim.research.evaluation import plots
+from sim.research.evaluation.bootstrap import difference, interval
+from sim.research.evaluation.matching import errors_of
+from sim.research.evaluation.method_runner import MethodRunner, Outcome
+from sim.research.evaluation.plan import Pair
+from sim.research.evaluation.traverses import open_pictures
+
+COUNTS = (1, 5, 10)
+THUMBNAIL_PX = 200
+SHOWN = 3
+
+Results = dict[tuple[str, str], Outcome]
+"""Outcome by the names of pair and method."""
+
+SCORE_NOTE = (
+    "Accuracy: right best matches over all frames that have a true place. Max-F1 (places): recall counts every frame"
+    " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
+    " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
+    " R@P100, R@P99: recall of places at 100 % and 99 % precision. Precision, recall: of what is accepted"
+    " at the default threshold. Offset: how far ahead of the vehicle a match is"
+    " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
+    " an offset it is limited to the tolerance. Published: the paper's max-F1; it does not say by which recall."
+)
+
+
+def compare(runner: MethodRunner, step: Callable[[str], None]) -> Results:
+    """Run every method on every pair; `step` is called before each with its name."""
+    found: Results = {}
+    for pair in runner.plan.pairs:
+        for text in runner.methods_for(pair):
+            step(f"{pair.name}: {text}")
+            found[pair.name, text] = runner.run(pair, text)
+    return found
+
+
+def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
+    """All scores of one pair, its curves, its matches, and pictures of one method's best and worst."""
+    outcomes = [results[pair.name, text] for text in runner.methods_for(pair)]
+    shown = shown_outcome(runner, pair, results)
+    slug = slug_of(pair)
+    wrong = ~(shown.error_of_best() <= pair.tolerance)
+    curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
+    plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, wrong, pair.tolerance)
+    return Section(
+        title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
+        text=_describe(pair, shown),
+        tables=[_score_table(runner, pair, slug, outcomes), _recall_table(runner, pair, slug, outcomes)],
+        figures=[
+            Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
+            Figure(
+                f"{slug}_matches", f"Costs and matches of {shown.method.name}", plot, "Between the blue lines: true."
+            ),
+        ],
+        pictures=match_pictures(shown, wrong),
+    )
+
+
+def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome:
+    """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
+    texts = runner.methods_for(pair)
+    return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
+
+
+def slug_of(pair: Pair) -> str:
+    """The pair's name as part of a file name."""
+    return "".join(letter if letter.isalnum() else "_" for letter in pair.name)
+
+
+def overview(runner: MethodRunner, results: Results) -> Section:
+    """Max-F1 of every method on every pair, and the differences that the plan names."""
+    pairs = [pair.name for pair in runner.plan.pairs]
+    heights = {
+        text: [
+            max_f1_of_places(results[pair, text].answers) if (pair, text) in results else float("nan") for pair in pairs
+        ]
+        for text in runner.plan.methods
+    }
+    rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
+    table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
+    plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
+    tables = [table, _first_answers(runner, results), *_differences(runner, results)]
+    return Section("Overview", _methods_text(runner), tables, [plot])
+
+
+def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Picture]]:
+    """Query beside match: the surest right ones and the surest wrong ones, apart from each other."""
+    confidence = np.full(len(wrong), np.nan)
+    confidence[outcome.judged] = outcome.answers.confidence
+    rows = []
+    for chosen, word in ((~wrong, "right"), (wrong, "wrong")):
+        ranked = [q for q in np.argsort(-confidence, kind="stable") if chosen[q] and not np.isnan(confidence[q])]
+        apart: list[int] = []
+        for query in ranked:
+            if all(abs(query - other) >= outcome.length for other in apart):
+                apart.append(int(query))
+        rows += [_picture_row(outcome, query, word) for query in apart[:SHOWN]]
+    return rows
+
+
+def median_ahead(outcome: Outcome) -> float:
+    """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
+    ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
+    return float(np.median(ahead)) if ahead.size else float("nan")
+
+
+def lags(outcome: Outcome) -> list[float]:
+    """Frames from each entry into the map to the first right accepted answer, inf where there is none until its end.
+
+    Frames count from the entry on, before the first whole sequence too.
+    """
+    on_map = outcome.errors.min(axis=1) <= outcome.pair.tolerance  # NaN is not
+    right = (outcome.error_of_best() <= outcome.pair.tolerance) & (outcome.matches.confidence >= outcome.threshold)
+    found = []
+    for drive in outcome.query.drives():
+        edges = np.diff(on_map[drive], prepend=False, append=False).nonzero()[0] + drive.start
+        for entry, end in zip(edges[::2], edges[1::2], strict=True):
+            first = np.flatnonzero(right[entry:end])
+            found.append(float(first[0]) if first.size else np.inf)
+    return found
+
+
+def _picture_row(outcome: Outcome, query: int, word: str) -> list[Picture]:
+    place = int(outcome.matches.place[query])
+    error = outcome.errors[query, place]
+    true_place = int(outcome.errors[query].argmin())
+    said = f"off by {error:.0f}"
+    row = [
+        _picture(outcome, query, f"query frame {query}", of_query=True),
+        _picture(outcome, place, f"{word}: place {place}, {said}", of_query=False),
+    ]
+    if word == "wrong" and outcome.errors[query, true_place] <= outcome.pair.tolerance:
+        row.append(_picture(outcome, true_place, f"the truth: place {true_place}", of_query=False))
+    return row
+
+
+def _picture(outcome: Outcome, index: int, caption: str, *, of_query: bool) -> Picture:
+    traverse = outcome.query if of_query else outcome.reference
+    with closing(open_pictures(traverse.feed)) as images:
+        return Picture(thumbnail(images.read(int(traverse.rows[index]))), caption)
+
+
+def thumbnail(image: NDArray[np.uint8]) -> bytes:
+    """A JPEG for the report."""
+    height = max(1, round(image.shape[0] * THUMBNAIL_PX / image.shape[1]))
+    small = cv2.resize(image, (THUMBNAIL_PX, height), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+
+
+def _describe(pair: Pair, outcome: Outcome) -> str:
+    unit = "m" if pair.truth in ("positions", "route_m") else "frames"
+    on_map = int(outcome.answers.has_truth.sum())
+    known = outcome.errors[outcome.judged][outcome.answers.has_truth]
+    guess = float((known <= pair.tolerance).mean()) if on_map else 0.0
+    return (
+        f"{pair.query} against {pair.reference}: {len(outcome.query.rows)} frames and {len(outcome.reference.rows)}"
+        f" places, sequences of {outcome.length} frames, tolerance {pair.tolerance:g} {unit}."
+        f" {len(outcome.judged)} frames are judged: those with a known position, from the first whole sequence on."
+        f" {on_map} of them have a true place in the map. A guess is right in {guess:.1%} of them."
+    )
+
+
+def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
+    rows: list[Sequence[Cell]] = []
+    for outcome in outcomes:
+        found = scores(outcome.answers)
+        sure = interval(max_f1_of_places, outcome.answers, runner.resampling(outcome.length))
+        published = pair.published.get(outcome.method.name)
+        rows.append(
+            [
+                outcome.method.name,
+                found.accuracy,
+                sure,
+                found.max_f1_of_correct,
+                found.average_precision,
+                found.recall_at_100,
+                found.recall_at_99,
+                *at_threshold(outcome.answers, outcome.threshold),
+                outcome.ahead,
+                median_ahead(outcome),
+                "" if published is None else published,
+            ]
+        )
+    data_set = pair.dataset or (
+        "the paper's are of its own data sets, not of this one: compare the order, not the numbers"
+        if pair.published
+        else ""
+    )
+    columns = (
+        "method",
+        "accuracy",
+        "max-F1 (places)",
+        "max-F1 (correct)",
+        "AP",
+        "R@P100",
+        "R@P99",
+        "precision",
+        "recall",
+        "offset",
+        "median ahead",
+        "published max-F1",
+    )
+    return Table(f"{slug}_scores", "Scores", columns, rows, f"{SCORE_NOTE} {data_set}".strip())
+
+
+def _recall_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
+    radii = (
+        [float(radius) for radius in runner.plan.radii]
+        if pair.truth in ("positions", "route_m")
+        else [pair.tolerance * share for share in (0.5, 1, 2)]
+    )
+    rows: list[Sequence[Cell]] = []
+    for outcome in outcomes:
+        errors = errors_of(outcome.matches.candidates, outcome.errors)[outcome.judged]
+        nearest = outcome.errors.min(axis=1)[outcome.judged]
+        rows.append([outcome.method.name, *recall_of_best(errors, nearest, COUNTS, radii).T.ravel().tolist()])
+    columns = ("method", *(f"R@{count} in {radius:g}" for radius in radii for count in COUNTS))
+    return Table(
+        f"{slug}_recall",
+        "Recall of the best 1, 5 and 10 places within a radius",
+        columns,
+        rows,
+        "The best places of the sequence search, neighbors included.",
+    )
+
+
+def _first_answers(runner: MethodRunner, results: Results) -> Table:
+    """Lag of every method on every pair, in meters where frames are chosen by distance."""
+    sampling = runner.plan.sampling
+    meters, unit = (sampling.spacing_m, "m") if sampling.by == "distance" else (1.0, "frames")
+    rows: list[Sequence[Cell]] = []
+    for text in runner.plan.methods:
+        outcomes = [results.get((pair.name, text)) for pair in runner.plan.pairs]
+        rows.append([text, *(_lag_text(lags(one), meters) if one else "" for one in outcomes)])
+    note = (
+        f"From entering the map to the first right match that is accepted by the default threshold, {unit}; of several"
+        " entries the median. Entries without one until the map ends are counted, as longer than any lag."
+    )
+    return Table(
+        "first_answers", "First right answer", ("method", *(pair.name for pair in runner.plan.pairs)), rows, note
+    )
+
+
+def _lag_text(found: Sequence[float], meters: float) -> str:
+    median, never = float(np.median(found)) if found else np.nan, sum(map(np.isinf, found))
+    text = "never" if np.isinf(median) else f"{median * meters:.0f}"
+    return text + (f" ({never} of {len(found)} never)" if never and len(found) > 1 else "")
+
+
+def _differences(runner: MethodRunner, results: Results) -> list[Table]:
+    rows: list[Sequence[Cell]] = []
+    for pair in runner.plan.pairs:
+        for first, second in runner.plan.experiments.better_than:
+            one, two = results.get((pair.name, first)), results.get((pair.name, second))
+            if one is None or two is None:
+                continue
+            less = difference(max_f1_of_places, one.answers, two.answers, runner.resampling(one.length))
+            verdict = "noise" if not less.decided else "better" if less.value > 0 else "worse"
+            rows.append([pair.name, first, second, less, verdict])
+    if not rows:
+        return []
+    columns = ("pair", "method", "against", "difference in max-F1 (places)", "verdict")
+    note = "Paired block bootstrap at 95 %; an interval that contains 0 is noise."
+    return [Table("differences", "Is it better, or is it noise?", columns, rows, note)]
+
+
+def _methods_text(runner: MethodRunner) -> str:
+    return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)

@@ -1,0 +1,218 @@
+"""One method on one pair of traverses: its answers, and which of them are right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, SamplingConfig, SequenceConfig
+from edge.errors import ConfigError
+from edge.recognizer import model_key
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.as_run import config_of, match_as_run
+from sim.research.evaluation.bootstrap import Resampling
+from sim.research.evaluation.descriptions import Descriptions, Raw
+from sim.research.evaluation.matching import (
+    FloatMatcher,
+    Matches,
+    errors_of,
+    int8_matcher,
+    judge,
+    judged_queries,
+    match,
+    match_seqslam,
+    open_matcher,
+)
+from sim.research.evaluation.methods import Method, find_method, needs_segments, query_rows, reference_rows
+from sim.research.evaluation.networks import Precision
+from sim.research.evaluation.plan import Pair, Plan
+from sim.research.evaluation.traverses import Traverse, place_coordinates, true_errors
+
+FEWEST = 10
+"""Matches that an offset is measured on at least, as `lookback calibrate` does."""
+
+FURTHEST = 4
+"""Tolerances ahead of the vehicle, or behind it, up to which a match can be right before the offset is known."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Answers of a method on a pair.
+
+    ahead: how far ahead of the query its right place lies, see `Pair.ahead`. errors: (Q, N) distance of every query's
+    right place to every place. length: frames of a sequence. judged: the queries that `answers` are about, see
+    `judged_queries`; matches and errors have all.
+    """
+
+    pair: Pair
+    method: Method
+    length: int
+    reference: Traverse
+    query: Traverse
+    matches: Matches
+    ahead: float
+    errors: NDArray[np.float64]
+    judged: NDArray[np.intp]
+    answers: Answers
+
+    def error_of_best(self) -> NDArray[np.float64]:
+        """(Q,) true distance of each answer, inf where there is none."""
+        return errors_of(self.matches.place[:, np.newaxis], self.errors)[:, 0]
+
+    @property
+    def threshold(self) -> float:
+        """The default confidence from which a match is accepted; SeqSLAM has the inverse of a uniqueness."""
+        default = AcceptanceConfig()
+        if self.method.recognizer == "belief":
+            return default.confidence_min
+        return -1 / default.uniqueness_min if self.method.layer == "pixels" else default.uniqueness_min
+
+    def places_of_vehicle(self) -> NDArray[np.intp]:
+        """(Q,) the place of the match's drive that lies `ahead` behind the match; -1 without one."""
+        along, places = place_coordinates(self.reference, self.pair)[1], self.matches.place.copy()
+        wanted = along[places] - np.where(self.matches.reverse, -self.ahead, self.ahead)
+        for drive in self.reference.drives() if self.ahead else ():
+            inside = np.flatnonzero((places >= drive.start) & (places < drive.stop) & ~np.isnan(wanted))
+            places[inside] = drive.start + np.abs(along[drive] - wanted[inside, np.newaxis]).argmin(axis=1)
+        return places
+
+    def ahead_of_query(self) -> NDArray[np.float64]:
+        """(Q,) how far ahead of the query each match lies in the direction of travel, NaN without one."""
+        along = place_coordinates(self.reference, self.pair)[1]
+        known = ~np.isnan(self.errors).all(axis=1) & (self.matches.place >= 0)
+        out = np.full(len(self.errors), np.nan)
+        further = along[self.matches.place[known]] - along[self.errors[known].argmin(axis=1)]
+        if self.pair.loop:
+            further = (further + self.pair.loop / 2) % self.pair.loop - self.pair.loop / 2
+        out[known] = np.where(self.matches.reverse[known], -further, further) + self.ahead
+        return out
+
+
+class MethodRunner:
+    """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
+
+    def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
+        """open_traverse(name, sampling) reads a traverse of the plan."""
+        self.plan = plan
+        self.descriptions = descriptions
+        self._open_traverse = open_traverse
+        self._traverses: dict[tuple[str, SamplingConfig], Traverse] = {}
+        self._ahead: dict[tuple[str, str], float] = {}
+        self._external = sorted({name for traverse in plan.traverses.values() for name in traverse.external})
+
+    def method(self, text: str) -> Method:
+        """A row of the table; ConfigError if there is none of that name."""
+        return find_method(text, list(self.plan.networks), self._external)
+
+    def traverse(self, name: str, sampling: SamplingConfig | None = None) -> Traverse:
+        """A traverse of the plan, sampled as the plan says or otherwise."""
+        key = (name, sampling or self.plan.sampling)
+        if key not in self._traverses:
+            self._traverses[key] = self._open_traverse(*key)
+        return self._traverses[key]
+
+    def sequence_length(self, pair: Pair, sampling: SamplingConfig | None = None) -> int:
+        """Frames of a sequence of this pair."""
+        if pair.length is not None:
+            return pair.length
+        return max(1, round((pair.length_m or 0.0) / (sampling or self.plan.sampling).spacing_m))
+
+    def resampling(self, length: int) -> Resampling:
+        """Blocks of two sequences: sequences that far apart share no frame."""
+        return Resampling(block=2 * length, resamples=self.plan.resamples)
+
+    def methods_for(self, pair: Pair) -> list[str]:
+        """The plan's methods, less those that start warm where the pair has no earlier drive."""
+        return [text for text in self.plan.methods if pair.warm_start or not self.method(text).warm]
+
+    def run(
+        self,
+        pair: Pair,
+        text: str,
+        *,
+        length: int | None = None,
+        spacing_m: float | None = None,
+        precision: Precision | None = None,
+    ) -> Outcome:
+        """One method on one pair; the options change what the plan says. `precision` is of network and descriptors."""
+        method = self.method(text)
+        sampling = self.plan.sampling
+        if spacing_m is not None:
+            sampling = msgspec.structs.replace(sampling, by="distance", spacing_m=spacing_m)
+        reference, query = self.traverse(pair.reference, sampling), self.traverse(pair.query, sampling)
+        length = length or self.sequence_length(pair, sampling)
+        matches = self._match(pair, method, reference, query, length, precision)
+        ahead = self.offset(pair, text)
+        errors = true_errors(reference, query, pair, ahead)
+        judged = judged_queries(errors, length, query.drives())
+        if not judged.size:
+            raise ConfigError(f"pair {pair.name!r}: no frame with a known true place ends a sequence of {length}")
+        answers = judge(matches, errors, pair.tolerance, judged)
+        return Outcome(pair, method, length, reference, query, matches, ahead, errors, judged, answers)
+
+    def offset(self, pair: Pair, text: str) -> float:
+        """How far ahead the right place lies: as the plan says, or as this method measures it on another drive."""
+        if not pair.calibration:
+            return pair.ahead
+        key = (pair.name, text)
+        if key not in self._ahead:
+            other = self.run(msgspec.structs.replace(pair, query=pair.calibration, calibration="", ahead=0.0), text)
+            ahead = other.ahead_of_query()[other.matches.confidence >= other.threshold]
+            # What lies further away than a camera sees is a wrong match, and no offset.
+            ahead = ahead[np.abs(ahead) <= FURTHEST * pair.tolerance]
+            self._ahead[key] = float(np.median(ahead)) if len(ahead) >= FEWEST else 0.0
+        return self._ahead[key]
+
+    def _match(
+        self,
+        pair: Pair,
+        method: Method,
+        reference: Traverse,
+        query: Traverse,
+        length: int,
+        precision: Precision | None,
+    ) -> Matches:
+        ground, along = place_coordinates(reference, pair)
+        # The second-best match of the uniqueness lies outside twice the tolerance.
+        window = 2 * pair.tolerance
+        if method.layer == "pixels":
+            if len(reference.paths) > 1 or len(query.paths) > 1:
+                raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
+            places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
+            return match_seqslam(reference.pixels, query.pixels, length, places, centered=method.centered)
+        if method.recognizer:
+            raw = self._raw(method, reference, precision), self._raw(method, query, precision)
+            sequence = SequenceConfig(length=length, region_order=method.order)
+            config = config_of(pair, reference, query, sequence, self.plan.region_width)
+            network = self.descriptions.network(method.network, "fc6", precision)
+            return match_as_run(reference, query, raw, config, model_key(network), method.recognizer)
+        described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
+        costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
+        earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None
+        starts = {drive.start for drive in query.drives()}
+        rows = query_rows(
+            method,
+            self._raw(method, query, precision),
+            length,
+            segments=self._segments(method, query),
+            earlier=self._raw(method, earlier, precision) if earlier else None,
+            starts=starts,
+        )
+        views = (reference.feed.header.view, query.feed.header.view)
+        sequence = SequenceConfig(length=length, region_order=method.order)
+        regions = described.shape[1]
+        search = open_matcher(ground, along, window, sequence, regions=regions, views=views, drives=reference.drives())
+        return match(rows, costs.costs, search, starts)
+
+    def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
+        if method.layer == "external":
+            return self.descriptions.external(traverse, method.external)
+        assert method.layer != "pixels"
+        return self.descriptions.raw(traverse, method.network, method.layer, method.regions, precision)
+
+    def _segments(self, method: Method, traverse: Traverse) -> list[tuple[int, int]]:
+        return self.descriptions.segments(traverse, method.network) if needs_segments(method) else []

@@ -1,0 +1,187 @@
+"""`lookback dev paper networks`: networks side by side on a user's own traverses, in one table and one picture.
+
+Accuracy and max-F1 are those of NSD-CR, the paper's method, R@P100 is that of the place belief of `lookback run`. Time
+and memory are measured on this computer, each network in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from tqdm import tqdm
+
+from edge.descriptor.model_file import ModelInfo
+from edge.errors import ConfigError
+from edge.reference_map.place_records import PLACE
+from sim.evaluation.metrics import Scores, scores
+from sim.evaluation.report import Cell, Figure, Section, Table, write_report
+from sim.research.evaluation import plots
+from sim.research.evaluation.networks import open_network
+from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, load_plan
+from sim.research.evaluation.run import about, find_plan, folders_of, open_runner
+
+METHOD, BELIEF = "NSD-CR", "Lookback"
+REGIONS, ROUNDS = 2, 60
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a network takes here: CPU time of a frame of two regions, and resident memory with its file open."""
+
+    time_ms: float
+    memory_mb: float
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A network, its cost, and its scores on each pair: those of the method, and R@P100 of the belief."""
+
+    name: str
+    info: ModelInfo
+    file_mb: float
+    cost: Cost
+    found: Sequence[Scores]
+    recall_at_100: Sequence[float]
+
+    @property
+    def accuracy(self) -> float:
+        """Mean over the pairs."""
+        return float(np.mean([one.accuracy for one in self.found]))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare the networks of a plan and those of --model, and write the report."""
+    path = find_plan(args.plan)
+    plan = _with_networks(load_plan(path), args.model)
+    folders = folders_of(args, path)
+    runner = open_runner(plan, folders)
+    opened = {name: open_network(name, one, folders.models, "fc6", None) for name, one in plan.networks.items()}
+    compared = []
+    for name in tqdm(opened, desc="networks", unit="network"):
+        outcomes = [runner.run(pair, f"{METHOD}@{name}") for pair in plan.pairs]
+        beliefs = [scores(runner.run(pair, f"{BELIEF}@{name}").answers).recall_at_100 for pair in plan.pairs]
+        cost = measured(name, plan.networks[name], folders.models)
+        file = opened[name].path
+        compared.append(
+            Compared(
+                name,
+                opened[name].info,
+                file.stat().st_size / 1e6,
+                cost,
+                [scores(outcome.answers) for outcome in outcomes],
+                beliefs,
+            )
+        )
+        runner.descriptions.forget(name)
+    section = compare(plan.pairs, compared)
+    page = write_report(args.output, f"Networks: {plan.title}", about(path, plan, runner), [section])
+    print(as_markdown(section.tables[0]))
+    print(page)
+    return 0
+
+
+def _with_networks(plan: Plan, given: Sequence[str]) -> Plan:
+    """The plan with the networks NAME=PATH as well; ConfigError for other text."""
+    networks = dict(plan.networks)
+    for text in given:
+        name, equals, path = text.partition("=")
+        if not (name and equals) or "@" in name:
+            raise ConfigError(f"--model: {text!r} is not NAME=PATH")
+        networks[name] = NetworkPlan(model=str(Path(path).resolve()) if path else "")
+    return msgspec.structs.replace(plan, networks=networks)
+
+
+def measured(name: str, plan: NetworkPlan, folder: Path) -> Cost:
+    """The cost of a network, in a process that has nothing else to do."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_measure, name, plan, folder).result()
+
+
+def _measure(name: str, plan: NetworkPlan, folder: Path) -> Cost:
+    before_mb = _resident_mb()
+    network = open_network(name, plan, folder, "fc6", None)
+    images = np.random.default_rng(0).integers(0, 256, (REGIONS, *network.size, 3), dtype=np.uint8)
+    times_ms = []
+    for _ in range(ROUNDS):
+        start_ns = time.thread_time_ns()
+        network.describe(images)
+        times_ms.append((time.thread_time_ns() - start_ns) / 1e6)
+    return Cost(statistics.median(times_ms), _resident_mb() - before_mb)
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def compare(pairs: Sequence[Pair], compared: Sequence[Compared]) -> Section:
+    """The table of all pairs, one of each pair, and the picture."""
+    rows: list[Sequence[Cell]] = [
+        [
+            one.name,
+            one.accuracy,
+            float(np.mean([found.max_f1_of_places for found in one.found])),
+            float(np.mean(one.recall_at_100)),
+            f"{one.cost.time_ms:.2f}",
+            f"{one.cost.memory_mb:.0f}",
+            f"{one.file_mb:.1f}",
+            one.info.dimensions,
+            map_bytes(one.info),
+            one.info.license.partition(",")[0],
+        ]
+        for one in compared
+    ]
+    columns = (
+        "network",
+        "accuracy",
+        "max-F1",
+        "R@P100 of the belief",
+        "time, ms",
+        "memory, MB",
+        "file, MB",
+        "dimensions",
+        "map, bytes a place",
+        "license",
+    )
+    note = (
+        f"Means over {len(pairs)} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"
+        " regions of a frame. Memory: what the process grows by when it opens and runs the network."
+    )
+    tables = [Table("networks", "Networks side by side", columns, rows, note)]
+    for index, pair in enumerate(pairs):
+        tables.append(_pair_table(index, pair, compared))
+    points = {one.name: (one.cost.time_ms, one.accuracy) for one in compared}
+    picture = plots.time_plot(points, "time of a frame's two regions, ms", "accuracy")
+    return Section("Networks", tables=tables, figures=[Figure("accuracy_and_time", "Accuracy and time", picture)])
+
+
+def _pair_table(index: int, pair: Pair, compared: Sequence[Compared]) -> Table:
+    rows: list[Sequence[Cell]] = [
+        [one.name, one.found[index].accuracy, one.found[index].max_f1_of_places, one.recall_at_100[index]]
+        for one in compared
+    ]
+    return Table(f"networks_{index}", pair.name, ("network", "accuracy", "max-F1", "R@P100 of the belief"), rows)
+
+
+def map_bytes(info: ModelInfo) -> int:
+    """Bytes of a map that a place takes while it is matched: int8 of both regions, and its record."""
+    return REGIONS * info.dimensions + PLACE.itemsize
+
+
+def as_markdown(table: Table) -> str:
+    """The table as the docs have it."""
+
+    def cells(row: Sequence[Cell]) -> str:
+        return "| " + " | ".join(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row) + " |"
+
+    return "\n".join([cells(table.columns), "|" + "---|" * len(table.columns), *map(cells, table.rows)])

@@ -1,0 +1,99 @@
+"""The networks of a plan: files that `lookback dev model import` wrote, or graphs built from the weights."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from edge.descriptor.model_file import HEAD_FILE, ModelFile, ModelInfo, resolve_model
+from edge.descriptor.network import Head, Network
+from edge.errors import ConfigError
+from sim.model_tools import onnx_graph, quantize
+from sim.model_tools.weights import Weights, has_head, read_labels, read_weights
+from sim.research.evaluation.plan import NetworkPlan
+
+Tap = Literal["fc6", "conv3"]
+Precision = Literal["int8", "float32"]
+
+
+@lru_cache(maxsize=16)
+def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision | None) -> Network:
+    """A layer of a network in the given precision; with None, in int8 if available. Opened once in a process.
+
+    ConfigError names what is missing.
+    """
+    wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
+    for one in wanted:
+        file = _file_of(folder / plan.model if plan.model else None, tap, one)
+        if file.is_file():
+            return Network.load(file)
+        if plan.weights and (one == "float32" or plan.ranges):
+            return Network(_make(plan, folder, tap, one))
+    raise ConfigError(
+        f"[networks.{name}]: has no {tap} in {' or '.join(wanted)}; give it weights, or import it with"
+        f" `lookback dev model import --tap {tap}`"
+    )
+
+
+def _file_of(model: Path | None, tap: Tap, precision: Precision) -> Path:
+    """The file of an AlexNet's layer; of another network its own descriptor stands for fc6."""
+    file = resolve_model(model, f"{tap}_{precision}.onnx")
+    other = file.with_name(f"network_{precision}.onnx")
+    return other if tap == "fc6" and not file.exists() and model is not None and model.is_dir() else file
+
+
+def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> Head:
+    """The categories of a network's fc6. ConfigError if neither its folder nor its weights have them."""
+    if network.path.with_name(HEAD_FILE).is_file():
+        return Head.load(network)
+    if not plan.weights:
+        raise ConfigError(f"[networks.{name}]: {network.path} has no categories; import it with --labels")
+    weights, sha256 = _weights(folder / plan.weights)
+    if not has_head(weights):
+        raise ConfigError(f"[networks.{name}]: neither {HEAD_FILE} nor weights of fc7 and fc8, so no categories")
+    labels = read_labels(folder / plan.labels if plan.labels else None, weights)
+    info = msgspec.structs.replace(
+        _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
+    )
+    info = msgspec.structs.replace(info, tap="categories")
+    data = onnx_graph.build_head(weights, info).SerializeToString(deterministic=True)
+    return Head(ModelFile(folder / plan.weights, data, info), network.info)
+
+
+def read_plan_weights(name: str, plan: NetworkPlan, folder: Path) -> Weights:
+    """The float weights of a network; ConfigError if the plan gives none."""
+    if not plan.weights:
+        raise ConfigError(f"[networks.{name}]: needs weights for class activation maps")
+    return _weights(folder / plan.weights)[0]
+
+
+def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
+    weights, sha256 = _weights(folder / plan.weights)
+    info = _info(plan, tap, precision, sha256)
+    model = onnx_graph.build_float(weights, info)
+    if precision == "int8":
+        model = quantize.quantize(model, quantize.read_ranges(folder / plan.ranges), info)
+    data = model.SerializeToString(deterministic=True)
+    info = msgspec.structs.replace(info, sha256=hashlib.sha256(data).hexdigest())
+    return ModelFile(folder / plan.weights, data, info)
+
+
+@lru_cache(maxsize=2)
+def _weights(path: Path) -> tuple[Weights, str]:
+    return read_weights(path)
+
+
+def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> ModelInfo:
+    info = onnx_graph.alexnet_info(
+        Path(plan.weights).name.partition(".")[0],
+        tap,
+        license="as that of the weights",
+        source=plan.weights,
+        weights_sha256=sha256,
+        calibration=plan.ranges,
+    )
+    return msgspec.structs.replace(info, precision=precision)

@@ -1,0 +1,170 @@
+"""`lookback dev paper run PLAN`: all comparisons and experiments of a plan, in one report."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import platform
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from tqdm import tqdm
+
+import edge
+from edge.config import SamplingConfig
+from edge.errors import ConfigError
+from sim.evaluation.report import Section, write_report
+from sim.research.evaluation import experiments
+from sim.research.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
+from sim.research.evaluation.descriptions import Descriptions
+from sim.research.evaluation.method_runner import MethodRunner
+from sim.research.evaluation.plan import Plan, TraversePlan, load_plan
+from sim.research.evaluation.trajectories import write_trajectories
+from sim.research.evaluation.traverses import Traverse, load_traverse
+from sim.world.recording import record_drive
+from sim.world.scenario import load_scenario
+
+SHIPPED = Path(__file__).with_name("plans")
+PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
+
+
+def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
+    """All comparisons and experiments of a plan, section by section; trajectories are written into `folder`."""
+    plan, wanted = runner.plan, runner.plan.experiments
+    total = sum(len(runner.methods_for(pair)) for pair in plan.pairs)
+    swept = len(experiments.sweep_pairs(plan))
+    sweeps = swept * len(wanted.sweep_methods)
+    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
+    total += len(wanted.pca) + 3 * len(wanted.standing)
+    total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())
+    with tqdm(total=total, unit="step", desc="plan") as progress:
+
+        def step(what: str) -> None:
+            progress.set_postfix_str(what)
+            progress.update()
+
+        results = compare(runner, step)
+        yield overview(runner, results)
+        for pair in plan.pairs:
+            write_trajectories(folder, slug_of(pair), shown_outcome(runner, pair, results))
+            yield pair_section(runner, pair, results)
+        if wanted.sequence_lengths:
+            yield experiments.sequence_lengths(runner, step)
+        if wanted.spacings_m:
+            yield experiments.spacings(runner, step)
+        if wanted.cold_start:
+            yield experiments.cold_start(runner, results)
+        if wanted.int8:
+            yield experiments.int8_against_float(runner, results, step)
+        if wanted.standing:
+            yield experiments.standing(runner, step)
+        if wanted.pca:
+            yield experiments.pca(runner, step)
+        if wanted.activation_maps:
+            yield experiments.activation_maps(runner, step)
+
+
+@dataclass(frozen=True)
+class Folders:
+    """Folders of the plan's scenarios, feeds and models; scenarios are rendered into `rendered`."""
+
+    scenarios: Path
+    feeds: Path
+    models: Path
+    rendered: Path
+
+
+def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
+    """A runner that reads traverses when they are first needed."""
+
+    def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
+        traverse = plan.traverses[name]
+        if traverse.scenario:
+            paths = [feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)]
+        else:
+            paths = [folders.feeds / feed for feed in traverse.feeds or (traverse.feed,)]
+        return load_traverse(name, traverse, paths, sampling, folders.feeds)
+
+    return MethodRunner(plan, Descriptions(plan, folders.models), open_traverse)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run a plan and write its report; SetupError, in one line, for any error in it."""
+    path = find_plan(args.plan)
+    plan = load_plan(path)
+    runner = open_runner(plan, folders_of(args, path))
+    for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
+        runner.method(text)
+    sections = list(run_plan(runner, args.output))
+    page = write_report(args.output, plan.title, about(path, plan, runner), sections)
+    _print_overview(sections[0])
+    print(page)
+    return 0
+
+
+def folders_of(args: argparse.Namespace, path: Path) -> Folders:
+    """The folders that the options name, or else that of the plan. ConfigError if the report cannot be written."""
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{args.output}: cannot write the report here: {error.strerror}") from None
+    beside = path.parent
+    return Folders(beside, args.feeds or beside, args.models or beside, args.output / "feeds")
+
+
+def find_plan(path: Path) -> Path:
+    """A file, or one of the shipped plans by its name."""
+    shipped = SHIPPED / f"{path}.toml"
+    return shipped if not path.exists() and shipped.is_file() else path
+
+
+def about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
+    """What is needed to run the same again."""
+    terms = {
+        "command": shlex.join(["lookback", *sys.argv[1:]]),
+        "plan": f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}",
+        "lookback": edge.__version__,
+        "python": platform.python_version(),
+        "packages": ", ".join(f"{package} {version(package)}" for package in PACKAGES),
+        "machine": f"{platform.machine()}, {platform.system()}",
+    }
+    for network in runner.descriptions.opened():
+        info = network.info
+        terms[f"network {info.name}, {info.output}, {info.precision}"] = f"sha256 {info.sha256}"
+    return terms | ({"notes": plan.notes} if plan.notes else {})
+
+
+def _print_overview(section: Section) -> None:
+    """The first table, on the terminal."""
+    table = section.tables[0]
+    width = max(len(str(row[0])) for row in table.rows)
+    for index, pair in enumerate(table.columns[1:], 1):
+        print(f"{table.title.partition(' of')[0]}: {pair}")
+        for row in table.rows:
+            if not np.isnan(float(str(row[index]))):
+                print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
+
+
+def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
+    """The feed of a scenario, in `rendered`, under a name with a hash of everything that determines its pictures.
+
+    It gets that name when it is complete, so that an interrupted rendering is not used.
+    """
+    scenario = load_scenario(folder / plan.scenario)
+    spacing_m = sampling.spacing_m
+    decides = msgspec.json.encode([scenario, plan.fps or spacing_m, edge.__version__])
+    path = rendered / f"{name}-{hashlib.sha256(decides).hexdigest()[:12]}"
+    if path.is_dir():
+        return path
+    part = path.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, show_progress=True)
+    part.rename(path)
+    return path

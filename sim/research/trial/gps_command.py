@@ -1,0 +1,147 @@
+"""`lookback dev gps`: compare honest and spoofed GPS with the places of simulated drives.
+
+How soon a spoofed GPS is called wrong, and how often an honest one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from edge.descriptor.network import Network
+from sim.research.trial.gps_drives import CALLED_M, DRIVES, WORLDS, Outcome, PlacedDrive, build_map, judge, place
+from sim.trial import gps_histories
+from sim.trial.gps_histories import DRAG_MPS, TURNS_DEG, History
+from sim.trial.views import RoadLibrary
+
+
+class GpsTrial:
+    """The drives that histories are held against, each recognized when it is first asked for."""
+
+    def __init__(self, folder: Path, worlds: Sequence[int]) -> None:
+        """folder: keeps rendered views."""
+        self._network = Network.load()
+        self.library = RoadLibrary(self._network, folder / "views")
+        self._folder, self._worlds = folder, worlds
+        self._placed: dict[int, PlacedDrive] = {}
+
+    def drive(self, number: int, history: History | None = None) -> PlacedDrive:
+        """Drive `number` of as many as wanted: its road, light, map, speed and odometer are its own."""
+        if history is None and number in self._placed:
+            return self._placed[number]
+        world = self._worlds[number % len(self._worlds)]
+        scenario = msgspec.structs.replace(DRIVES[number // len(self._worlds) % 2], seed=world)
+        path = build_map(world, number, self._folder, self.library, self._network)
+        found = place(scenario, path, number, self.library, history)
+        if history is None:
+            self._placed[number] = found
+        return found
+
+    def honest(self, kilometers: float, drives: int) -> Iterator[Outcome]:
+        """Honest GPS on streets over so many kilometers of so many drives."""
+        driven_m, seed = 0.0, 0
+        while driven_m < 1000.0 * kilometers:
+            one = self.drive(seed % drives)
+            history = gps_histories.rtk if seed % 10 == 9 else gps_histories.multipath
+            outcome = judge(one, history(one.time_s, one.true_m, np.random.default_rng([seed, 1])))
+            driven_m, seed = driven_m + outcome.driven_m, seed + 1
+            yield outcome
+
+    def drags(self, count: int, drives: int, *, gps_velocity: bool) -> Iterator[tuple[float, str, Outcome]]:
+        """Drag-offs of every rate and direction in turn, on drives that are long enough for 60 m."""
+        kinds = [(rate, way) for rate in DRAG_MPS for way in TURNS_DEG]
+        found = number = 0
+        while found < count:
+            (rate_mps, way), number = kinds[found % len(kinds)], number + 1
+            one = self.drive(number % drives)
+            start_s = float(np.random.default_rng([number, 2]).uniform(0.2, 0.4)) * one.time_s[-1]
+            if rate_mps * (one.time_s[-1] - start_s) < 60.0:
+                continue
+            history, found = gps_histories.drag(rate_mps, way, start_s), found + 1
+            if gps_velocity:
+                one = self.drive(number % drives, history)
+            yield rate_mps, way, judge(one, history(one.time_s, one.true_m, np.random.default_rng([number, 3])))
+
+    def spoofed(self, drives: int) -> Iterator[tuple[str, Outcome]]:
+        """Everything but drag-offs, once on each drive."""
+        for number in range(drives):
+            one = self.drive(number)
+            start_s = 0.4 * one.time_s[-1]
+            for name, history in _spoofs(start_s).items():
+                yield name, judge(one, history(one.time_s, one.true_m, np.random.default_rng([number, 4])))
+
+
+def _spoofs(start_s: float) -> dict[str, History]:
+    return {
+        "jump of 40 m": gps_histories.jump(40.0, start_s),
+        "jump of 500 m": gps_histories.jump(500.0, start_s),
+        "replay of 30 s before": gps_histories.replay(30.0, start_s),
+        "jammed for 10 s, then 60 m off": gps_histories.jammed(10.0, gps_histories.jump(60.0, start_s), start_s),
+        "constant 40 m from the start": gps_histories.jump(40.0, 0.0),
+    }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback dev gps`."""
+    parser.add_argument("--drag-offs", type=int, default=200, metavar="N", help="drag-offs (default 200)")
+    parser.add_argument("--honest-km", type=float, default=200.0, metavar="KM", help="of honest GPS (default 200)")
+    parser.add_argument("--drives", type=int, default=20, metavar="N", help="different drives (default 20)")
+    parser.add_argument(
+        "--worlds", type=int, nargs="+", default=WORLDS, metavar="SEED",
+        help=f"roads (default {' '.join(map(str, WORLDS))})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gps-velocity", action="store_true", help="the odometer is the velocity of GPS, not of wheels (slow)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("gps"), metavar="FOLDER", help="keeps rendered views and maps"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    args.output.mkdir(parents=True, exist_ok=True)
+    trial = GpsTrial(args.output, args.worlds)
+    try:
+        honest = list(trial.honest(args.honest_km, args.drives))
+        trial.library.save()
+        false = sum(not math.isnan(one.called_m) for one in honest)
+        doubt = max((one.doubt for one in honest), default=0.0)
+        kilometers = sum(one.driven_m for one in honest) / 1000
+        print(f"honest: {kilometers:.0f} km, {false} false calls, greatest doubt {doubt:.2f}", flush=True)
+        drags = list(trial.drags(args.drag_offs, args.drives, gps_velocity=args.gps_velocity))
+        _print_drags(drags)
+        _print_spoofs(list(trial.spoofed(args.drives)))
+    finally:
+        trial.library.close()
+    seen = [one for _, _, one in drags if one.seen]
+    return 0 if not false and np.mean([one.called_m < CALLED_M for one in seen]) >= 0.95 else 1
+
+
+def _print_spoofs(spoofs: Sequence[tuple[str, Outcome]]) -> None:
+    for name in dict.fromkeys(name for name, _ in spoofs):
+        found = [one for kind, one in spoofs if kind == name]
+        after_m = [one.called_after_m for one in found if not math.isnan(one.called_m)]
+        spread = f", after {np.median(after_m):.0f} m (median), {max(after_m):.0f} m at most" if after_m else ""
+        print(f"{name}: {len(after_m)} of {len(found)} called{spread}", flush=True)
+
+
+def _print_drags(drags: Sequence[tuple[float, str, Outcome]]) -> None:
+    print("| drag-off | n | called before 50 m | with sightings | error at the call, median / 90 % |")
+    print("|---|---|---|---|---|")
+    rows: list[tuple[str, float | None, str | None]] = [(f"{rate:g} m/s", rate, None) for rate in DRAG_MPS]
+    rows += [(way, None, way) for way in TURNS_DEG]
+    for name, rate, way in [*rows, ("all", None, None)]:
+        found = [one for r, w, one in drags if rate in (None, r) and way in (None, w)]
+        if not found:
+            continue
+        seen = [one for one in found if one.seen]
+        errors_m = np.nan_to_num([one.called_m for one in found], nan=math.inf)
+        in_time = [sum(one.called_m < CALLED_M for one in those) for those in (found, seen)]
+        spread = f"{np.median(errors_m):.0f} / {np.percentile(errors_m, 90, method='lower'):.0f} m"
+        print(f"| {name} | {len(found)} | {in_time[0]} | {in_time[1]} of {len(seen)} | {spread} |", flush=True)

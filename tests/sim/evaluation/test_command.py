@@ -1,0 +1,51 @@
+"""`lookback eval` on a street that was mapped, and on what is wrong with a recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+from edge.__main__ import main
+
+
+@pytest.fixture(scope="module")
+def street_map(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("eval")
+    write_traverse(folder / "out", range(65))
+    assert main(["map", "build", str(folder / "out"), "-o", str(folder / "map")]) == 0
+    return folder / "map"
+
+
+def test_the_numbers_are_those_of_replay(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """80 frames of 2 m, of which 65 are mapped; a sequence of 40 ends at frame 39 first."""
+    again, lines, report = write_traverse(tmp_path / "again", noise=8.0), tmp_path / "lines", tmp_path / "report"
+    assert main(["replay", str(again), "--map", str(street_map), "--all", "-o", str(lines)]) == 0
+    assert main(["eval", str(again), "--map", str(street_map), "--tolerance-m", "5", "-o", str(report)]) == 0
+    believed = [line for line in map(json.loads, lines.read_text().splitlines()) if line["accepted"]]
+    errors_m = [abs((line["lat_deg"] + 27.0) * 110_800 - 2 * line["frame"]) for line in believed]
+    right = [line for line, error_m in zip(believed, errors_m, strict=True) if error_m <= 5 and line["frame"] < 67]
+    assert 10 < len(right) < len(believed)  # off the map, the last lines are believed for a while
+    name, frames, on_map, precision, recall, _, error_m, _ = capsys.readouterr().out.splitlines()[1].split()
+    assert (name, int(frames), int(on_map)) == ("again", 80, 67)  # two frames are within 5 m of the map's end
+    assert float(precision) == pytest.approx(len(right) / len(believed), abs=1e-3)
+    assert float(recall) == pytest.approx(len(right) / 67, abs=1e-3)
+    assert float(error_m) == pytest.approx(median(errors_m), abs=0.02)
+    assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
+
+
+def test_a_recording_without_positions_is_one_line(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nowhere = write_traverse(tmp_path / "nowhere", range(45), is_located=False)
+    config = tmp_path / "frames.toml"
+    config.write_text('[sampling]\nby = "frames"\nspacing_frames = 1\n')
+    assert main(["eval", str(nowhere), "--map", str(street_map), "--config", str(config)]) == 78
+    assert "nothing can be judged" in capsys.readouterr().err
+    assert main(["eval", str(nowhere), "--map", str(street_map), "--tolerance-m", "0"]) == 78
+    assert "--tolerance-m: 0 is not above 0" in capsys.readouterr().err

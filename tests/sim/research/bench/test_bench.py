@@ -1,0 +1,148 @@
+"""The bench measures what it says it does, on tiny sizes; how fast anything is depends on the machine."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.descriptor.network import Network
+from edge.errors import FeedError
+from edge.reference_map.map_folder import open_map_set
+from edge.reference_map.map_set import MapSet
+from edge.reference_map.store import ModelKey, open_map
+from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
+from sim.bench.timing import Times, race
+from sim.research.bench import dimension_rows, frame_rows, map_rows, mapping_rows, memory_rows, page_rows, search_rows
+from sim.research.bench.machine import Machine
+from sim.research.bench.rows import Row, Section, Target, page
+
+MACHINE = Machine("a slide rule", 1e6, 1e8)
+KEY = ModelKey("random", "0" * 64, "fc6", 64)
+
+
+def test_a_race_goes_round_in_turns() -> None:
+    order: list[str] = []
+    ticks: Iterator[int] = iter([0, 2_000_000, 5_000_000, 6_000_000, 10_000_000, 14_000_000, 20_000_000, 21_000_000])
+    times = race({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 2, lambda: next(ticks))
+    assert order == ["a", "b"] * 3
+    assert times["a"].runs_ms == (2.0, 4.0)
+    assert times["b"].runs_ms == (1.0, 1.0)
+    assert times["a"].ratio(times["b"]) == 3.0
+    assert str(times["a"]) == "2.00 / 3.00 / 4.00"
+
+
+def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
+    write_simulated_map(tmp_path / "m", BLOCK + 1000, KEY)
+    reference_map = open_map(tmp_path / "m", every_file=True)
+    assert [segment.end for segment in reference_map.header.segments] == [5000, BLOCK + 1000]
+    drive = map_rows.Drive(MapSet.of(reference_map), 3000, known=False)
+    match = drive.step()
+    assert match is not None
+    assert match.uniqueness > 1.5
+    assert match.place == 3040
+    assert match.distance < 1e-4
+    assert seen_at(reference_map.descriptors, 7).shape == (2, 64)
+
+
+def test_simulated_tiles_are_a_folder_of_maps(tmp_path: Path) -> None:
+    write_simulated_tiles(tmp_path / "tiles", 12_000, 4, KEY)
+    maps = open_map_set(tmp_path / "tiles", every_file=True)
+    assert not maps.excluded
+    assert [len(header.segments) for header in maps.headers] == [1, 2, 1, 2]
+    north, south = maps.places["lat_deg"][2999:3001]
+    assert south - north == pytest.approx(2 / 110_800, rel=0.01)  # the street goes on from one tile to the next
+    match = map_rows.Drive(maps, 4000, known=True).step()
+    assert match is not None
+    assert match.place_index == 4040
+    assert match.uniqueness > 1.5
+
+
+def test_a_floor_is_bytes_and_products() -> None:
+    assert MACHINE.floor_ms(3e6, 2e8) == pytest.approx(5.0)
+
+
+def test_rows_and_targets_on_a_page() -> None:
+    row = Row("walking", Times((1.0, 2.0, 30.0)), "running", 2.5, "uphill")
+    targets = [Target("a", "1x", "2x", False), Target("b", "1x", "1x", True), Target("c", "1x", "", None)]
+    text = page(MACHINE, [Section("Feet", [row], targets)], "Made by hand.")
+    assert "| walking | 1.00 / 2.00 / 30.0 | 2.50 | running | uphill |" in text
+    assert [line.split("|")[-2].strip() for line in text.splitlines() if line[:4] in ("| a ", "| b ", "| c ")] == [
+        "**not met**",
+        "met",
+        "not measured",
+    ]
+
+
+def test_search_and_its_rivals_find_the_same_lines() -> None:
+    """What is raced must do the same work, or the race says nothing."""
+    count, length = 300, 10
+    lines = search_rows.running(count, length)()
+    direct = search_rows.direct(count, length)()
+    assert lines is not None
+    np.testing.assert_array_equal(lines.costs, direct)
+
+
+def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
+    sections = [
+        search_rows.measure([200], 2),
+        frame_rows.measure(tmp_path, 200, 3),
+        map_rows.measure(tmp_path, [300], 2, KEY),
+        mapping_rows.measure(tmp_path, 200, 20),
+    ]
+    text = page(MACHINE, sections, "Made by a test.")
+    for what in ("L = 80", "whole frame", "300 places: opening, with its search", "one that maps"):
+        assert what in text
+    assert not (tmp_path / "300.map").exists()
+
+
+def test_every_dimension_is_matched_and_normalized() -> None:
+    section = dimension_rows.measure(50, 2)
+    assert [row.what for row in section.rows if row.what.startswith("matching")] == [
+        f"matching 50 places x {values:d}" for values in (128, 1024, 8192, 65_536)
+    ]
+    assert len(section.rows) == 8
+    assert len(section.targets) == 2
+
+
+def test_matching_against_rivals() -> None:
+    pytest.importorskip("faiss")
+    from sim.research.bench import matching_rows
+
+    section = matching_rows.measure(MACHINE, [300], 2, dimensions=64)
+    assert {row.what.partition(": ")[2] for row in section.rows} >= {"faiss SQ8, both orders", "ours, both orders"}
+
+
+def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path, network: Network) -> None:
+    from edge.recognizer import model_key
+
+    model = model_key(network)
+    section = page_rows.measure(tmp_path, 200, 3.0, 1, model, periods_ms=[100], settled_s=1.0)
+    (row,) = section.rows
+    assert row.what.startswith("10 used frames a second: ")
+    used = {kind: float(ms) for kind, ms in re.findall(r"(no page|nobody looks|somebody looks) (\d+)", row.note)}
+    assert len(used) == 3
+    assert min(used.values()) > 0
+    assert int(re.findall(r"(\d+) looks", row.note)[0]) >= 1
+
+
+def test_memory_is_of_a_daemon_that_ran(tmp_path: Path, network: Network) -> None:
+    from edge.recognizer import model_key
+
+    section = memory_rows.measure(tmp_path, 200, 10, model_key(network))
+    assert section.rows[0].what.startswith("peak: ")
+    # On a busy machine the newest frame takes the place of some that came before.
+    assert 10 < int(section.rows[0].note.split()[0]) <= 70
+
+
+def test_a_daemon_that_cannot_run_is_one_line(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", "import sys; sys.exit('no map')"], stderr=subprocess.PIPE, text=True
+    )
+    with pytest.raises(FeedError, match="no map"):
+        memory_rows.watch(process)

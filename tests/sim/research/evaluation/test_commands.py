@@ -1,0 +1,156 @@
+"""`lookback eval` as people run it: on miniature feeds with the shipped network, and on matrices of their own."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edge.__main__ import main
+
+PLAN = """
+title = "Miniature"
+methods = ["Raw-fc6", "NSD-CR", "Lookback", "NSD-fc6/segments", "Raw-mine", "SeqSLAM"]
+resamples = 20
+sampling = { by = "frames" }
+[traverses]
+there = { feed = "there", external = { mine = "there.npy" } }
+here = { feed = "here", external = { mine = "here.npy" } }
+[[pairs]]
+name = "there and here"
+reference = "there"
+query = "here"
+truth = "positions"
+tolerance = 3.0
+length = 4
+published = { "NSD-CR" = 0.5 }
+[experiments]
+sequence_lengths = [2, 4]
+spacings_m = [4.0]
+sweep_methods = ["NSD-CR"]
+cold_start = ["Lookback"]
+pca = ["here"]
+better_than = [["NSD-CR", "Raw-fc6"]]
+standing = [{ pair = "there and here", query = "here" }]
+"""
+
+
+@pytest.fixture
+def plan_path(tmp_path: Path, write_feed: Any) -> Path:
+    there, here = [2.0 * step for step in range(16)], [4.0 + 2.0 * step for step in range(12)]
+    write_feed("there", there)
+    write_feed("here", here, light=0.5)
+    describe = np.random.default_rng(0).normal(size=(40, 16)).cumsum(axis=0)
+    np.save(tmp_path / "there.npy", describe[np.array(there, int)])
+    np.save(tmp_path / "here.npy", describe[np.array(here, int)])
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_shipped_plan_goes_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dev", "paper", "run", "real_feeds", "--feeds", str(tmp_path), "-o", str(tmp_path / "out")]) == 78
+    assert "corridor_reference: no such feed" in capsys.readouterr().err.splitlines()[-1]
+
+
+def read_table(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="") as stream:
+        return {row[0]: row[1:] for row in csv.reader(stream)}
+
+
+def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = plan_path.parent / "out"
+    assert main(["dev", "paper", "run", str(plan_path), "-o", str(out)]) == 0
+    scores = read_table(out / "there_and_here_scores.csv")
+    assert float(scores["Raw-mine"][0]) == 1.0  # the same rows, so every best match is right
+    assert scores["NSD-CR"][-1] == "0.5" and scores["Raw-fc6"][-1] == ""
+    overview = read_table(out / "overview.csv")
+    assert f"Raw-mine          {float(overview['Raw-mine'][0]):.3f}" in capsys.readouterr().out
+    page = (out / "report.html").read_text()
+    for heading in ("Overview", "Sequence length", "Spacing", "Cold start", "Standing still", "PCA of"):
+        assert heading in page
+    truth, answers = ((out / f"there_and_here_{name}.tum").read_text().splitlines() for name in ("truth", "answers"))
+    assert (len(truth), len(answers)) == (12, 9)  # the first 3 frames end no sequence
+    standing = [row.split(",") for row in (out / "standing.csv").read_text().splitlines()[1:]]
+    assert [int(row[3]) for row in standing] == [12, 12, 12]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('feed = "here"', 'feed = "gone"', "gone: no such feed"),
+        ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-fc7"', "'Raw-fc7': no such row"),
+        ('"there.npy"', '"gone.npy"', "gone.npy: cannot read it"),
+        ('"there.npy"', '"here.npy"', "here.npy has 12 rows, its feed has 16"),
+        ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-conv3"', "[networks.shipped]: has no conv3"),
+        ("length = 4", "length = 40", "no frame with a known true place ends a sequence of 40"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    plan_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+) -> None:
+    plan_path.write_text(PLAN.replace(old, new, 1).partition("[experiments]")[0])
+    assert main(["dev", "paper", "run", str(plan_path), "-o", str(plan_path.parent / "out")]) == 78
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("lookback: ") and says in error
+
+
+def diagonal_costs() -> np.ndarray:
+    """30 places, 40 queries: 25 along the map from place 3 on, then 15 of somewhere else."""
+    costs = np.random.default_rng(1).uniform(0.5, 1.0, (30, 40))
+    costs[np.arange(3, 28), np.arange(25)] = 0.1
+    return costs
+
+
+def test_a_matrix_is_searched_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "costs.npy", diagonal_costs())
+    (tmp_path / "truth.csv").write_text("\n".join([*(str(place) for place in range(3, 28)), *["-1"] * 15]))
+    arguments = ["dev", "paper", "match", str(tmp_path / "costs.npy"), "--length", "5", "--tolerance", "2"]
+    assert main([*arguments, "--truth", str(tmp_path / "truth.csv"), "-o", str(tmp_path / "matches.csv")]) == 0
+    said = {line[:19].strip(): line[19:].split()[0] for line in capsys.readouterr().out.splitlines()}
+    assert (said["queries judged"], said["accuracy"], said["recall at 100 %"]) == ("36,", "1.0000", "1.0000")
+    matches = read_table(tmp_path / "matches.csv")
+    assert [int(matches[str(query)][0]) for query in range(4, 25)] == list(range(7, 28))
+    assert matches["20"][2] == "forward"
+
+
+def test_the_way_back_is_found_and_without_truth_matches_go_to_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "costs.npy", diagonal_costs()[::-1] - 5)  # costs may be negative
+    assert main(["dev", "paper", "match", str(tmp_path / "costs.npy"), "--length", "5"]) == 0
+    rows = [line.split(",") for line in capsys.readouterr().out.splitlines()[1:]]
+    assert rows[10][:2] == ["14", "12"] and rows[10][3] == "reverse"
+
+
+@pytest.mark.parametrize(
+    ("costs", "truth", "says"),
+    [
+        (np.ones(5), "0", "needs numbers in 2 dimensions"),
+        (np.full((3, 2), np.nan), "0\n0", "not finite"),
+        (np.ones((3, 2)), "0\n1\n2", "3 rows for 2 queries"),
+        (np.ones((3, 2)), "0\n3", "index 3, but the matrix has 3 places"),
+        (np.ones((3, 2)), "0\nx", "line 2: 'x'"),
+    ],
+)
+def test_a_wrong_matrix_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], costs: np.ndarray, truth: str, says: str
+) -> None:
+    np.save(tmp_path / "costs.npy", costs)
+    (tmp_path / "truth.csv").write_text(truth)
+    assert main(["dev", "paper", "match", str(tmp_path / "costs.npy"), "--truth", str(tmp_path / "truth.csv")]) == 78
+    assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_an_action_does_not_wait_for_what_another_needs() -> None:
+    code = "import sys, edge.__main__ as m; m.build_parser(['dev', 'paper', 'run']); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "sim.research.evaluation.commands" in loaded
+    assert not {"sim.research.evaluation.run", "sim.research.evaluation.match_command", "matplotlib", "jinja2"} & set(
+        loaded
+    )

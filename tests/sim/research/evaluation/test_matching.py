@@ -1,0 +1,70 @@
+"""SeqSLAM in both directions, which queries are judged, and costs of any origin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.config import SequenceConfig
+from sim.research.evaluation.experiments import neighbor_distance, principal_components
+from sim.research.evaluation.matching import CANDIDATES, judge, judged_queries, match_costs, match_seqslam
+
+SEQUENCE = SequenceConfig(length=5, region_order="frame")
+
+
+def frames(count: int) -> np.ndarray:
+    return np.random.default_rng(4).normal(size=(count, 32, 64)).astype(np.float32)
+
+
+def test_causal_seqslam_finds_the_way_back_and_the_published_one_does_not() -> None:
+    reference = frames(40)
+    back = reference[5:35][::-1]
+    found = match_seqslam(reference, back, 11, 6, centered=False)
+    np.testing.assert_array_equal(found.place[10:], np.arange(24, 4, -1))
+    assert found.reverse[10:].all() and (found.candidates[10:, 0] == found.place[10:]).all()
+    published = match_seqslam(reference, back, 11, 6, centered=True)
+    assert not published.reverse.any() and (published.place != np.arange(34, 4, -1)).mean() > 0.8
+
+
+def test_causal_seqslam_finds_the_way_there() -> None:
+    reference = frames(40)
+    found = match_seqslam(reference, reference[5:35], 11, 6, centered=False)
+    np.testing.assert_array_equal(found.place[10:], np.arange(15, 35))
+    assert not found.reverse.any() and (found.place[:10] == -1).all() and np.isnan(found.confidence[:10]).all()
+
+
+def test_a_query_of_unknown_position_is_not_judged_and_one_off_the_map_is() -> None:
+    errors = np.array([[0.0, 9.0], [np.nan, np.nan], [9.0, 0.0], [99.0, np.inf], [1.0, 8.0]])
+    assert judged_queries(errors, length=1).tolist() == [0, 2, 3, 4]
+    assert judged_queries(errors, length=3).tolist() == [2, 3, 4]
+    matches = match_costs(np.where(np.isnan(errors), 5.0, np.minimum(errors, 9.0)).T, SequenceConfig(length=1), 1)
+    answers = judge(matches, errors, 2.0, np.array([0, 2, 3]))
+    assert answers.has_truth.tolist() == [True, True, False] and answers.correct.tolist() == [True, True, False]
+
+
+def test_a_scale_of_the_costs_changes_nothing() -> None:
+    costs = np.random.default_rng(0).uniform(1, 2, (20, 15))
+    one, other = match_costs(costs, SEQUENCE, 3), match_costs(costs * 1000, SEQUENCE, 3)
+    np.testing.assert_array_equal(one.place, other.place)
+    np.testing.assert_allclose(one.confidence, other.confidence, rtol=1e-4)
+
+
+def test_candidates_are_the_places_of_lowest_cost() -> None:
+    costs = np.random.default_rng(2).uniform(1, 2, (12, 6))
+    found = match_costs(costs, SequenceConfig(length=1, region_order="frame"), 2)
+    for query in range(6):
+        assert found.candidates[query].tolist() == np.argsort(costs[:, query])[:CANDIDATES].tolist()
+
+
+def test_principal_components_are_those_of_the_covariance() -> None:
+    values = np.random.default_rng(5).normal(size=(50, 6)) * [5, 3, 1, 1, 0.5, 0.1]
+    found = principal_components(values)
+    _, directions = np.linalg.eigh(np.cov(values.T))
+    slow = (values - values.mean(axis=0)) @ directions[:, [-1, -2]]
+    np.testing.assert_allclose(np.abs(found), np.abs(slow), atol=1e-9)
+
+
+def test_neighbors_are_near_where_points_follow_the_drive() -> None:
+    line = np.column_stack([np.arange(4.0), np.zeros(4)])
+    apart = [abs(i - j) for i in range(4) for j in range(4) if i != j]
+    assert neighbor_distance(line) == pytest.approx(1 / np.mean(apart))
