@@ -27,6 +27,8 @@ own pace, whatever recording shows it; 410 m of one recording that were 150 m wr
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
 CLAIMS, KEPT = 8, 64
+SPREAD_M = 1000.0
+"""A place that is wrong may be anywhere within so many meters along the road."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,6 @@ class Claims:
         self._gates = gates
         self._claims: deque[Claim] = deque(maxlen=CLAIMS)
 
-    def clear(self) -> None:
-        """Nothing that was observed counts any more."""
-        self._claims.clear()
-
     def contradict_nothing(self) -> None:
         """The autopilot's position is bounded anew: what disagreed with it before was its own error."""
         for claim in self._claims:
@@ -88,17 +86,32 @@ class Claims:
             self._claims.append(claim)
         claim.likelihood = min(claim.likelihood, likelihood)
         claim.may_be_shifted |= may_be_shifted
-        if all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
-            before = self._reckoned_from(claim.observations[-1], fix, displacement) if claim.observations else None
+        newest = claim.observations[-1] if claim.observations else None
+        is_after_gap = newest is not None and displacement.unknown_since(newest.displacement) > 0
+        if is_after_gap or all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
+            before = None if newest is None else self._reckoned_from(newest, fix, displacement)
             here = fix.recording, fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, before
             claim.observations.append(Observation(*here))
             del claim.observations[:-KEPT]
         return claim
 
-    def stretches(self, claim: Claim) -> list[Stretch]:
-        """The independent stretches of a claim, oldest first."""
+    def wrong(self, claim: Claim) -> float:
+        """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.
+
+        All stretches are wrong; or those after a silence are, in which the vehicle may have gone to where they say.
+        """
+        observations = claim.observations
+        wrong = STRETCH_WRONG ** len(self.stretches(observations))
+        for at in range(1, len(observations)):
+            unknown_m = observations[at].displacement.unknown_since(observations[at - 1].displacement)
+            by_chance = min(1.0, 2 * unknown_m / SPREAD_M)
+            wrong += STRETCH_WRONG ** len(self.stretches(observations[at:])) * by_chance
+        return min(wrong, 1.0)
+
+    def stretches(self, observations: list[Observation]) -> list[Stretch]:
+        """The independent stretches of observations, oldest first."""
         stretches: list[Stretch] = []
-        for one in claim.observations:
+        for one in observations:
             same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
             if same is None:
                 stretches.append([one])
@@ -109,7 +122,8 @@ class Claims:
     def _reckoned_from(self, before: Observation, fix: PlaceFix, displacement: Displacement) -> Reckoned:
         off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
         drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-        return Reckoned(-off_east_m, -off_north_m, math.hypot(before.sigma_m, drift * driven_m))
+        unknown_m = displacement.unknown_sigma_since(before.displacement)
+        return Reckoned(-off_east_m, -off_north_m, math.hypot(before.sigma_m, drift * driven_m, unknown_m))
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
@@ -130,10 +144,9 @@ def _off(before: Observation, fix: PlaceFix, displacement: Displacement) -> tupl
 
 def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
     """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
-    if before.displacement.leg != displacement.leg:
-        return False
     off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
-    return math.hypot(off_east_m, off_north_m) <= alike_m(driven_m, fix.velocity_error)
+    most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(before.displacement)
+    return math.hypot(off_east_m, off_north_m) <= most_m
 
 
 def alike_m(driven_m: float, velocity_error: float) -> float:
@@ -142,5 +155,7 @@ def alike_m(driven_m: float, velocity_error: float) -> float:
 
 
 def _apart_m(observation: Observation, displacement: Displacement) -> float:
+    """The least that it may be."""
     then = observation.displacement
-    return math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
+    apart_m = math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
+    return apart_m - abs(displacement.unknown_since(then))

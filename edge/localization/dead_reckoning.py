@@ -16,6 +16,10 @@ SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
 LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are believed to span
 STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
 MAX_SPEED_MPS = 350.0  # a speed beyond it is damage, or not a number
+LEAST_SILENT_MPS = 2.0
+"""So fast a vehicle may have moved unheard, though it stood before and after: a person walks with it."""
+ELSEWHERE_M = 2e7
+"""Half around the Earth: what lies before cannot be compared."""
 KEPT = 1024
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 """Used frames of which the first and the last third are held against each other, the distance that gives a course, and
@@ -26,15 +30,25 @@ BACKED_M = 30.0
 
 @dataclass(frozen=True)
 class Displacement:
-    """Meters east and north since the beginning of a leg; those of different legs cannot be compared.
+    """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
     drift: share of the newest meters that may be wrong, where nothing measures the velocity; 0 where something does.
+    unknown_m: the most by which it may be wrong for all times between two legs.
     """
 
     leg: int
     east_m: float
     north_m: float
     drift: float = 0.0
+    unknown_m: float = 0.0
+
+    def unknown_since(self, before: Displacement) -> float:
+        """The most by which the displacement from another one to this may be wrong, while its velocity was unknown."""
+        return self.unknown_m - before.unknown_m
+
+    def unknown_sigma_since(self, before: Displacement) -> float:
+        """One standard deviation of that: nothing up to the most is more likely than anything else."""
+        return self.unknown_since(before) / math.sqrt(3)
 
 
 class ReportedMotion(NamedTuple):
@@ -73,6 +87,11 @@ class _Integral:
         return self._stamps_ns[-1] if self._stamps_ns else None
 
     @property
+    def rate(self) -> tuple[float, ...]:
+        """The newest one, () before the first."""
+        return self._rate
+
+    @property
     def total(self) -> tuple[float, ...] | None:
         """The integral up to the newest report, None before the first."""
         return self._totals[-1] if self._totals else None
@@ -92,9 +111,9 @@ class _Integral:
         if len(self._stamps_ns) > 2 * KEPT:
             del self._stamps_ns[:KEPT], self._totals[:KEPT]
 
-    def clear(self) -> None:
-        """Start at zero with the next report."""
-        self._stamps_ns, self._totals = [], []
+    def begin(self, stamp_ns: int, total: tuple[float, ...], *rate: float) -> None:
+        """Begin anew with a report, at which the integral has a value."""
+        self._stamps_ns, self._totals, self._rate = [stamp_ns], [total], rate
 
     def at(self, stamp_ns: int) -> tuple[float, ...] | None:
         """The integral at a moment: between two reports by interpolation; None where no rate is valid."""
@@ -119,6 +138,7 @@ class DeadReckoning:
         self._distance = _Integral(SPEED_VALID_NS)
         self._displacement = _Integral(LONGEST_GAP_NS)
         self._legs = 0
+        self._unknown_m, self._is_leg_over = 0.0, True
         self.gaps = 0
         """How often speeds came so late that the distance driven meanwhile is not known."""
         self._speed_mps = self._furthest_m = 0.0
@@ -153,14 +173,27 @@ class DeadReckoning:
         last_ns = self._displacement.last_ns
         if last_ns is not None and stamp_ns <= last_ns:
             return
-        if last_ns is None or stamp_ns - last_ns > LONGEST_GAP_NS:
-            self.begin_leg()
-        self._displacement.add(stamp_ns, east_mps, north_mps)
+        if last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS:
+            self._begin_leg(stamp_ns, east_mps, north_mps)
+        else:
+            self._displacement.add(stamp_ns, east_mps, north_mps)
 
-    def begin_leg(self) -> None:
-        """The displacement before cannot be compared with what follows."""
-        self._displacement.clear()
-        self._legs += 1
+    def end_leg(self, *, is_same_vehicle: bool = True) -> None:
+        """The next velocity is of another filter, as after a reboot, or even of another vehicle."""
+        self._is_leg_over = True
+        self._unknown_m += 0.0 if is_same_vehicle else ELSEWHERE_M
+
+    def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
+        """Nobody knows how the vehicle moved since the last leg: at most as fast as before or after it."""
+        last_ns, total, rate = self._displacement.last_ns, self._displacement.total, self._displacement.rate
+        if last_ns is not None and total is not None:
+            silent_s = (stamp_ns - last_ns) / 1e9
+            most_mps = max(math.hypot(*rate), math.hypot(east_mps, north_mps), LEAST_SILENT_MPS)
+            self._unknown_m += most_mps * silent_s
+            ends = zip(total, rate, (east_mps, north_mps), strict=True)
+            total = tuple(moved_m + (before + after) / 2 * silent_s for moved_m, before, after in ends)
+        self._displacement.begin(stamp_ns, total or (0.0, 0.0), east_mps, north_mps)
+        self._legs, self._is_leg_over = self._legs + 1, False
 
     @property
     def total_m(self) -> float | None:
@@ -186,8 +219,8 @@ class DeadReckoning:
 
     def displacement(self, stamp_ns: int) -> Displacement | None:
         """Meters east and north at `stamp_ns`; None when that is outside the leg, or too long ago."""
-        moved = self._displacement.at(stamp_ns)
-        return None if moved is None else Displacement(self._legs, *moved)
+        moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
+        return None if moved is None else Displacement(self._legs, moved[0], moved[1], unknown_m=self._unknown_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""

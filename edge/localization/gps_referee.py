@@ -228,13 +228,14 @@ class GpsReferee:
         """Logarithm of how much more likely since GPS last agreed the places moved as the vehicle did than GPS."""
         before = self._last_agreed
         now, then = comparison.displacement, None if before is None else before.displacement
-        if before is None or now is None or then is None or now.leg != then.leg:
+        if before is None or now is None or then is None:
             return -math.inf
         moved_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
         places_off_m = _between(before, comparison) - moved_m
         gps_off_m = places_off_m + _offset(comparison) - _offset(before)
         drift_m = max(self._drift, now.drift) * float(np.hypot(*moved_m))
-        variance = before.along_sigma_m**2 + comparison.along_sigma_m**2 + drift_m**2
+        unknown_m = now.unknown_sigma_since(then)
+        variance = before.along_sigma_m**2 + comparison.along_sigma_m**2 + drift_m**2 + unknown_m**2
         return float(gps_off_m @ gps_off_m - places_off_m @ places_off_m) / (2 * variance)
 
     def _score(self, track: _Track, comparison: Comparison, at_m: float) -> None:

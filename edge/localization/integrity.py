@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.claims import SAME_RECORDING, STRETCH_WRONG, Claim, Claims, Stretch, alike_m
+from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims, alike_m
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Reckoned, Unnoticed, Wrong, protection_level
 from edge.localization.route_estimate import CORRELATION_M
@@ -44,7 +44,6 @@ Reason: TypeAlias = Literal[
     "its protection level is above the alert limit",
 ]
 GPS_SIGMA_M = 3.0
-SPREAD_M = 1000.0
 BOUND_WRONG, ONE_MORE = 0.1, 20.0
 """Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
@@ -94,10 +93,6 @@ class Integrity:
         self.protection_level: ProtectionLevel | None = None
         """Of the newest fix; None where its place is not certain enough to be published."""
 
-    def reset(self) -> None:
-        """The autopilot has rebooted: its dead reckoning starts again."""
-        self._claims.clear()
-
     def bound(self, *, by_gps: bool) -> None:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
         self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
@@ -107,7 +102,7 @@ class Integrity:
         """Keep what a fix shows, whether or not it may be published now; the claim that it belongs to, None if none."""
         if situation.displacement is None or not fix.is_position or fix.disputed:
             return None
-        likelihood, is_shift = 1 / SPREAD_M, False
+        likelihood, is_shift = math.inf, False
         if situation.position is not None and situation.uncertainty_m is not None:
             distance_m = distance_from(situation.position, fix)
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
@@ -144,24 +139,27 @@ class Integrity:
         # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
         if distance_m is not None and situation.uncertainty_m is not None and distance_m > gates.max_move_m:
             return Refusal("impossibly far", distance_m)
-        stretches = self._claims.stretches(claim)
-        place_wrong = STRETCH_WRONG ** len(stretches)
+        place_wrong = self._claims.wrong(claim)
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
-        if wrong_probability(place_wrong, claim.likelihood, may_be_shifted=claim.may_be_shifted) > gates.risk:
+        # A position that is not known says nothing against a place, and nothing for it.
+        is_known = situation.position is not None and situation.uncertainty_m is not None
+        likelihood = claim.likelihood if is_known else min(claim.likelihood, 1 / SPREAD_M)
+        if wrong_probability(place_wrong, likelihood, may_be_shifted=claim.may_be_shifted) > gates.risk:
             return Refusal("not confirmed by another place yet", distance_m)
-        self.protection_level = self._protection_level(fix, stretches, situation)
+        self.protection_level = self._protection_level(fix, claim, situation)
         if gates.alert_limit_m and not self.protection_level.is_within(gates.alert_limit_m):
             return Refusal("its protection level is above the alert limit", distance_m)
         self._published_wrong = place_wrong
         return None
 
-    def _protection_level(self, fix: PlaceFix, stretches: list[Stretch], situation: Situation) -> ProtectionLevel:
+    def _protection_level(self, fix: PlaceFix, claim: Claim, situation: Situation) -> ProtectionLevel:
         """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
 
         All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
         one of its observations on: then that before it bounds the position.
         """
-        reckoned, newest, count = situation.reckoned, stretches[-1], len(stretches)
+        reckoned, stretches = situation.reckoned, self._claims.stretches(claim.observations)
+        newest, count = next(one for one in stretches if claim.observations[-1] in one), len(stretches)
         alike = 2 * UNNOTICED.most_m / SPREAD_M
         shifted = MAP_SHIFTED
         if reckoned is not None:

@@ -93,13 +93,15 @@ class Reckoning:
         if self._bound is None or displacement is None or driven_m is None:
             return None
         position, then, then_driven_m, sigma_m = self._bound
-        if displacement.leg != then.leg or fix.lat_deg is None or fix.lon_deg is None:
+        if fix.lat_deg is None or fix.lon_deg is None:
             return None
         east_m, north_m = east_north_of(position.lat_deg, position.lon_deg, (fix.lat_deg, fix.lon_deg))
         east_m += displacement.east_m - then.east_m
         north_m += displacement.north_m - then.north_m
         drift = max(self._drift, fix.velocity_error, displacement.drift)
-        sigma_m = math.hypot(sigma_m, drift * max(0.0, driven_m - then_driven_m))
+        sigma_m = math.hypot(
+            sigma_m, drift * max(0.0, driven_m - then_driven_m), displacement.unknown_sigma_since(then)
+        )
         return Reckoned(east_m, north_m, sigma_m)
 
 

@@ -36,10 +36,11 @@ class PositionChecks:
         self._remember_due_ns = 0
 
     def reset(self) -> None:
-        """The autopilot may be another one, or has rebooted: nothing bounds its position any more."""
+        """The autopilot may be another one, or has rebooted: nothing bounds its position any more.
+
+        What places and GPS showed of the vehicle holds as far as it can have gone meanwhile.
+        """
         self._uncertainty.reset()
-        self._reckoning.reset()
-        self._integrity.reset()
 
     @property
     def protection_level(self) -> ProtectionLevel | None:
@@ -83,15 +84,18 @@ class PositionChecks:
         displacement = vehicle.displacement(fix.stamp_ns)
         reckoned = self._reckoning.at(fix, displacement, vehicle.driven_m(now_ns))
         own, sigma_m = self._doubted_gps.corrected(vehicle.position(now_ns)), self.uncertainty_m(now_ns)
+        is_by_gps = self._uncertainty.by_gps
         if not vehicle.is_aided:  # its own position has run away, or is ours
-            own, sigma_m = (None, None) if reckoned is None else (reckoned.position(fix), reckoned.sigma_m)
+            own = None
+        if sigma_m is None and reckoned is not None:  # as after a reboot too
+            own, sigma_m, is_by_gps = reckoned.position(fix), reckoned.sigma_m, True
         return Situation(
             now_ns,
             "not healthy" if self._doubted_gps.is_ignored else vehicle.gps.state(now_ns),
             vehicle.speed_mps(now_ns),
             own,
             sigma_m,
-            self._uncertainty.by_gps,
+            is_by_gps,
             last_sent_ns,
             displacement,
             reckoned,

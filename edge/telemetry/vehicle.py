@@ -145,7 +145,7 @@ class Vehicle:
         if self._alternation.is_found(now_ns) != self.is_doubled:
             self.is_doubled = not self.is_doubled
             log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
-            self._start_session()
+            self._start_session(is_same_vehicle=False)
 
     @property
     def drives_itself(self) -> bool | None:
@@ -240,21 +240,22 @@ class Vehicle:
             return False
         before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
         if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
+            is_same_vehicle = sender == self.system_id
             self.connected, self.system_id = True, sender
             self.autopilot, self.kind = message.autopilot, message.type
             self._base_mode = None
-            self._start_session()
+            self._start_session(is_same_vehicle=is_same_vehicle)
             log.info("link up: system %d, autopilot %d", sender, message.autopilot)
         if self.connected:
             self._base_mode = message.base_mode
         return self.connected
 
-    def _start_session(self) -> None:
+    def _start_session(self, *, is_same_vehicle: bool) -> None:
         self.session += 1
         self._message_ns.clear()
         self.parameters.clear()
         self._clock = BootClock()
-        self._motion.begin_leg()
+        self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._newest_boot_ms = -1
         self.gps = Gps()
         self._pulls.clear()
@@ -270,7 +271,7 @@ class Vehicle:
             self._newest_boot_ms = -1
             if not self.is_doubled:
                 log.warning("the autopilot has rebooted: its clock went back to %d ms", boot_ms)
-                self._start_session()
+                self._start_session(is_same_vehicle=True)
         self._newest_boot_ms = max(boot_ms, self._newest_boot_ms)
         self._clock.add_stamp(boot_ms * 1_000_000, now_ns)
         return min(self._clock.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)

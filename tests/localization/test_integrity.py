@@ -171,9 +171,23 @@ def test_a_bound_by_a_fix_needs_one_stretch_more_than_what_bound_it() -> None:
     assert None in drive(one, range(300, 400), off_m=100.0, recording="third", bound_by_gps=False), "two against one"
 
 
-@pytest.mark.parametrize("other", [Displacement(2, 0.0, 700.0), Displacement(1, 0.0, 400.0)])
+@pytest.mark.parametrize("unknown_m", [0, 60, 90, 150, 300])
+def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown_m: float) -> None:
+    """As after a reboot without GPS, 40 m further on the same recording; the autopilot is at its origin then."""
+    one = Integrity(GatesConfig())
+    assert drive(one, range(0, 600), uncertainty_m=None)[-1] is None
+    fix = msgspec.structs.replace(FIX, lat_deg=640 * METRE_DEG)
+    rebooted = Displacement(2, 0.0, 600.0, unknown_m=unknown_m)
+    why = reason(fix, one, uncertainty_m=None, position=None, displacement=rebooted)
+    assert why == (None if 40 < unknown_m < 100 else "not confirmed by another place yet")
+    if why is None:
+        assert one.protection_level is not None
+        assert one.protection_level.along_m > unknown_m, "the place may be wrong, by as much"
+
+
+@pytest.mark.parametrize("other", [Displacement(2, 0.0, 0.0, unknown_m=2e7), Displacement(1, 0.0, 400.0)])
 def test_observations_that_moved_otherwise_confirm_nothing(other: Displacement) -> None:
-    """Of another leg; and 300 m less than the fixes say."""
+    """Of another vehicle; and 300 m less than the fixes say."""
     one = Integrity(GatesConfig())
     drive(one, range(0, 100), uncertainty_m=None)
     fix = msgspec.structs.replace(FIX, lat_deg=700 * METRE_DEG, recording="second")

@@ -145,7 +145,8 @@ def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:
     assert (found.east_m, found.north_m) == pytest.approx((80.0, 60.0), abs=0.01)
     assert found.sigma_m == pytest.approx(math.hypot(3.0, 5.0))
     assert found.distance_m == pytest.approx(100.0, abs=0.01)
-    assert reckoning.at(FIX, Displacement(2, 90.0, 60.0), 200.0) is None, "another leg"
+    unheard = reckoning.at(FIX, Displacement(2, 90.0, 60.0, unknown_m=80.0), 200.0)
+    assert unheard is not None and unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"
     assert reckoning.at(FIX, None, 200.0) is None
     reckoning.reset()
     assert reckoning.at(FIX, Displacement(1, 90.0, 60.0), 200.0) is None
