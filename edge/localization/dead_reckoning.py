@@ -21,6 +21,13 @@ LEAST_SILENT_MPS = 2.0
 ELSEWHERE_M = 2e7
 """Half around the Earth: what lies before cannot be compared."""
 KEPT = 1024
+STRONGEST_MPS2 = 9.8
+"""Friction, or leaning, accelerates no vehicle by more than its weight; wheels that lose their hold change their speed
+by more. In 36 recorded drives on real autopilots whose velocity was measured, no two reports are so far apart."""
+DOUBTED_M = 60.0
+"""Meters driven in which such a change is in doubt unless it is taken back: then places have shown what it was."""
+TAKEN_BACK = 0.5
+"""Share of it that may remain when it is taken back, since the vehicle's own speed changes meanwhile."""
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 """Used frames of which the first and the last third are held against each other, the distance that gives a course, and
 how far it must have turned."""
@@ -34,6 +41,8 @@ class Displacement:
 
     drift: share of the newest meters that may be wrong, where nothing measures the velocity; 0 where something does.
     unknown_m: the most by which it may be wrong for all times between two legs.
+    doubtful_m: those that it is too far by if a change of the velocity that no vehicle can make, `STRONGEST_MPS2`, was
+    none.
     """
 
     leg: int
@@ -41,6 +50,7 @@ class Displacement:
     north_m: float
     drift: float = 0.0
     unknown_m: float = 0.0
+    doubtful_m: float = 0.0
 
     def unknown_since(self, before: Displacement) -> float:
         """The most by which the displacement from another one to this may be wrong, while its velocity was unknown."""
@@ -131,6 +141,31 @@ class _Integral:
         return tuple(value + share * (end - value) for value, end in zip(before, after, strict=True))
 
 
+class _Doubt:
+    """By how much the velocity has changed that no vehicle can make, until it changes back or DOUBTED_M are driven."""
+
+    def __init__(self, velocity_mps: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._velocity_mps = velocity_mps
+        self._doubted_mps = 0.0, 0.0
+        self._most_mps = self._driven_m = 0.0
+
+    def of(self, elapsed_ns: int, velocity_mps: tuple[float, float]) -> float:
+        """What is doubtful of the velocity ahead, which was reported so long after the last one."""
+        before_mps, doubted_mps = self._velocity_mps, self._doubted_mps
+        self._velocity_mps = velocity_mps
+        self._driven_m += math.hypot(*before_mps) * elapsed_ns / 1e9
+        if math.dist(velocity_mps, before_mps) > STRONGEST_MPS2 * elapsed_ns / 1e9:
+            east_mps, north_mps = (
+                d + now - then for d, now, then in zip(doubted_mps, velocity_mps, before_mps, strict=True)
+            )
+            self._doubted_mps = east_mps, north_mps
+            self._most_mps, self._driven_m = max(self._most_mps, math.hypot(east_mps, north_mps)), 0.0
+        elif math.hypot(*doubted_mps) < TAKEN_BACK * self._most_mps or self._driven_m > DOUBTED_M:
+            self._doubted_mps, self._most_mps = (0.0, 0.0), 0.0
+        ahead = sum(d * v for d, v in zip(self._doubted_mps, velocity_mps, strict=True))
+        return ahead / max(math.hypot(*velocity_mps), STANDING_MPS)
+
+
 class DeadReckoning:
     """Distance driven by the best source of speed that still reports, and displacement by velocity."""
 
@@ -139,6 +174,7 @@ class DeadReckoning:
         self._displacement = _Integral(LONGEST_GAP_NS)
         self._legs = 0
         self._unknown_m, self._is_leg_over = 0.0, True
+        self._doubt = _Doubt()
         self.gaps = 0
         """How often speeds came so late that the distance driven meanwhile is not known."""
         self._speed_mps = self._furthest_m = 0.0
@@ -176,7 +212,8 @@ class DeadReckoning:
         if last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS:
             self._begin_leg(stamp_ns, east_mps, north_mps)
         else:
-            self._displacement.add(stamp_ns, east_mps, north_mps)
+            doubtful_mps = self._doubt.of(stamp_ns - last_ns, (east_mps, north_mps))
+            self._displacement.add(stamp_ns, east_mps, north_mps, doubtful_mps)
 
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
         """The next velocity is of another filter, as after a reboot, or even of another vehicle."""
@@ -188,11 +225,12 @@ class DeadReckoning:
         last_ns, total, rate = self._displacement.last_ns, self._displacement.total, self._displacement.rate
         if last_ns is not None and total is not None:
             silent_s = (stamp_ns - last_ns) / 1e9
-            most_mps = max(math.hypot(*rate), math.hypot(east_mps, north_mps), LEAST_SILENT_MPS)
+            most_mps = max(math.hypot(*rate[:2]), math.hypot(east_mps, north_mps), LEAST_SILENT_MPS)
             self._unknown_m += most_mps * silent_s
-            ends = zip(total, rate, (east_mps, north_mps), strict=True)
+            ends = zip(total, rate, (east_mps, north_mps, 0.0), strict=True)
             total = tuple(moved_m + (before + after) / 2 * silent_s for moved_m, before, after in ends)
-        self._displacement.begin(stamp_ns, total or (0.0, 0.0), east_mps, north_mps)
+        self._doubt = _Doubt((east_mps, north_mps))
+        self._displacement.begin(stamp_ns, total or (0.0, 0.0, 0.0), east_mps, north_mps, 0.0)
         self._legs, self._is_leg_over = self._legs + 1, False
 
     @property
@@ -220,7 +258,10 @@ class DeadReckoning:
     def displacement(self, stamp_ns: int) -> Displacement | None:
         """Meters east and north at `stamp_ns`; None when that is outside the leg, or too long ago."""
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
-        return None if moved is None else Displacement(self._legs, moved[0], moved[1], unknown_m=self._unknown_m)
+        if moved is None:
+            return None
+        east_m, north_m, doubtful_m = moved
+        return Displacement(self._legs, east_m, north_m, unknown_m=self._unknown_m, doubtful_m=doubtful_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""

@@ -1,13 +1,15 @@
 """An extended Kalman filter for a vehicle on a mapped road: its position, and what its own velocity is wrong by. Pure.
 
-    state      (8,): meters east, meters north, heading error in radians, scale error, and errors of the matches: one
-               along the road that stays for a drive, and three that change within CORRELATION_M, of lines of both
-               regions together, and of those of the left and of the right one alone, where they stand out clearly
-    prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity
+    state      (9,): meters east, meters north, heading error in radians, scale error, minus the share of doubtful
+               meters that were none, and errors of the matches: one along the road that stays for a drive, and three
+               that change within CORRELATION_M, of lines of both regions together, and of those of the left and of
+               the right one alone, where they stand out clearly
+    prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity, and that share
     correction along the road by the line of a match, or along and across it by the lines of its two regions; without
                those, the position across is never less certain than the road is wide, see `keep_on_road`
 
-All but the position are first-order Gauss-Markov processes over the distance. The last three are what makes matches
+A displacement is (3,): meters east, meters north, and how many of them are doubtful, see `Displacement`. All but
+position and share are first-order Gauss-Markov processes over the distance. The last three are what makes matches
 within a correlation length of each other about one observation.
 """
 
@@ -25,6 +27,8 @@ CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
 HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
+DOUBTFUL = -0.5, 0.5
+"""Mean and standard deviation of that share, since the doubtful meters are all true or none is."""
 UNMEASURED_M = 150.0
 """The same of the scale error of a velocity that nothing measures, less the error that was found."""
 STAYS = 0.25
@@ -55,8 +59,8 @@ WANDER = 0.03
 
 OF_LINE, OF_ROAD = (1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
 """Which of the errors of matches a measurement has."""
-LEFT, RIGHT = 6, 7
-"""Errors of the lines of the regions alone, in the state."""
+DOUBT, MATCH, LEFT, RIGHT = 4, 5, 7, 8
+"""In the state: the share of what is doubtful, the first error of matches, and those of the regions' lines alone."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,8 @@ class RouteEstimate:
 
     def __init__(self, position_m: Vector, covariance: NDArray[np.float64], errors: VelocityErrors) -> None:
         """Begin at a position (2,) with its covariance (2, 2)."""
-        self._variances = np.array([errors.heading_rad**2, errors.scale**2, *errors.match.variances])
+        self._variances = np.array([errors.heading_rad**2, errors.scale**2, 0.0, *errors.match.variances])
+        self._is_doubtful = False
         self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
         self.covariance[:2, :2] = covariance
@@ -124,6 +129,7 @@ class RouteEstimate:
         """An estimate of its own."""
         other = object.__new__(RouteEstimate)
         other._variances, other.since_regions_m = self._variances.copy(), self.since_regions_m
+        other._is_doubtful = self._is_doubtful
         other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
         return other
 
@@ -143,26 +149,36 @@ class RouteEstimate:
         return float(np.sqrt(self.covariance[3, 3]))
 
     @property
+    def doubt_sigma(self) -> float:
+        """Standard deviation of the share of doubtful meters that were none."""
+        return float(np.sqrt(self.covariance[DOUBT, DOUBT]))
+
+    @property
     def velocity_error(self) -> float:
         """What the autopilot's velocity is found to be wrong by, as a share of it."""
         return float(np.hypot(self.mean[2], self.mean[3]))
 
     def truly(self, displacement_m: Vector) -> Vector:
-        """Displacements (..., 2) by the autopilot's velocity without the errors that were found."""
-        return (1 + float(self.mean[3])) * _turned(displacement_m, float(self.mean[2]))
+        """Meters (..., 2) of displacements (..., 3) without the errors that were found."""
+        doubtful_m = float(self.mean[DOUBT]) * displacement_m[..., 2:] * _direction(displacement_m)
+        return (1 + float(self.mean[3])) * _turned(displacement_m[..., :2], float(self.mean[2])) + doubtful_m
 
     def predict(self, displacement_m: Vector, drift: float = 0.0) -> None:
-        """Move on by a displacement (2,); drift: its scale error where nothing measures it, which soon is another."""
-        driven_m = float(np.hypot(*displacement_m))
+        """Move on by a displacement (3,); drift: its scale error where nothing measures it, which soon is another."""
+        driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_regions_m += driven_m
+        begins_doubt, self._is_doubtful = displacement_m[2] != 0 and not self._is_doubtful, displacement_m[2] != 0
+        if begins_doubt:
+            self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
+            self.mean[DOUBT], self.covariance[DOUBT, DOUBT] = DOUBTFUL[0], DOUBTFUL[1] ** 2
         self.mean[:2] += self.truly(displacement_m)
         variances, scale_m = self._variances, SCALE_M
         if drift:
             variances, scale_m = self._variances.copy(), UNMEASURED_M
             variances[1] = drift**2
-        kept = np.exp(-driven_m / np.array([HEADING_M, scale_m, DRIVE_M, *[CORRELATION_M] * 3]))
+        kept = np.exp(-driven_m / np.array([HEADING_M, scale_m, np.inf, DRIVE_M, *[CORRELATION_M] * 3]))
         transition = np.diag([1.0, 1.0, *kept])
-        transition[:2, 2:4] = self._slopes(displacement_m)
+        transition[:2, 2:MATCH] = self._slopes(displacement_m)
         self.mean[2:] *= kept
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
@@ -172,9 +188,9 @@ class RouteEstimate:
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
-        self._variances[2:] = match.variances
-        self.mean[4:] = self.covariance[4:, :] = self.covariance[:, 4:] = 0.0
-        self.covariance[4:, 4:] = np.diag(self._variances[2:])
+        self._variances[MATCH - 2 :] = match.variances
+        self.mean[MATCH:] = self.covariance[MATCH:, :] = self.covariance[:, MATCH:] = 0.0
+        self.covariance[MATCH:, MATCH:] = np.diag(self._variances[MATCH - 2 :])
 
     def innovation(self, passed: Passed, sigma_m: float) -> tuple[float, float]:
         """By how many meters along a match differs from what was expected, and that difference's deviation."""
@@ -239,7 +255,7 @@ class RouteEstimate:
         return _Expectation(at_m, variance, row, weights, support)
 
     def _innovation(self, passed: Passed, direction: Vector, row: Vector, sigma_m: float) -> tuple[float, float]:
-        off_m = float(-direction @ self._off_m(passed) - row[4:] @ self.mean[4:])
+        off_m = float(-direction @ self._off_m(passed) - row[MATCH:] @ self.mean[MATCH:])
         return off_m, float(np.sqrt(row @ self.covariance @ row + sigma_m**2))
 
     def keep_on_road(self, passed: Passed, road_sigma_m: float) -> None:
@@ -260,10 +276,10 @@ class RouteEstimate:
         As a measurement just good enough for that, like `keep_on_road`, since its errors stay for minutes. GPS corrects
         the velocity of the autopilot as well, whose errors therefore begin when it is lost.
         """
-        self.mean[2:4] = self.covariance[2:4, :] = self.covariance[:, 2:4] = 0.0
-        self.covariance[2:4, 2:4] = np.diag(self._variances[:2])
+        self.mean[2:MATCH] = self.covariance[2:MATCH, :] = self.covariance[:, 2:MATCH] = 0.0
+        self.covariance[2:MATCH, 2:MATCH] = np.diag(self._variances[: MATCH - 2])
         for direction in np.eye(2):
-            row = self._row(direction, np.zeros(2), OF_ROAD)
+            row = self._row(direction, np.zeros(3), OF_ROAD)
             variance = float(row @ self.covariance @ row)
             if variance > sigma_m**2:
                 off_m = float(direction @ (position_m - self.position_m))
@@ -275,9 +291,10 @@ class RouteEstimate:
         return off_m
 
     def _slopes(self, displacement_m: Vector) -> NDArray[np.float64]:
-        """Of `truly` against heading error and scale error, (2, 2)."""
-        turned = _turned(displacement_m, self.mean[2])
-        return np.column_stack([(1 + self.mean[3]) * np.array([turned[1], -turned[0]]), turned])
+        """Of `truly` against heading error, scale error and the share of what is doubtful, (2, 3)."""
+        turned = _turned(displacement_m[:2], self.mean[2])
+        doubtful_m = displacement_m[2] * _direction(displacement_m)
+        return np.column_stack([(1 + self.mean[3]) * np.array([turned[1], -turned[0]]), turned, doubtful_m])
 
     def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:
         """How a measurement along `direction` depends on the state; errors: on those of matches."""
@@ -302,6 +319,12 @@ def _each(lines: RegionLines) -> tuple[tuple[RegionLine, int, float], ...]:
 def left_of(along: Vector) -> Vector:
     """The unit vectors (..., 2) to the left of others."""
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+def _direction(displacement_m: Vector) -> Vector:
+    """Unit vectors (..., 2) of displacements (..., 3); zero for none."""
+    length_m = np.hypot(displacement_m[..., :1], displacement_m[..., 1:2])
+    return displacement_m[..., :2] / np.where(length_m > 0, length_m, 1.0)
 
 
 def _turned(vector: Vector, clockwise_rad: float) -> Vector:

@@ -159,7 +159,7 @@ class RouteFilter:
         if track is None or before is None or displacement is None or displacement.leg != before.leg:
             return None
         since_m = _vector(displacement) - _vector(before)
-        driven_m = float(np.hypot(*since_m))
+        driven_m = float(np.hypot(*since_m[:2]))
         if self._is_lost(track, stamp_ns, driven_m):
             return None
         estimate = track.estimate.copy()
@@ -275,9 +275,9 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
     scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
-    since_m = sighting.passed.since_m
+    since_m = sighting.passed.since_m[:2]
     return (2**2 - 1**2) * scale_variance * float(since_m @ since_m)
 
 
 def _vector(displacement: Displacement) -> Vector:
-    return np.array([displacement.east_m, displacement.north_m])
+    return np.array([displacement.east_m, displacement.north_m, displacement.doubtful_m])

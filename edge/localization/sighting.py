@@ -15,6 +15,7 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.place_fix import (
+    JITTER_M,
     LineMiddle,
     LineReadings,
     line_middle,
@@ -23,7 +24,7 @@ from edge.localization.place_fix import (
     position_on_route,
 )
 from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, region_line
-from edge.localization.route_estimate import MatchErrors, RouteEstimate, left_of
+from edge.localization.route_estimate import DOUBTFUL, MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
@@ -36,9 +37,12 @@ KNOTS = 9
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
 place."""
-SCALES = np.linspace(-3.0, 3.0, 7)
-SCALE_PRIORS = np.exp(-(SCALES**2) / 2)
-"""Where it is more: the scales, in standard deviations, at which the rows are compared, and how likely each is."""
+ERRORS = np.linspace(-3.0, 3.0, 7)
+ERROR_PRIORS = np.exp(-(ERRORS**2) / 2)
+"""Where it is more: the errors, in standard deviations, at which the rows are compared, and how likely each is."""
+NEWEST_ROWS = 20
+"""Rows of a line that are compared. With 12, 20, 30 and 40, positions on 20 simulated drives home had median errors of
+1.7, 1.5, 1.6 and 1.6 m; where wheels spin, what is older is of another odometer."""
 STRAIGHT = 2
 """The newest frames by which a vehicle goes on."""
 
@@ -89,7 +93,7 @@ class Sightings:
         self._readings.clear()
 
     def add(self, displacement_m: Vector) -> None:
-        """A frame was used there (2,)."""
+        """A frame was used there (3,)."""
         self._readings.add(displacement_m)
 
     def local(self, position: Position | VehiclePosition) -> Vector:
@@ -116,7 +120,8 @@ class Sightings:
             return None
         moved_m = self._since(2 * line.back)
         scale_sigma = self._drift if estimate is None else estimate.scale_sigma
-        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), 2 * scale_sigma):
+        drift = 2 * scale_sigma + abs(moved_m[2]) / max(float(np.hypot(*moved_m[:2])), JITTER_M)
+        if not moved_alike(end.place_m - begin.place_m, _truly(moved_m, estimate), drift):
             return None
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
@@ -125,7 +130,7 @@ class Sightings:
             segment=line.segment,
             recording=line.recording,
             passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
-            along_m=line.along_m + sign * (float(np.hypot(*since_m)) - self._ahead_m(match)),
+            along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
             errors=self._errors(match),
             map_sigma_m=middle.map_sigma_m,
@@ -158,25 +163,26 @@ class Sightings:
         if parallax is None or not self._rig.parallax:
             return None
         spacing_m = self._route.drive(match.place_index).spacing_m
-        ages = np.append(parallax.ages, parallax.ages.mean())
+        rows = parallax.ages[:NEWEST_ROWS]
+        ages = np.append(rows, rows.mean())
         passed = self._passed_at(match, line, ages)
         seen = self._passed_at(match, line, ages - self._sees_m / (match.step * spacing_m))
         if passed is None or seen is None:
             return None
+        doubt_sigma = DOUBTFUL[1] if estimate is None else estimate.doubt_sigma
         if estimate is None:
-            here_m = passed.place_m[-1] + self._left_m(match) * left_of(passed.along[-1]) + passed.since_m[-1]
+            here_m = passed.place_m[-1] + self._left_m(match) * left_of(passed.along[-1]) + passed.since_m[-1, :2]
         else:
             here_m = estimate.position_m
         off_m, seen_off_m = (here_m - _truly(one.since_m, estimate) - one.place_m for one in (passed, seen))
         along_m = np.einsum("nd,nd->n", passed.along, off_m)
         left_m = np.einsum("nd,nd->n", left_of(seen.along), seen_off_m)
-        is_known = scale_sigma <= KNOWN_SCALE
-        scales, priors = (np.zeros(1), CERTAIN) if is_known else (scale_sigma * SCALES, SCALE_PRIORS)
         driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
+        further_m, priors = _further(driven_m, passed.since_m[:, 2], scale_sigma, doubt_sigma)
         found = []
-        for costs, side in zip(parallax.costs, SIDES, strict=True):
+        for costs, side in zip(parallax.costs[:, :NEWEST_ROWS], SIDES, strict=True):
             lies_m = along_m + side * self._rig.parallax * left_m
-            moved_m = lies_m - scales[:, np.newaxis] * driven_m
+            moved_m = lies_m - further_m
             found.append(region_line(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))
         left, right = found
         if left is None or right is None:
@@ -201,10 +207,7 @@ class Sightings:
         return Passed(place_m, along, np.array([self._since(age) for age in ages]))
 
     def _since(self, frames: float) -> Vector:
-        """How far the vehicle has moved since so many frames ago, meters (2,) by the autopilot's velocity.
-
-        Of the future, as it goes on.
-        """
+        """The displacement (3,) since so many frames ago; of the future, as it goes on."""
         if frames < 0:
             return frames / STRAIGHT * (self._readings.back(0) - self._readings.back(STRAIGHT))
         return self._readings.back(0) - self._readings.back(frames)
@@ -213,6 +216,16 @@ class Sightings:
         return self._rig.ahead_m(match.direction, match.order)
 
 
+def _further(driven_m: Vector, doubtful_m: Vector, scale_sigma: float, doubt_sigma: float) -> tuple[Vector, Vector]:
+    """Meters (k, n) that may have been driven besides since n rows, for k errors of the odometer; how likely each."""
+    further_m, priors = np.zeros((1, len(driven_m))), CERTAIN
+    for sigma, of_m in ((scale_sigma, driven_m), (doubt_sigma, doubtful_m)):
+        if sigma * np.ptp(of_m) > KNOWN_SCALE * np.ptp(driven_m):
+            further_m = (further_m[:, np.newaxis] + sigma * ERRORS[:, np.newaxis] * of_m).reshape(-1, len(of_m))
+            priors = np.outer(priors, ERROR_PRIORS).ravel()
+    return further_m, priors
+
+
 def _truly(moved_m: Vector, estimate: RouteEstimate | None) -> Vector:
-    """Displacements (..., 2) by the autopilot's velocity without the errors that were found."""
-    return moved_m if estimate is None else estimate.truly(moved_m)
+    """Meters (..., 2) of displacements (..., 3) without the errors that were found."""
+    return moved_m[..., :2] if estimate is None else estimate.truly(moved_m)

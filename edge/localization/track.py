@@ -36,9 +36,9 @@ class Track:
         return not self.contradicts_reckoning or self.driven_m - self.since_m >= CORRELATION_M
 
     def move(self, displacement_m: Vector, drift: float) -> None:
-        """Move on by a displacement (2,) of the autopilot's velocity; see `RouteEstimate.predict`."""
+        """Move on by a displacement (3,) of the autopilot's velocity; see `RouteEstimate.predict`."""
         self.estimate.predict(displacement_m, drift)
-        driven_m = float(np.hypot(*displacement_m))
+        driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_m += driven_m
         self.driven_m += driven_m
 

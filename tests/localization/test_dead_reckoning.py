@@ -7,7 +7,7 @@ import math
 import pytest
 
 from edge.localization import DeadReckoning
-from edge.localization.dead_reckoning import TURN_FRAMES, Displacement, TurnAround
+from edge.localization.dead_reckoning import DOUBTED_M, TURN_FRAMES, Displacement, TurnAround
 
 S = 1_000_000_000
 GOOD, POOR = 0, 2
@@ -149,3 +149,30 @@ def test_another_leg_is_no_turn() -> None:
     for leg, sign in ((1, 1), (2, -1)):
         assert not any(turning.add(Displacement(leg, 0.0, sign * 2.0 * frame)) for frame in range(TURN_FRAMES - 1))
     assert not turning.add(None)
+
+
+@pytest.mark.parametrize(
+    ("faster_mps", "within_s", "doubtful_m"),
+    [(4.0, 0.1, 12.0), (4.0, 0.2, 12.0), (4.0, 1.0, 0.0), (-4.0, 0.1, -12.0)],
+    ids=["wheels that spin", "seen in two reports", "a vehicle that accelerates", "wheels that lock"],
+)
+def test_a_change_of_the_velocity_that_no_vehicle_makes_is_doubtful_until_it_is_taken_back(
+    faster_mps: float, within_s: float, doubtful_m: float
+) -> None:
+    motion = DeadReckoning()
+    for tenth in range(100):
+        faster = min(max(0.0, (tenth / 10 - 2.0) / within_s), 1.0, max(0.0, (5.0 + within_s - tenth / 10) / within_s))
+        motion.add_velocity(tenth * S // 10, 0.0, 8.0 + faster * faster_mps)
+    moved = motion.displacement(99 * S // 10)
+    assert moved is not None
+    assert moved.north_m == pytest.approx(8.0 * 9.9 + 3.0 * faster_mps, abs=0.1)
+    assert moved.doubtful_m == pytest.approx(doubtful_m, abs=0.5)
+
+
+def test_a_velocity_that_stays_changed_is_doubtful_for_60_m() -> None:
+    motion = DeadReckoning()
+    for tenth in range(300):
+        motion.add_velocity(tenth * S // 10, 0.0, 8.0 if tenth < 20 else 12.0)
+    moved = motion.displacement(299 * S // 10)
+    assert moved is not None
+    assert moved.doubtful_m == pytest.approx(DOUBTED_M / 3, abs=1.0), "4 of 12 m/s"

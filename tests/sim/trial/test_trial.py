@@ -39,6 +39,7 @@ SMALL = (
     "gps-multipath",
     "gps-spoofed-jump",
     "gps-spoofed-drag-2-left",
+    "wheels-spin",
     "daemon-killed",
     "px4-failsafe",
     "px4-no-velocity-aid-43003",
