@@ -89,7 +89,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.pictures:
         from sim.demo.pictures import write_pictures
 
-        write_pictures(args.pictures, reference_map, lives, reviews, story)
+        write_pictures(args.pictures, reference_map, reviews, story)
     print(f"\nreport: {report}   ({time.monotonic() - started_s:.0f} s in all)")
     if args.require_good:
         require_good(story)
@@ -133,7 +133,7 @@ def _drive(folder: Path, reference_map: ReferenceMap, rig: RigConfig, pictures: 
             for number, (name, scenario) in enumerate((("again_dusk", DUSK), ("home_night", NIGHT)))
         ]
         if pictures:
-            running.enter_context(_photographer(lives, pictures))
+            running.enter_context(_photographer(lives[0], pictures))
         while any(live.is_running for live in lives):
             time.sleep(WATCH_S)
             for live in lives:
@@ -154,21 +154,24 @@ def demo_settings(reference_map: ReferenceMap, rig: RigConfig, page_port: int = 
     )
 
 
+PAGE_PX = (1280, 1070)
+
+
 def _page_url(number: int) -> str:
     return f"http://127.0.0.1:{PageConfig().port + number}/"
 
 
 @contextmanager
-def _photographer(lives: list[DaemonDrive], pictures: Path) -> Iterator[None]:
-    """Take screenshots of the live page, for a desk and a phone, once both drives are well under way."""
-    from sim.demo.pictures import photograph_page
+def _photographer(live: DaemonDrive, pictures: Path) -> Iterator[None]:
+    """Take a screenshot of the first drive's live page, once it is well under way."""
+    from sim.demo.pictures import note_sources, photograph_page
 
     def photograph() -> None:
-        while min(len(live.fixes) for live in lives) < PHOTOGRAPHED_AT and all(live.is_running for live in lives):
+        while len(live.fixes) < PHOTOGRAPHED_AT and live.is_running:
             time.sleep(WATCH_S)
-        sizes = ((1280, 1070), (390, 1500))
-        for number, (live, (width, height)) in enumerate(zip(lives, sizes, strict=True)):
-            photograph_page(_page_url(number), pictures / f"page_{live.name}.png", width, height)
+        picture = pictures / f"page_{live.name}.png"
+        if photograph_page(_page_url(0), picture, *PAGE_PX):
+            note_sources(pictures, picture.name)
 
     thread = threading.Thread(target=photograph, name="photographer")
     thread.start()

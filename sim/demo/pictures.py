@@ -1,7 +1,8 @@
-"""The README's pictures, small, from the run that the demo has just made: plots, matched pairs, and the live page."""
+"""The README's pictures, small, from the run that the demo has just made: a plot, matched pairs, and the live page."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import shutil
 import subprocess
@@ -9,41 +10,52 @@ import tempfile
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from edge.reference_map.store import ReferenceMap
-from sim.demo.report import cost_matrix, curves, route
 from sim.demo.review import Review
 from sim.demo.story import picture as story_picture
 from sim.trial.rules import Run
-from sim.vehicle.daemon_drive import DaemonDrive
 
 DPI = 80
 PAIR_HEIGHT_PX = 150
 SHOT_S = 25.0
 log = logging.getLogger(__name__)
 
+ROOT = Path(__file__).parents[2]
+MADE_OF = "made_of.json"
+"""Beside the pictures: for each the checksum of what draws it, when it was made."""
+DRAWN_BY = {
+    "take_me_home.png": ("sim/demo/story.py",),
+    "pairs.jpg": ("sim/demo/pictures.py",),
+    "page_again_dusk.png": ("edge/page/page.html", "edge/page/snapshot.py"),
+}
+"""The sources that a picture's look depends on. What it shows is of the day when it was made."""
 
-def write_pictures(
-    folder: Path, reference_map: ReferenceMap, lives: list[DaemonDrive], reviews: list[Review], story: Run
-) -> list[Path]:
-    """Write the story, plots of the last drive, and matched pairs of all drives; returns the paths."""
+
+def write_pictures(folder: Path, reference_map: ReferenceMap, reviews: list[Review], story: Run) -> None:
+    """Write the story and matched pairs of all drives."""
     folder.mkdir(parents=True, exist_ok=True)
-    plots = {"take_me_home": story_picture(story), "precision_recall": curves(lives, reviews)}
-    plots["cost_matrix"] = cost_matrix(reference_map, reviews[-1])
-    plots["route"] = route(reference_map, lives[-1], reviews[-1])
-    written = [_save(plot, folder / f"{name}.png") for name, plot in plots.items()]
-    written.append(folder / "pairs.jpg")
-    cv2.imwrite(str(written[-1]), _pairs(reference_map, reviews), [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return written
+    story_picture(story).savefig(folder / "take_me_home.png", format="png", dpi=DPI, bbox_inches="tight")
+    cv2.imwrite(str(folder / "pairs.jpg"), _pairs(reference_map, reviews), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    for name in ("take_me_home.png", "pairs.jpg"):
+        note_sources(folder, name)
 
 
-def _save(plot: Figure, path: Path) -> Path:
-    plot.savefig(path, format="png", dpi=DPI, bbox_inches="tight")
-    return path
+def checksum_of_sources(name: str) -> str:
+    """Of the files that draw a picture, as they are now."""
+    return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in DRAWN_BY[name])).hexdigest()[:16]
+
+
+def note_sources(folder: Path, name: str) -> None:
+    """Write beside a picture what has just drawn it."""
+    file = folder / MADE_OF
+    known = msgspec.json.decode(file.read_bytes(), type=dict[str, str]) if file.exists() else {}
+    noted = dict(sorted({**known, name: checksum_of_sources(name)}.items()))
+    file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
 
 
 def _pairs(reference_map: ReferenceMap, reviews: list[Review]) -> NDArray[np.uint8]:

@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 import cv2
+import msgspec
 import pytest
 
 pytest.importorskip("starlette")
@@ -14,7 +15,7 @@ pytest.importorskip("matplotlib")
 from edge.config import PageConfig
 from edge.page import MapView
 from edge.page.server import StatusPage
-from sim.demo.pictures import photograph_page
+from sim.demo.pictures import DRAWN_BY, MADE_OF, ROOT, checksum_of_sources, photograph_page
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium: apt-get install chromium")
@@ -26,3 +27,19 @@ def test_the_page_is_photographed_at_the_width_that_is_asked_for(tmp_path: Path)
     picture = cv2.imread(str(tmp_path / "pictures/page.png"))
     assert picture.shape == (500, 700, 3)
     assert picture.std() > 5
+
+
+@pytest.mark.parametrize("name", DRAWN_BY)
+def test_a_picture_of_the_docs_is_as_new_as_what_draws_it(name: str) -> None:
+    """If this fails: lookback demo --pictures docs/pictures"""
+    pictures = ROOT / "docs/pictures"
+    assert f"pictures/{name}" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert msgspec.json.decode((pictures / MADE_OF).read_bytes())[name] == checksum_of_sources(name)
+
+
+def test_no_picture_is_kept_that_nothing_shows() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    for folder in ("pictures", "evaluation"):
+        for path in (ROOT / "docs" / folder).iterdir():
+            assert path.name == MADE_OF or f"{folder}/{path.name}" in text, path
