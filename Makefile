@@ -4,10 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 PYTHON_OF_TESTS ?= $(BIN)/python
-SIDE_BY_SIDE := -n auto --dist worksteal --durations=10
+SIDE_BY_SIDE := -n $(shell nproc) --dist worksteal --durations=10
+SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py
+WHOLE := atomic_file.py config.py daemon.py extras.py import_rule.py main.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
-.PHONY: demo test test-core test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
+.PHONY: demo test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -19,7 +21,14 @@ test: $(VENV)/.dev
 test-core:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(NOT_CORE:%=--ignore tests/%)
 
-# The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
+# What may differ from one Python to another: imports, config, files, sockets, threads, subprocesses, the page, and the
+# daemon with a camera and an autopilot.
+test-python:
+	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) \
+		$(addprefix tests/,camera commands feed health journal mission page) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
+		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
+
+# The tests of edge/ on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
 LOWEST_PYTHON ?= python3.10
 test-lowest: DEPENDENCIES := --constraint constraints/lowest.txt
 test-lowest: PYTHON := $(LOWEST_PYTHON)

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -135,6 +136,13 @@ def test_no_command_loads_what_only_another_needs(words: list[str] | None, absen
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_every_module_of_edge_can_be_imported() -> None:
+    """Also on a Python for which a package of an extra is missing: edge asks for it only when it is used."""
+    for file in (ROOT / "edge").rglob("*.py"):
+        module = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        import_module(module)
 
 
 def test_the_front_door_names_every_room() -> None:

@@ -12,9 +12,8 @@ from tqdm import tqdm
 from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
-from sim.model_tools.weights import Weights
 from sim.research.evaluation.methods import likeliest_states, runs
-from sim.research.evaluation.networks import Precision, Tap, open_head, open_network, read_plan_weights
+from sim.research.evaluation.networks import Precision, Tap, open_head, open_network
 from sim.research.evaluation.plan import NetworkPlan, Plan
 from sim.research.evaluation.traverses import Traverse, open_pictures, read_feeds
 
@@ -39,10 +38,6 @@ class Descriptions:
     def head(self, name: str) -> Head:
         """The categories of a network's fc6."""
         return open_head(name, self._plan.networks[name], self._folder, self.network(name, "fc6"))
-
-    def weights(self, name: str) -> Weights:
-        """Float weights of a network; ConfigError if the plan gives none."""
-        return read_plan_weights(name, self._plan.networks[name], self._folder)
 
     def opened(self) -> list[Network]:
         """Every network that was used."""

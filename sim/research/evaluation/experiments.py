@@ -1,25 +1,21 @@
-"""The experiments of a plan: sequence length, spacing, cold start, int8, PCA, activation maps, standing."""
+"""The experiments of a plan: sequence length, spacing, cold start, int8, standing."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.config import Config, SamplingConfig
 from sim.evaluation.golden import replay_on_new_map
 from sim.evaluation.metrics import max_f1_of_places, scores
-from sim.evaluation.report import Cell, Figure, Picture, Section, Table
+from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots as draw
-from sim.research.evaluation.activation_maps import activation_map, overlay, pooled_features, scores_and_gradients
-from sim.research.evaluation.comparison import Results, thumbnail
+from sim.research.evaluation.comparison import Results
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
-from sim.research.evaluation.methods import METHODS, query_rows
-from sim.research.evaluation.plan import ActivationMap, Pair, Plan
-from sim.research.evaluation.traverses import open_pictures, true_errors
+from sim.research.evaluation.plan import Pair, Plan
+from sim.research.evaluation.traverses import true_errors
 
 Step = Callable[[str], None]
 
@@ -108,74 +104,6 @@ def int8_against_float(runner: MethodRunner, results: Results, step: Step) -> Se
     columns = ("pair", "method", "accuracy, int8", "accuracy, float", "max-F1, int8", "max-F1, float", "same place")
     note = "int8 network and int8 descriptors against float32 of both. Same place: share of frames with equal answers."
     return Section("int8 against float", note, [Table("int8", "int8 against float", columns, rows)])
-
-
-def pca(runner: MethodRunner, step: Step) -> Section:
-    """Two principal components of the category layer, raw and normalized (fig. 11)."""
-    network = next(iter(runner.plan.networks))
-    head = runner.descriptions.head(network)
-    rows: list[Sequence[Cell]] = []
-    plots = []
-    for name in runner.plan.experiments.pca:
-        step(f"PCA of {name}")
-        raw = runner.descriptions.probabilities(runner.traverse(name), network)
-        batch, online = (
-            np.concatenate([change.rows[:, 0] for change in query_rows(METHODS[row], raw[:, np.newaxis], 1)])
-            for row in ("NSD-fc6/batch", "NSD-fc6")
-        )
-        panels = {"raw": raw, "normalized": batch, "normalized online": online}
-        points = {title: principal_components(values) for title, values in panels.items()}
-        labels = [head.labels[index] for index in raw.argmax(axis=1)]
-        plots.append(Figure(f"pca_{name}", name, draw.scatter_plot(points, labels), "Color: frame, dark is early."))
-        rows.append([name, *(neighbor_distance(values) for values in points.values())])
-    note = (
-        "Distance of a frame to the next one in the plane, over the mean distance of any two frames: low where the"
-        " projection follows the drive, 1 where it is unrelated to it."
-    )
-    columns = ("traverse", "raw", "normalized", "normalized online")
-    return Section(
-        "PCA of the category layer (fig. 11)", note, [Table("pca", "Next frame's distance", columns, rows)], plots
-    )
-
-
-def principal_components(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Projection (n, 2) of rows (n, D) on the two directions of greatest variance."""
-    centered = values - values.mean(axis=0, dtype=np.float64)
-    left, singular, _ = np.linalg.svd(centered, full_matrices=False)
-    return np.asarray(left[:, :2] * singular[:2])
-
-
-def neighbor_distance(points: NDArray[np.float64]) -> float:
-    """Mean distance of consecutive points over that of any two."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
-    apart = np.linalg.norm(points[:, np.newaxis] - points, axis=2)
-    count = len(points)
-    return float(steps / (apart.sum() / (count * (count - 1))))
-
-
-def activation_maps(runner: MethodRunner, step: Step) -> Section:
-    """The parts of a picture that speak for its top-3 categories, for each network (fig. 10)."""
-    rows = []
-    for wanted in runner.plan.experiments.activation_maps:
-        for name in [name for name, network in runner.plan.networks.items() if network.weights]:
-            step(f"activation maps of {wanted.traverse}, {name}")
-            rows.append(_activation_row(runner, wanted, name))
-    text = "Grad-CAM on the last pooled convolution, in float: the generalization of class activation maps to AlexNet."
-    return Section("Class activation maps (fig. 10)", text, pictures=rows)
-
-
-def _activation_row(runner: MethodRunner, wanted: ActivationMap, name: str) -> list[Picture]:
-    with closing(open_pictures(runner.traverse(wanted.traverse).feed)) as images:
-        image = images.read(wanted.row)
-    weights = runner.descriptions.weights(name)
-    pooled = pooled_features(weights, runner.descriptions.network(name, "fc6").info, image)
-    probabilities, rank, gradients = scores_and_gradients(weights, pooled)
-    labels = runner.descriptions.head(name).labels
-    maps = [
-        Picture(thumbnail(overlay(image, activation_map(pooled, gradient))), f"{labels[c]} {probabilities[c]:.2f}")
-        for c, gradient in zip(rank[:3], gradients, strict=True)
-    ]
-    return [Picture(thumbnail(image), f"{wanted.traverse}, row {wanted.row}, {name}"), *maps]
 
 
 def standing(runner: MethodRunner, step: Step) -> Section:

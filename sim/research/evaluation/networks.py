@@ -64,13 +64,6 @@ def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> H
     return Head(ModelFile(folder / plan.weights, data, info), network.info)
 
 
-def read_plan_weights(name: str, plan: NetworkPlan, folder: Path) -> Weights:
-    """The float weights of a network; ConfigError if the plan gives none."""
-    if not plan.weights:
-        raise ConfigError(f"[networks.{name}]: needs weights for class activation maps")
-    return _weights(folder / plan.weights)[0]
-
-
 def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
     weights, sha256 = _weights(folder / plan.weights)
     info = _info(plan, tap, precision, sha256)

@@ -114,13 +114,6 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     published: dict[str, float] = {}
 
 
-class ActivationMap(Struct, frozen=True, forbid_unknown_fields=True):
-    """[[experiments.activation_maps]]: a picture whose top-3 categories are mapped (fig. 10)."""
-
-    traverse: str
-    row: Annotated[int, Meta(ge=0)] = 0
-
-
 class Standing(Struct, frozen=True, forbid_unknown_fields=True):
     """[[experiments.standing]]: another query for a pair, with halts, sampled by time."""
 
@@ -134,8 +127,7 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
     cold_start: right answers by thirds of the drive. int8: int8 against float for these methods, on sweep_pairs too.
     standing: drives with halts, with and without the gate for a standing vehicle.
-    pca: traverses whose categories are drawn raw and normalized (fig. 11). better_than: [first, second] methods
-    whose difference is tested against noise.
+    better_than: [first, second] methods whose difference is tested against noise.
     """
 
     sequence_lengths: list[Length] = []
@@ -145,8 +137,6 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     cold_start: list[str] = []
     int8: list[str] = []
     standing: list[Standing] = []
-    pca: list[str] = []
-    activation_maps: list[ActivationMap] = []
     better_than: list[tuple[str, str]] = []
 
 
@@ -200,9 +190,8 @@ def _check_names(path: Path, plan: Plan) -> None:
     experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
     for name in [*experiments.sweep_pairs, *(item.pair for item in experiments.standing)]:
         named(f"{path}: experiments", name, pairs)
-    traverses = [item.traverse for item in experiments.activation_maps]
-    for name in [*experiments.pca, *traverses, *(item.query for item in experiments.standing)]:
-        named(f"{path}: experiments", name, plan.traverses)
+    for item in experiments.standing:
+        named(f"{path}: experiments", item.query, plan.traverses)
 
 
 def named(where: str, name: str, known: dict[str, Named]) -> Named:

@@ -72,28 +72,3 @@ def line_plot(lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_la
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
     return to_png(figure)
-
-
-def scatter_plot(panels: Mapping[str, NDArray[np.floating]], labels: Sequence[str]) -> bytes:
-    """Points (n, 2) of each panel, colored by frame, with the commonest categories by marker."""
-    figure, all_axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.6), squeeze=False)
-    names, counts = np.unique(np.array(labels), return_counts=True)
-    common = names[np.argsort(-counts, kind="stable")][:5].tolist()
-    for axes, (title, points) in zip(all_axes[0], panels.items(), strict=True):
-        for marker, name in zip(MARKERS, [*common, None], strict=False):
-            chosen = np.array([label == name if name else label not in common for label in labels])
-            axes.scatter(
-                *points[chosen].T,
-                c=np.flatnonzero(chosen),
-                vmin=0,
-                vmax=len(labels),
-                s=9,
-                marker=marker,
-                label=name or "other",
-                cmap="viridis",
-            )
-        axes.set_title(title, fontsize=9)
-        axes.set_xticks([])
-        axes.set_yticks([])
-    all_axes[0, -1].legend(fontsize=6)
-    return to_png(figure)

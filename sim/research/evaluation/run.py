@@ -42,8 +42,7 @@ def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
     swept = len(experiments.sweep_pairs(plan))
     sweeps = swept * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
-    total += len(wanted.pca) + 3 * len(wanted.standing)
-    total += len(wanted.activation_maps) * sum(bool(network.weights) for network in plan.networks.values())
+    total += 3 * len(wanted.standing)
     with tqdm(total=total, unit="step", desc="plan") as progress:
 
         def step(what: str) -> None:
@@ -65,10 +64,6 @@ def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
             yield experiments.int8_against_float(runner, results, step)
         if wanted.standing:
             yield experiments.standing(runner, step)
-        if wanted.pca:
-            yield experiments.pca(runner, step)
-        if wanted.activation_maps:
-            yield experiments.activation_maps(runner, step)
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from edge.config import SequenceConfig
-from sim.research.evaluation.experiments import neighbor_distance, principal_components
 from sim.research.evaluation.matching import CANDIDATES, judge, judged_queries, match_costs, match_seqslam
 
 SEQUENCE = SequenceConfig(length=5, region_order="frame")
@@ -54,17 +52,3 @@ def test_candidates_are_the_places_of_lowest_cost() -> None:
     found = match_costs(costs, SequenceConfig(length=1, region_order="frame"), 2)
     for query in range(6):
         assert found.candidates[query].tolist() == np.argsort(costs[:, query])[:CANDIDATES].tolist()
-
-
-def test_principal_components_are_those_of_the_covariance() -> None:
-    values = np.random.default_rng(5).normal(size=(50, 6)) * [5, 3, 1, 1, 0.5, 0.1]
-    found = principal_components(values)
-    _, directions = np.linalg.eigh(np.cov(values.T))
-    slow = (values - values.mean(axis=0)) @ directions[:, [-1, -2]]
-    np.testing.assert_allclose(np.abs(found), np.abs(slow), atol=1e-9)
-
-
-def test_neighbors_are_near_where_points_follow_the_drive() -> None:
-    line = np.column_stack([np.arange(4.0), np.zeros(4)])
-    apart = [abs(i - j) for i in range(4) for j in range(4) if i != j]
-    assert neighbor_distance(line) == pytest.approx(1 / np.mean(apart))
