@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 PYTHON_OF_TESTS ?= $(BIN)/python
-SIDE_BY_SIDE := -n $(shell nproc) --dist worksteal --durations=10
+# One more than processors: some tests wait.
+SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py
 WHOLE := atomic_file.py config.py daemon.py extras.py import_rule.py main.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd

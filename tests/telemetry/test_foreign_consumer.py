@@ -132,7 +132,7 @@ def emit() -> str:
     return "external_position"
 
 
-@pytest.fixture(params=[over_udp, over_pty])
+@pytest.fixture(params=[over_udp])
 def setting(request: pytest.FixtureRequest, emit: str) -> Iterator[Setting]:
     with closing(request.param(emit)) as setting:
         yield setting
@@ -218,6 +218,7 @@ def test_a_request_for_the_time_and_an_answer_to_a_fix_are_understood(setting: S
     setting.until(lambda: any("UNSUPPORTED" in message["text"] for message in foreigner.read("STATUSTEXT")))
 
 
+@pytest.mark.parametrize("setting", [over_udp, over_pty], indirect=True)
 def test_the_daemon_as_its_own_process_is_seen(
     setting: Setting, make_street: Callable[..., Path], tmp_path: Path
 ) -> None:
