@@ -32,7 +32,8 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Pat
     found = [level_hours.drive(seed, None, tmp_path) for seed in range(first, first + 12)]
     assert sum(one.exceeded for one in found) == 0
     # Apart, since levels with parallax are half of those without: a median of both may be of either.
-    for parallax, most in ((False, 4), (True, 6)):
+    # Over 24 drives 4 and 6 times the 95 % error; so few drives scatter more.
+    for parallax, most in ((False, 5), (True, 8)):
         every = np.concatenate([one.bounded for one in found if one.parallax is parallax])
         is_finite = np.isfinite(every[:, 5])
         assert is_finite.mean() > 0.3

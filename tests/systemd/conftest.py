@@ -1,10 +1,11 @@
-"""Lookback's own wheel, built once for each process of the tests."""
+"""Lookback's own wheel, built once."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,12 +25,17 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source, folder = tmp_path_factory.mktemp("source") / "copy", tmp_path_factory.mktemp("wheel")
-    shutil.copytree(checkout, source)  # building leaves files in it
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(folder), str(source)]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    if "No matching distribution found for setuptools" in built.stderr:
-        pytest.skip("needs a package index, for setuptools")
-    assert built.returncode == 0, built.stderr
-    return next(folder.glob("lookback_nav-*.whl"))
+def wheel(
+    checkout: Path, make_once: Callable[[str, Callable[[Path], object]], Path], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    source = tmp_path_factory.mktemp("source") / "copy"
+
+    def build(folder: Path) -> None:
+        shutil.copytree(checkout, source)  # building leaves files in it
+        command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(folder), str(source)]
+        built = subprocess.run(command, capture_output=True, text=True, check=False)
+        if "No matching distribution found for setuptools" in built.stderr:
+            pytest.skip("needs a package index, for setuptools")
+        assert built.returncode == 0, built.stderr
+
+    return next(make_once("wheel", build).glob("lookback_nav-*.whl"))
