@@ -203,7 +203,9 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
                 along_m = np.r_[0.0, np.cumsum(legs_m)] if driven_m is None else driven_m[number]
                 for row, (point_m, route_m) in enumerate(zip(points_m, along_m, strict=True)):
                     lat_deg, lon_deg = (
-                        geodetic(*point_m, lon_shift_deg) if np.isfinite(point_m).all() else (np.nan, np.nan)
+                        geodetic(float(point_m[0]), float(point_m[1]), lon_shift_deg)
+                        if np.isfinite(point_m).all()
+                        else (np.nan, np.nan)
                     )
                     place = Place(
                         row,
@@ -267,7 +269,7 @@ def _conv(weights: Weights, layer: str, x: NDArray[np.float64], stride: int, pad
 
 def _pool(x: NDArray[np.float64]) -> NDArray[np.float64]:
     windows = np.lib.stride_tricks.sliding_window_view(x, (3, 3), axis=(1, 2))[:, ::2, ::2]
-    return windows.max(axis=(3, 4))
+    return np.asarray(windows.max(axis=(3, 4)))
 
 
 def _dense(weights: Weights, layer: str, x: NDArray[np.float64]) -> NDArray[np.float64]:

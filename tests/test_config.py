@@ -16,9 +16,9 @@ HERE = Path("/etc/lookback/lookback.toml")
 def test_the_commented_default_has_every_key_at_its_default() -> None:
     import msgspec
 
-    from edge.toml_file import tomllib
+    from edge.toml_file import toml_values
 
-    written = tomllib.loads(DEFAULT_TOML.read_text(encoding="utf-8"))
+    written = toml_values(DEFAULT_TOML.read_text(encoding="utf-8"), DEFAULT_TOML)
     assert written == msgspec.json.decode(msgspec.json.encode(Config()))
 
 

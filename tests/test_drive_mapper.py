@@ -83,7 +83,7 @@ class World:
     def seen(self, *, ahead: bool) -> NDArray[np.float32]:
         """By a camera that looks ahead, or back."""
         raw = self._views[int(ahead == self.is_home), round(self.along_m / SPACING_M)]
-        return np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0).astype(np.float32)
+        return np.asarray(np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0), np.float32)
 
 
 class Laps(World):
@@ -266,7 +266,7 @@ class SeenFromBoth(Laps):
     def seen(self, *, ahead: bool) -> NDArray[np.float32]:
         raw = self._views[0, round(self.along_m / SPACING_M)]
         if not ahead:
-            return np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0).astype(np.float32)
+            return np.asarray(np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0), np.float32)
         hardly = 0.12 * raw[::-1] + np.abs(self._rng.normal(0, 2.0, raw.shape))
         return np.asarray(hardly, dtype=np.float32)
 

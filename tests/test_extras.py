@@ -38,7 +38,7 @@ def test_the_command_adds_an_extra_without_a_package_index(tmp_path: Path) -> No
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{lines}")
         (info / "INSTALLER").write_text("pip\n")
         (info / "RECORD").write_text("")
-    command = [python, *shlex.split(install_command("page", package=site / "edge"))[-4:], "--no-index"]
+    command = [str(python), *shlex.split(install_command("page", package=site / "edge"))[-4:], "--no-index"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert "already satisfied: needed" in result.stdout

@@ -13,7 +13,7 @@ import pytest
 from edge.__main__ import main
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
-from edge.geodesy import moved
+from edge.geodesy import PositionSource, moved
 from edge.map_agreement import as_uncertain, disagreements
 from edge.reference_map import Route, open_map, open_map_set
 from edge.reference_map.builder import NAN, MapBuilder, Place
@@ -51,8 +51,10 @@ def build(path: Path, drives: Sequence[Driven]) -> None:
             for row, at in enumerate(rows):
                 off_m = (drive.east_m, drive.north_m) if at >= drive.wrong_from else (0.0, 0.0)
                 lat_deg, lon_deg = moved(-27.0, 153.0, off_m[0], off_m[1] + at * SPACING_M)
-                accuracy = drive.sigma_m, "unknown" if np.isnan(drive.sigma_m) else "gps"
-                known = Place(row, lat_deg, lon_deg, 0.0, 180.0 * drive.back, row * SPACING_M, b"", *accuracy)
+                source: PositionSource = "unknown" if np.isnan(drive.sigma_m) else "gps"
+                known = Place(
+                    row, lat_deg, lon_deg, 0.0, 180.0 * drive.back, row * SPACING_M, b"", drive.sigma_m, source
+                )
                 builder.add(seen[at].astype(np.float32), known)
         builder.finish(normalize, "test")
 

@@ -141,7 +141,7 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
             drive.wait()  # until the autopilot's speed is known
         for index in range(FRAMES):
             # Not quite the map's own picture, or the network that remembers it would have nothing to do.
-            drive.show(images.read(index) ^ 1, index)
+            drive.show(images.read(index) ^ np.uint8(1), index)
             before = drive.journaled()
             files = profiled(drive.daemon.turn)
             has_read = "telemetry/position_history.py" in files.turn

@@ -24,9 +24,10 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.localization.place_fix import match_position
-from edge.recognizer import PlaceMatch, PlaceRecognizer, open_recognizer
+from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
+from edge.sequence import PlaceMatch
 
 LENGTH = 8
 CONFIG = Config(

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from fractions import Fraction
+from typing import Any
 
 import av
 import numpy as np
@@ -23,7 +24,7 @@ def main() -> None:
     pace, began_s = threading.Event(), time.monotonic()
     with av.open(sys.stdout.buffer, "w", format=name, options={"flush_packets": "1"}) as output:
         fast = {"preset": "ultrafast", "tune": "zerolatency"} if codec == "libx264" else {}
-        stream = output.add_stream(codec, rate=FPS, options=fast)
+        stream: Any = output.add_stream(codec, rate=FPS, options=fast)
         stream.width, stream.height = width, HEIGHT
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         stream.codec_context.time_base = Fraction(1, FPS)

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
 from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
-from edge.descriptor.network import Head, Network, onnxruntime
+from edge.descriptor.network import Head, Network
 from edge.descriptor.regions import Regions, cut_regions
 from edge.errors import ModelError
 from edge.feed import FeedImages, read_feed
@@ -130,7 +131,8 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
     shared: Path, network: Network, float_network: Network
 ) -> None:
     feeds = [read_regions(shared / "feeds" / name, "left-right") for name in ("corridor_query", "corridor_reference")]
-    exact, rounded = ([describe(each, regions) for regions in feeds] for each in (float_network, network))
+    query, reference = feeds
+    exact, rounded = ((describe(each, query), describe(each, reference)) for each in (float_network, network))
     for pair in zip(exact, rounded, strict=True):
         assert compare(*pair).nsd_mean >= NSD_COSINE_MIN
     rows = np.arange(len(feeds[0]))

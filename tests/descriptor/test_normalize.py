@@ -32,7 +32,7 @@ def nsd(raw: NDArray[np.float32]) -> NDArray[np.float64]:
     """Equation 1 over a whole set."""
     mean, deviation = raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.nan_to_num((raw - mean) / deviation, nan=0.0, posinf=0.0, neginf=0.0)
+        return np.asarray(np.nan_to_num((raw - mean) / deviation, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def test_running_statistics_are_those_of_the_set() -> None:

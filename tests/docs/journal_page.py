@@ -83,7 +83,8 @@ def _spell(kind: Any) -> str:
         return " or ".join(f'"{value}"' for value in kind.values)
     if isinstance(kind, NoneType):
         return "null"
-    return NAMES[type(kind)]
+    names: dict[Any, str] = {**NAMES}
+    return names[type(kind)]
 
 
 if __name__ == "__main__":

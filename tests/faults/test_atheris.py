@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing, a minute for each reader, where atheris is installed (`pip install atheris`)."""
+"""Coverage-guided fuzzing, a minute for each reader, with the extra `fuzz`, which `make soak` installs."""
 
 from __future__ import annotations
 

@@ -52,7 +52,12 @@ def all_keys() -> list[str]:
         recording=RecordingConfig(folder="f"),
     )
     keys: list[str] = []
-    change_paths(config, lambda where, path: keys.append(where) or path)
+
+    def keep(where: str, path: str) -> str:
+        keys.append(where)
+        return path
+
+    change_paths(config, keep)
     return keys
 
 

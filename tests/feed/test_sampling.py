@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from edge.config import SamplingConfig
 from edge.feed.sampling import Sampler
 
 
-def taken(config: SamplingConfig, frames: list[tuple[float, float | None]]) -> list[int]:
+def taken(config: SamplingConfig, frames: Sequence[tuple[float, float | None]]) -> list[int]:
     sampler = Sampler(config)
     return [index for index, (time_s, meters) in enumerate(frames) if sampler.is_place(round(time_s * 1e9), meters)]
 

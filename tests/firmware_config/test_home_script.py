@@ -175,7 +175,7 @@ class Scripting:
         self.texts.append(text.decode())
 
 
-def start(**parameters: float) -> Scripting:
+def start(**parameters: Any) -> Scripting:
     """The script, enabled, with Lookback connected and the switch low."""
     scripting = Scripting(LKH_ENABLE=1, **parameters)
     scripting.heartbeat()

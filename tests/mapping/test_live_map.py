@@ -7,6 +7,7 @@ import re
 import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_places_become_searchable_a_fixed_distance_behind(tmp_path: Path) -> Non
     ],
 )
 def test_what_is_no_truth_enters_no_map(
-    tmp_path: Path, position: VehiclePosition | None, keys: dict[str, object], why: str
+    tmp_path: Path, position: VehiclePosition | None, keys: dict[str, Any], why: str
 ) -> None:
     mapped = live(tmp_path, **keys)
     mapped.add(raw_of(0), IMAGE, position, 0.0)

@@ -37,7 +37,7 @@ def way_home(raw: NDArray[np.float32], route_m: NDArray[np.float64]) -> WayHome 
 
 
 def test_a_drive_that_repeats_nothing_is_recognized_from_the_first_fix_on() -> None:
-    found = way_home(landscape(400, 1), SPACING_M * np.arange(400))
+    found = way_home(landscape(400, 1), SPACING_M * np.arange(0.0, 400))
     assert found is not None
     assert found.share > 0.9
     assert found.first_m == 155.0
@@ -48,14 +48,14 @@ def test_a_drive_that_repeats_nothing_is_recognized_from_the_first_fix_on() -> N
 def test_a_stretch_that_repeats_another_counts_as_not_recognized() -> None:
     raw = landscape(400, 1)
     raw[250:380] = raw[100:230] + np.random.default_rng(2).normal(0, 0.1, (130, 2, 128)).clip(0)
-    found = way_home(raw, SPACING_M * np.arange(400))
+    found = way_home(raw, SPACING_M * np.arange(0.0, 400))
     assert found is not None
     assert 0.5 < found.share < 0.8
     assert found.longest_m > 250.0
 
 
 def test_a_gap_in_the_map_is_a_stretch_without_a_fix() -> None:
-    route_m = SPACING_M * np.arange(400)
+    route_m = SPACING_M * np.arange(0.0, 400)
     route_m[200:] += 500.0
     found = way_home(landscape(400, 1), route_m)
     assert found is not None
@@ -64,4 +64,4 @@ def test_a_gap_in_the_map_is_a_stretch_without_a_fix() -> None:
 
 
 def test_nothing_is_said_of_nothing() -> None:
-    assert way_home(landscape(20, 1), SPACING_M * np.arange(20)) is None
+    assert way_home(landscape(20, 1), SPACING_M * np.arange(0.0, 20)) is None

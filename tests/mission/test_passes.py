@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def length_m(drive: Points) -> float:
 
 
 def plan(
-    path: Path, at_m: tuple[float, float], sigma_m: float = 1.5, route_m: float | None = None, **config: float
+    path: Path, at_m: tuple[float, float], sigma_m: float = 1.5, route_m: float | None = None, **config: Any
 ) -> WayHome:
     start = Start(*geodetic(*at_m), sigma_m=sigma_m, route_m=route_m)
     return plan_way_home(open_map_set(path), start, HomeConfig(turning_radius_m=0.0, **config))

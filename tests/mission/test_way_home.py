@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def joined(*lines: Points) -> Points:
 
 
 def plan(
-    path: Path, at_m: tuple[float, float] | None = None, heading_deg: float | None = None, **config: float
+    path: Path, at_m: tuple[float, float] | None = None, heading_deg: float | None = None, **config: Any
 ) -> WayHome:
     start = None if at_m is None else Start(*geodetic(*at_m), heading_deg, 1.0)
     return plan_way_home(open_map_set(path), start, HomeConfig(**config))

@@ -84,7 +84,7 @@ def url_of(config: Path) -> str:
 def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=subprocess.PIPE) as process:
         try:
-            wait = WebDriverWait(None, PATIENCE_S, poll_frequency=0.05)
+            wait = WebDriverWait[Any](None, PATIENCE_S, poll_frequency=0.05)
             wait.until(lambda _: is_up(url_of(config)))
             yield process
         finally:
@@ -105,7 +105,7 @@ def autopilot(config: Path) -> Iterator[None]:
 
 def is_up(url: str) -> bool:
     with contextlib.suppress(urllib.error.URLError, ConnectionError):
-        return urllib.request.urlopen(url, timeout=5).status == 200
+        return bool(urllib.request.urlopen(url, timeout=5).status == 200)
     return False
 
 

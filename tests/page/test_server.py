@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -140,7 +141,7 @@ def test_history_is_sent_once(page: StatusPage, loop: Loop) -> None:
 
 def test_the_picture_comes_with_the_status_to_who_has_not_shown_it(page: StatusPage, loop: Loop) -> None:
     status = json.loads(get(page, "/status.json?shown=0")[1])
-    picture = cv2.imdecode(np.frombuffer(base64.b64decode(status["picture"]), np.uint8), cv2.IMREAD_COLOR)
+    picture: Any = cv2.imdecode(np.frombuffer(base64.b64decode(status["picture"]), np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (240, 320, 3)
     shown = 0
     while status["newest"]["stamp_ns"] != shown:  # another snapshot where the last is no longer fresh
@@ -154,7 +155,7 @@ def test_the_picture_comes_with_the_status_to_who_has_not_shown_it(page: StatusP
 
 def test_pictures(page: StatusPage, loop: Loop) -> None:
     code, body, headers = get(page, "/frame.jpg")
-    picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
+    picture: Any = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
     assert (code, headers["content-type"], picture.shape) == (200, "image/jpeg", (240, 320, 3))
     assert np.abs(picture[180, 240].astype(int) - (10, 120, 240)).max() < 6
     assert get(page, "/thumbnail/3.jpg")[:2] == (200, THUMBNAIL)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ def _lap_descriptors(places: int, lap: int = LAP) -> NDArray[np.float32]:
     return (repeated + 0.05 * rng.normal(size=repeated.shape)).astype(np.float32)
 
 
-def _laps(raw: NDArray[np.float32], places: list[Place]) -> tuple[tuple[int | None, ...], float]:
+def _laps(raw: NDArray[np.float32], places: list[Place]) -> Any:
     with temporary_map([MappedDrive(raw, places, "front")], MODEL, DescriptorConfig()) as map_set:
         return map_set.laps, Drives(map_set, 2.0).lap_m(0)
 

@@ -31,7 +31,7 @@ def slow_costs(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArra
     dots = (query @ reference.T).astype(np.float64)
     lengths = [np.sqrt((rows**2).sum(axis=1) / 1.0) for rows in (query, reference)]
     product = np.where(lengths[0] > 0, lengths[0], 1)[:, None] * np.where(lengths[1] > 0, lengths[1], 1)
-    return np.rint((1 - dots / product) * COST_ONE).astype(np.int32)
+    return np.asarray(np.rint((1 - dots / product) * COST_ONE), np.int32)
 
 
 def slow_costs_of_encoded(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDArray[np.int32]:
@@ -167,7 +167,7 @@ def slow_costs_by_integers(
     wide_query, wide = query.astype(np.int64), reference.astype(np.int64)
     scale = (1 / np.sqrt((wide_query**2).sum(axis=(0, 2))))[:, None] * (COST_ONE / np.sqrt((wide**2).sum(axis=(0, 2))))
     shares = [(wide_query[plane] @ wide[plane].T) * scale * signs[plane] for plane in range(2)]
-    return np.floor((COST_ONE + 0.5 - shares[0]) - shares[1]).astype(np.int32)
+    return np.asarray(np.floor((COST_ONE + 0.5 - shares[0]) - shares[1]), np.int32)
 
 
 @settings(max_examples=20, deadline=None)

@@ -44,7 +44,7 @@ def drive(
     toward = heading + {"left": -np.pi / 2, "right": np.pi / 2, "ahead": 0.0}[side]
     away_m = np.diff(off_m, prepend=0.0)[:, None] * np.column_stack([np.sin(toward), np.cos(toward)])
     heading_deg = np.degrees(heading) + 3.0 + 2.0 * np.sin(heading)
-    return truth_m + wander_m + np.cumsum(away_m, axis=0), np.arange(PLACES) * STEP_M * scale, heading_deg
+    return truth_m + wander_m + np.cumsum(away_m, axis=0), np.arange(0.0, PLACES) * STEP_M * scale, heading_deg
 
 
 def rejected(

@@ -112,8 +112,9 @@ def test_what_is_recognized_while_the_map_grows_is_what_the_whole_map_gives(tmp_
             assert one is not None
             assert another is not None
             places.append((one.place_index - 100, another.place_index - 100, frame))
-    np.testing.assert_allclose(*np.array(places).T[:2], atol=1)
-    np.testing.assert_allclose(*np.array(places).T[1:], atol=2)
+    ours, theirs, frames = np.array(places).T
+    np.testing.assert_allclose(ours, theirs, atol=1)
+    np.testing.assert_allclose(theirs, frames, atol=2)
 
 
 def test_a_route_goes_on_as_the_map_does() -> None:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -53,7 +54,7 @@ def build(
             drive, along = divmod(index, 2500)
             if along == 0:
                 builder.begin_segment(f"drive {drive}", "front")
-            position = (
+            position: dict[str, Any] = (
                 {
                     "lat_deg": lat_deg + along * SPACING_M * DEGREES_A_METRE,
                     "lon_deg": lon_deg + drive * APART_M * DEGREES_A_METRE,

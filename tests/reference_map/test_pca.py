@@ -26,7 +26,7 @@ def street(places: int, *, carriers: int, noise: float = 0.05, seed: int = 0) ->
     along = rng.normal(size=(places + 2, 2, carriers))
     along = along[:-2] + along[1:-1] + along[2:]
     directions = np.linalg.qr(rng.normal(size=(DIMENSIONS, carriers)))[0]
-    return (along @ directions.T + rng.normal(size=(places, 2, DIMENSIONS)) * noise).astype(np.float32)
+    return np.asarray(along @ directions.T + rng.normal(size=(places, 2, DIMENSIONS)) * noise, np.float32)
 
 
 def build(path: Path, raw: np.ndarray, dimensions: int | None, *, segments: int = 1) -> ReferenceMap:

@@ -17,20 +17,8 @@ WITHOUT = (
 
 
 def test_it_runs_with_what_a_vehicle_has(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-c",
-        WITHOUT,
-        DESK,
-        "dev",
-        "bench",
-        "--seconds",
-        "0.1",
-        "--places",
-        "200",
-        "--folder",
-        tmp_path,
-    ]
+    words = ["dev", "bench", "--seconds", "0.1", "--places", "200", "--folder", str(tmp_path)]
+    command = [sys.executable, "-c", WITHOUT, DESK, *words]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     header, line, cells = result.stdout.splitlines()
     assert f"{header}\n{line}" == HEADER

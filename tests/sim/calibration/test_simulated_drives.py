@@ -132,7 +132,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
             east_m, north_m, _ = pymap3d.geodetic2enu(found.lat_deg, found.lon_deg, 0, lat_deg, lon_deg, 0)
-            heading_rad = math.radians(found.heading_deg)
+            heading_rad = math.radians(found.heading_deg or 0.0)
             along_m = east_m * math.sin(heading_rad) + north_m * math.cos(heading_rad)
             in_sigmas.append(along_m / found.sigma_along_m)
     assert len(in_sigmas) > 30

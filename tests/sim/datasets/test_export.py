@@ -55,6 +55,7 @@ def test_geojson(journal: Path) -> None:
 def test_gpx(journal: Path) -> None:
     gpx = gpxpy.parse(export(journal, "drive.gpx"))
     (waypoint,) = gpx.waypoints
+    assert waypoint.time is not None
     assert (waypoint.name, waypoint.latitude, waypoint.time.year) == ("place 4", -27.001, 2023)
     assert waypoint.description == "street, forward, uniqueness 1.3"
     assert [point.latitude for point in gpx.tracks[0].segments[0].points] == [-27.0, -27.001]

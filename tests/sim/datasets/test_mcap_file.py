@@ -66,7 +66,7 @@ def test_it_is_replayed_and_made_a_map_of_as_the_feed_itself(
     assert main(["dev", "mcap", "write", str(tmp_path / "street"), "-o", str(tmp_path / "street.mcap")]) == 0
     query, query_mcap = (str(path) for path in recorded)
     assert main(["dev", "mcap", "read", query_mcap, "-o", str(tmp_path / "unpacked")]) == 0
-    lines = []
+    lines: list[bytes] = []
     for reference, replayed in (("street", query), ("street.mcap", query_mcap), ("street", tmp_path / "unpacked")):
         a_map = str(tmp_path / f"{len(lines)}.map")
         assert main(["map", "build", str(tmp_path / reference), "-o", a_map]) == 0
@@ -107,7 +107,7 @@ def test_messages_of_somebody_else_are_one_line(tmp_path: Path) -> None:
             writer.start(profile="", library="other")
             schema = writer.register_schema("schema", "jsonschema", b"{}")
             writer.add_message(writer.register_channel(topic, encoding, schema), 1, data, 1)
-            writer.finish()
+            writer.finish()  # type: ignore[no-untyped-call]
         with pytest.raises(FeedError, match=told):
             read_feed(tmp_path / "other.mcap")
 

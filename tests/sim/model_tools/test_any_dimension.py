@@ -11,6 +11,7 @@ import time
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,7 +108,7 @@ def test_everything_works_with_its_descriptors(
     assert frames and all(abs(line["frame"] - line["place"]) <= 1 for line in frames)
 
 
-def watched_run(port: int) -> tuple[dict[str, object], str]:
+def watched_run(port: int) -> tuple[dict[str, Any], str]:
     """What the page and the metrics show while `lookback run` is on the map; it ends with its recording."""
     process = subprocess.Popen([sys.executable, "-m", "edge", "run", "any.toml"], stderr=subprocess.PIPE, text=True)
     shown: tuple[dict[str, object], str] | None = None

@@ -35,7 +35,7 @@ def feed(tmp_path: Path) -> Path:
     with FeedWriter(tmp_path / "feed", FeedHeader(name="noise", view="front", width=64, height=48)) as writer:
         for row in range(12):
             coarse = random.integers(0, 256, (6, 8, 3), dtype=np.uint8)
-            image = cv2.resize(coarse, (64, 48), interpolation=cv2.INTER_CUBIC)
+            image = np.asarray(cv2.resize(coarse, (64, 48), interpolation=cv2.INTER_CUBIC), np.uint8)
             writer.write(image, row * 10**9, lat_deg=-27.0 + row * 180e-6, lon_deg=153.0)
     return tmp_path / "feed"
 

@@ -33,8 +33,8 @@ def image() -> NDArray[np.uint8]:
     """Noise at several scales, with pixels at both ends of the range and channels that differ."""
     random = np.random.default_rng(3)
     scales = [random.random((224 // n, 224 // n, 3)).repeat(n, axis=0).repeat(n, axis=1) for n in (1, 7, 28, 112)]
-    mixed = sum(scales) * [0.3, 0.5, 0.2]
-    return np.clip(mixed * 200 - 20, 0, 255).astype(np.uint8)
+    mixed = np.sum(scales, axis=0) * [0.3, 0.5, 0.2]
+    return np.asarray(np.clip(mixed * 200 - 20, 0, 255), np.uint8)
 
 
 def save(model: object, file: Path) -> Path:

@@ -47,7 +47,7 @@ class Tensor:
     def __reduce__(self) -> Any:
         storage = Storage(self.key, self.array.size)
         strides = tuple(step // self.array.itemsize for step in self.array.strides)
-        rebuild = sys.modules["torch._utils"]._rebuild_tensor_v2  # type: ignore[attr-defined]
+        rebuild = sys.modules["torch._utils"]._rebuild_tensor_v2
         return rebuild, (storage, 0, self.array.shape, strides, False, OrderedDict())
 
 
@@ -59,7 +59,7 @@ class Storage:
 class Pickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> Any:
         if isinstance(obj, Storage):
-            return "storage", sys.modules["torch"].FloatStorage, obj.key, "cpu", obj.count  # type: ignore[attr-defined]
+            return "storage", sys.modules["torch"].FloatStorage, obj.key, "cpu", obj.count
         return None
 
 
@@ -78,7 +78,7 @@ def state() -> Any:
 
 def legacy() -> bytes:
     numbers = b"".join(len(array.ravel()).to_bytes(8, "little") + array.tobytes() for array in ARRAYS.values())
-    parts = (LEGACY_MAGIC, PROTOCOL_VERSION, {"little_endian": True}, state(), list(ARRAYS))
+    parts: tuple[Any, ...] = (LEGACY_MAGIC, PROTOCOL_VERSION, {"little_endian": True}, state(), list(ARRAYS))
     return b"".join(map(pickled, parts)) + numbers
 
 
@@ -114,7 +114,7 @@ class Program:
 
 
 def test_a_pickle_that_runs_a_program_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    parts = (LEGACY_MAGIC, PROTOCOL_VERSION, {}, {"state_dict": {"a": Program()}}, [])
+    parts: tuple[Any, ...] = (LEGACY_MAGIC, PROTOCOL_VERSION, {}, {"state_dict": {"a": Program()}}, [])
     with pytest.raises(ModelError, match=r"it holds __builtin__\.print, and not only weights"):
         read_state(Path("net.pth"), b"".join(map(pickled, parts)))
     assert capsys.readouterr().out == ""
@@ -124,6 +124,6 @@ def test_a_tensor_that_claims_more_than_there_is() -> None:
     array = np.lib.stride_tricks.as_strided(np.zeros(1, np.float32), (4000, 4000), (0, 4))
     tensor = Tensor(array, "x")
     tensor.array = array
-    parts = (LEGACY_MAGIC, PROTOCOL_VERSION, {}, {"x": tensor}, ["x"])
+    parts: tuple[Any, ...] = (LEGACY_MAGIC, PROTOCOL_VERSION, {}, {"x": tensor}, ["x"])
     with pytest.raises(ModelError, match="it claims 16000000 numbers and is shorter"):
         read_state(Path("net.pth"), b"".join(map(pickled, parts)))

@@ -28,7 +28,8 @@ def arrays() -> Arrays:
 
 
 def save(arrays: Arrays, folder: Path) -> Path:
-    np.savez_compressed(folder / "weights.npz", **arrays)
+    named: dict[str, Any] = {**arrays}
+    np.savez_compressed(folder / "weights.npz", **named)
     return folder / "weights.npz"
 
 
@@ -135,13 +136,19 @@ def test_checkpoint_that_would_run_code(tmp_path: Path) -> None:
 def test_labels_of_places365_lose_path_and_number(tmp_path: Path) -> None:
     file = tmp_path / "categories.txt"
     file.write_text("/a/airfield 0\n/a/arena/hockey 1\n\n")
-    weights = {"classifier.4.weight": np.zeros((8, 4096)), "classifier.6.weight": np.zeros((2, 8))}
+    weights = {
+        "classifier.4.weight": np.zeros((8, 4096), np.float32),
+        "classifier.6.weight": np.zeros((2, 8), np.float32),
+    }
     assert read_labels(file, weights) == ("airfield", "arena/hockey")
 
 
 def test_wrong_number_of_labels(tmp_path: Path) -> None:
     file = tmp_path / "labels.txt"
     file.write_text("abbey\n")
-    weights = {"classifier.4.weight": np.zeros((8, 4096)), "classifier.6.weight": np.zeros((2, 8))}
+    weights = {
+        "classifier.4.weight": np.zeros((8, 4096), np.float32),
+        "classifier.6.weight": np.zeros((2, 8), np.float32),
+    }
     with pytest.raises(ModelError, match=r"labels\.txt: 1 labels, but fc8 of the weights has 2 categories"):
         read_labels(file, weights)

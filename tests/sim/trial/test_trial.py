@@ -86,7 +86,7 @@ def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
 
 
 def straight(count: int = 600) -> Track:
-    time_s = np.arange(count) * 0.1
+    time_s = np.arange(0.0, count) * 0.1
     zeros = np.zeros(count)
     return Track(time_s, time_s * 8.0, zeros, zeros + 5.0, time_s < 9.0, time_s >= 9.0)
 

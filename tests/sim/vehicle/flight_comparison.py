@@ -81,7 +81,7 @@ def compare(folder: Path, errors: OdometryErrors, noise: FilterNoise | None = No
     own_m = np.stack([np.interp(times_s, own["mono_s"], own[name]) for name in ("east_m", "north_m")])
     firmware = FIRMWARES["px4" if is_px4 else "ardupilot"]
     estimate = Estimator(poses[at], times_s[at], errors, noise or firmware.noise)
-    estimate.reset(*own_m[:, at], times_s[at])
+    estimate.reset(float(own_m[0, at]), float(own_m[1, at]), float(times_s[at]))
     inputs = PositionInputs(firmware, estimate)
     inputs.source_set = 2
     origin_m = _origin_m(messages)

@@ -131,7 +131,7 @@ def changes_mps(drive: Drive) -> NDArray[np.float64]:
     is_free &= (time_s[first] > drive.moves_s + GPS_S + 1.0) & (time_s[last] - time_s[first] < 1.3)
     wrong_mps = drive.own_mps - drive.true_mps
     changes = ((wrong_mps[last] - wrong_mps[first]) * drive.ahead[last]).sum(axis=1)
-    return changes[is_free & moves[first] & moves[last]]
+    return np.asarray(changes[is_free & moves[first] & moves[last]])
 
 
 def flight(shared: Path, name: str) -> Path:

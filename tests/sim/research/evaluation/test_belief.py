@@ -15,9 +15,9 @@ def road(seed: int) -> Described:
     """Neighbors a little alike, as on a road."""
     rng = np.random.default_rng(seed)
     raw = rng.normal(size=(PLACES + 2, 2, 128))
-    raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
-    route_m = np.arange(PLACES) * SPACING_M
-    return Described(raw, route_m, route_m)
+    alike = np.asarray(np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0), np.float32)
+    route_m = np.arange(0.0, PLACES) * SPACING_M
+    return Described(alike, route_m, route_m)
 
 
 def way_home(of: Described, noise: float = 0.5) -> Described:

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from edge.errors import ConfigError
-from sim.evaluation.report import Cell, Figure, Picture, Section, Table, format_cell, write_report
-from sim.research.evaluation.bootstrap import Interval
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell, write_report
 from sim.research.evaluation.plots import bar_plot, line_plot
 
 

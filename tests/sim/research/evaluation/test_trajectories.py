@@ -79,4 +79,6 @@ def test_the_files_for_the_evaluator_of_nsavp_give_the_scores_of_the_report(tmp_
 
 def _north_m(outcome: Any) -> list[Any]:
     tables = [[(row.lat_deg, row.lon_deg) for row in one.feed_rows()] for one in (outcome.query, outcome.reference)]
-    return [east_north(*np.array(table, dtype=float).T, origin=(0.0, 0.0))[:, 1] for table in tables]
+    return [
+        east_north(np.array(table, float)[:, 0], np.array(table, float)[:, 1], (0.0, 0.0))[:, 1] for table in tables
+    ]
