@@ -74,12 +74,6 @@ def read_tensor_ranges(path: Path) -> Ranges:
     return {name: (one.min, one.max) for name, one in given.items()}
 
 
-def write_tensor_ranges(path: Path, ranges: Ranges) -> None:
-    """The file that `read_tensor_ranges` reads, with four significant digits."""
-    rows = (f'"{name}": {{"min": {low:.4g}, "max": {high:.4g}}}' for name, (low, high) in ranges.items())
-    path.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
-
-
 def _decode(path: Path, kind: type[dict[str, Decoded]]) -> dict[str, Decoded]:
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)

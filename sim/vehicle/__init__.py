@@ -4,7 +4,6 @@ firmware         what each autopilot firmware does with a position, as a table
 dead_reckoning   where the autopilot believes it is: truth with GPS, drifting odometry without
 position_inputs  which positions the firmware accepts, and what they do to the estimate
 mission_store    the mission, and the autopilot's side of the mission protocol
-mission_line     an uploaded mission as a line that a vehicle can follow
 autopilot        the MAVLink endpoint: heartbeats, streams, TIMESYNC, commands; messages it encodes
 pty_link         a serial cable without hardware
 command          `lookback dev sim autopilot`
