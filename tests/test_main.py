@@ -100,6 +100,7 @@ def test_a_map_of_another_model_or_other_regions(
         builder.finish(normalize, "test")
     printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
     assert "made with model other-network (ffffffffffff, fc6)" in printed
+    assert "name the map's in [descriptor] model or --model" in printed
 
 
 def test_a_model_that_is_none(

@@ -262,7 +262,7 @@ def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str
     if made.model.sha256 != model.sha256 or made.model.tap != model.tap:
         return (
             f"{one.path}: made with model {_spell_model(made.model)}, but the model here is"
-            f" {_spell_model(model)}; build the map again with this one"
+            f" {_spell_model(model)}; name the map's in [descriptor] model or --model, or build the map again"
         )
     normalized = "set" if wanted.normalization == "online" else "none"
     ours = (wanted.regions, wanted.region_width if wanted.regions == "left-right" else made.regions.width, normalized)

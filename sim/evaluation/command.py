@@ -27,7 +27,14 @@ Value = str | int | float
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""
 
-COLUMNS = ("recording", "frames", "on the map", "precision", "recall", "recall at 100 %", "error, m", "95 %, m")
+OFFSET_SHARE = 0.5
+"""Share of the tolerance by which half of the believed places may lie ahead of the vehicle, or behind it, without a
+warning. Beyond it, the curve says more of the camera's offset than of the places."""
+
+COLUMNS = (
+    *("recording", "frames", "on the map", "precision", "recall"),
+    *("recall at 100 %", "within twice", "error, m", "95 %, m"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,8 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Recognize recordings with known positions on a map of other recordings, as `lookback run` does. Precision: of"
         " the believed frames, the share within the tolerance. Recall: of the frames on the map, the share that is"
-        " believed and right; and the share at the lowest confidence from which no frame is wrong. Errors: median and"
-        " 95 % of believed frames, after the offsets in [rig] of --config."
+        " believed and right; and the share at the lowest confidence from which no frame is wrong, within the tolerance"
+        " and within twice the tolerance. Errors: median and 95 % of believed frames, after the offsets in [rig] of"
+        " --config, which `lookback calibrate` measures."
     )
     parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="recordings with positions")
     parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
@@ -54,12 +62,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Judged:
-    """A recording's frames with a known position. believed (Q,) bool; error_m (Q,), NaN where no place was matched."""
+    """A recording's frames with a known position. believed (Q,) bool; error_m (Q,), NaN where no place was matched.
+
+    within_twice: the answers by twice the tolerance. ahead_m: of the median believed place, from the vehicle in
+    the direction of travel; NaN if there is none.
+    """
 
     name: str
     answers: Answers
+    within_twice: Answers
     believed: NDArray[np.bool_]
     error_m: NDArray[np.float64]
+    ahead_m: float
 
     def row(self) -> tuple[Value, ...]:
         """One row of COLUMNS."""
@@ -72,7 +86,7 @@ class Judged:
             on_map,
             float(right.sum() / self.believed.sum()) if self.believed.any() else nothing,
             float(right.sum() / on_map) if on_map else nothing,
-            recall_at_precision(precision_recall(self.answers), 1.0),
+            *(recall_at_precision(precision_recall(one), 1.0) for one in (self.answers, self.within_twice)),
             *(float(np.percentile(errors_m, share)) if errors_m.size else nothing for share in (50, 95)),
         )
 
@@ -98,8 +112,20 @@ def judge(maps: MapSet, feed: Feed, config_path: Path | None, tolerance_m: float
     on_map = np.array([np.hypot(*(places_m - one).T).min() <= tolerance_m for one in truth_m])
     error_m = np.hypot(*(found_m - truth_m).T)
     confidence = np.array([one.confidence for one in used], dtype=float)
-    answers = Answers(confidence, on_map & (error_m <= tolerance_m), on_map)
-    return Judged(feed.path.name, answers, np.array([one.accepted for one in used]), error_m)
+    believed = np.array([one.accepted for one in used])
+    heading_rad = np.radians(np.array([one.heading_deg for one in used], dtype=float))
+    ahead_m = np.einsum("nd,nd->n", found_m - truth_m, np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]))
+    answers, within_twice = (
+        Answers(confidence, on_map & (error_m <= within_m), on_map) for within_m in (tolerance_m, 2 * tolerance_m)
+    )
+    return Judged(
+        feed.path.name,
+        answers,
+        within_twice,
+        believed,
+        error_m,
+        float(np.median(ahead_m[believed])) if believed.any() else float("nan"),
+    )
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -111,6 +137,15 @@ def _run(args: argparse.Namespace) -> int:
     widths = [max(len(line[column]) for line in cells) for column in range(len(COLUMNS))]
     for line in cells:
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
+    for one in judged:
+        if abs(one.ahead_m) > OFFSET_SHARE * args.tolerance_m:
+            side = "ahead of" if one.ahead_m > 0 else "behind"
+            print(
+                f"{one.name}: the median believed place lies {abs(one.ahead_m):.0f} m {side} the vehicle, near the"
+                f" tolerance of {args.tolerance_m:g} m: measure the camera's offset with `lookback calibrate`, and name"
+                " the config with its [rig] by --config",
+                file=sys.stderr,
+            )
     if args.output:
         print(_write(args.output, args.map, judged, rows), file=sys.stderr)
     return 0

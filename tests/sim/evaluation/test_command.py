@@ -31,12 +31,37 @@ def test_the_numbers_are_those_of_replay(
     errors_m = [abs((line["lat_deg"] + 27.0) * 110_800 - 2 * line["frame"]) for line in believed]
     right = [line for line, error_m in zip(believed, errors_m, strict=True) if error_m <= 5 and line["frame"] < 67]
     assert 10 < len(right) < len(believed)  # off the map, the last lines are believed for a while
-    name, frames, on_map, precision, recall, _, error_m, _ = capsys.readouterr().out.splitlines()[1].split()
+    printed = capsys.readouterr()
+    assert "calibrate" not in printed.err
+    name, frames, on_map, precision, recall, _, _, error_m, _ = printed.out.splitlines()[1].split()
     assert (name, int(frames), int(on_map)) == ("again", 80, 67)  # two frames are within 5 m of the map's end
     assert float(precision) == pytest.approx(len(right) / len(believed), abs=1e-3)
     assert float(recall) == pytest.approx(len(right) / 67, abs=1e-3)
     assert float(error_m) == pytest.approx(median(errors_m), abs=0.02)
     assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
+
+
+@pytest.mark.parametrize(("ahead_m", "side"), [(-30.0, "ahead of"), (30.0, "behind")])
+def test_an_offset_near_the_tolerance_is_warned_of(
+    street_map: Path,
+    write_traverse: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    ahead_m: float,
+    side: str,
+) -> None:
+    """The camera sees places where it is, and the config says that they lie elsewhere."""
+    again, config = write_traverse(tmp_path / "again", range(65), noise=8.0), tmp_path / "rig.toml"
+    config.write_text(f"[rig]\nahead_forward_same_m = {ahead_m}\n")
+    options = ["eval", str(again), "--map", str(street_map), "--config", str(config)]
+    assert main(options) == 0
+    warning = capsys.readouterr().err
+    assert f"again: the median believed place lies 30 m {side} the vehicle, near the tolerance of 40 m" in warning
+    assert "lookback calibrate" in warning
+    assert main([*options, "--tolerance-m", "20"]) == 0
+    at_100, within_twice = map(float, capsys.readouterr().out.splitlines()[1].split()[5:7])
+    assert at_100 < 0.2, "but for places beyond the map's ends, which lie there"
+    assert within_twice > at_100 + 0.2
 
 
 def test_a_recording_without_positions_is_one_line(
