@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import Frame, Frames
-from edge.camera.frozen_picture import PictureCheck
+from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
@@ -81,6 +81,7 @@ class Daemon:
         waits_ns = self._clock_ns()
         frame = self._camera.take(TURN_S)
         waited_s = (self._clock_ns() - waits_ns) / 1e9
+        frame = None if frame is None else self._dated(frame)
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
             if self._mapper is not None:
@@ -95,6 +96,17 @@ class Daemon:
         self._update_page()
         self._feed_watchdog()
         return not self._camera.ended
+
+    def _dated(self, frame: Frame) -> Frame:
+        """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
+        before_ns = self._pictures.age_ns
+        frame = self._pictures.dated(frame, self._autopilot.speed_mps())
+        age_ns = self._pictures.age_ns
+        if age_ns != before_ns:
+            log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
+            self._autopilot.status_text(f"pictures {age_ns / 1e9:.1f} s late: corrected", mavlink.MAV_SEVERITY_WARNING)
+            self._reset()
+        return frame
 
     def _is_usable(self, frame: Frame) -> bool:
         """Whether a frame may be used: its picture shows something, and it is not the first after a gap."""

@@ -19,8 +19,8 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from edge.camera import Frame, Frames
-from edge.camera.frozen_picture import PictureCheck
 from edge.camera.newest import NewestFrame
+from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed.sampling import Sampler

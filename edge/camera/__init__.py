@@ -3,9 +3,9 @@
 `v4l2` and `oak` are devices; `settings` lists what a device did not accept. `stream` is a video stream from the
 network or from a command (`command_output`), with its own clock (`stream_clock`). `recorded` plays a feed.
 `preprocessing` flips, crops and masks the images of all of them. `newest` is the one thread, which keeps only the
-newest frame of any of them and opens a lost camera again; `frozen_picture` finds pictures that show nothing. A further
-camera is a module with a class like `Camera`, and a line in `open_camera`; or, outside this package, an entry point
-`lookback.cameras`.
+newest frame of any of them and opens a lost camera again; `picture_check` finds pictures that show nothing, or are old.
+A further camera is a module with a class like `Camera`, and a line in `open_camera`; or, outside this package, an entry
+point `lookback.cameras`.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from serial.tools import list_ports
 
 import edge
 from edge.camera import open_camera
-from edge.camera.frozen_picture import BLANK_DEVIATION
+from edge.camera.picture_check import BLANK_DEVIATION
 from edge.commands.diagnostic import Diagnostic, bad, good, note
 from edge.config import CameraConfig, Config
 from edge.errors import LookbackError

@@ -59,21 +59,21 @@ class TrialCamera:
         self._delivered = 0
         self._hole_until_s = 0.0
         self._waiting: deque[tuple[float, int, View, int]] = deque()
-        self._buffered: deque[View] = deque(maxlen=late_frames + 1)
+        self._buffered: deque[tuple[View, int]] = deque(maxlen=late_frames + 1)
         self._picture = 0
 
     def expose(self, view: View, stamp_ns: int | None = None, *, frozen: bool = False) -> None:
         """A frame of this view, or of the one before if it is frozen, unless there is a hole; stamp_ns: not of now."""
         if not frozen or not self._buffered:
-            self._buffered.append(view)
-            self._picture += 1
-        view, now_s = self._buffered[0], self._now_ns() / 1e9
+            self._picture += not self._buffered or self._buffered[-1][0] != view
+            self._buffered.append((view, self._picture))
+        (view, picture), now_s = self._buffered[0], self._now_ns() / 1e9
         if self._rng.random() < self._hole_rate:
             self._hole_until_s = now_s + self._rng.uniform(0.0, LONGEST_HOLE_S)
         latency_s = self._rng.uniform(*self._latency_s)
         if now_s >= self._hole_until_s:
             stamp_ns = self._now_ns() if stamp_ns is None else stamp_ns
-            self._waiting.append((now_s + latency_s, stamp_ns, view, self._picture))
+            self._waiting.append((now_s + latency_s, stamp_ns, view, picture))
 
     @property
     def health(self) -> CameraHealth:

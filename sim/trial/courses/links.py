@@ -14,6 +14,7 @@ from sim.trial.rules import (
     warns_of_another,
     within_sigmas,
 )
+from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 ALONE_M = 750.0
@@ -95,6 +96,15 @@ def _clock(draft: Draft) -> None:
 def _pictures(draft: Draft) -> None:
     """Pictures are 3 s older than they say, as behind the buffer of a network stream."""
     draft.late_s = 3.0
+
+
+@course("E", "pictures-3-stop")
+def _pictures_stop(draft: Draft) -> None:
+    """The same, and the vehicle stops for 8 s after 40 m, with GPS: the stamps are corrected."""
+    draft.late_s = 3.0
+    draft.drive(draft.way, Leg(40.0, then_wait_s=8.0), Leg(draft.way.length_m - 2))
+    draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S + 12.0 else NO_FIX
+    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
 
 
 @course("E", "gps-returns")

@@ -40,6 +40,7 @@ SMALL = (
     "gps-spoofed-jump",
     "gps-spoofed-drag-2-left",
     "wheels-spin",
+    "pictures-3-stop",
     "daemon-killed",
     "px4-failsafe",
     "px4-no-velocity-aid-43003",

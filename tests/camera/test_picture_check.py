@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.frozen_picture import FrozenPictureDetector, PictureFault
+from edge.camera.picture_check import FrozenPictureDetector, PictureFault
 from edge.feed import FeedImages, read_feed
 
 SECOND = 1_000_000_000

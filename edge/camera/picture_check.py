@@ -1,0 +1,206 @@
+"""Detects unusable images: blank (lens covered, no exposure), frozen (the same image again and again), and too old.
+
+Cameras fail this way silently: frames keep coming, with valid timestamps. One whose images are frozen is opened again.
+Images behind the buffer of a network stream are older than they say. Pictures and wheels start and stop together, so
+the age is seen at a start and at a stop; nothing is known of it before.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.backoff import BackOff
+from edge.camera.newest import NewestFrame
+from edge.feed import Frame
+
+BLANK_DEVIATION = 2.0
+"""Standard deviation in gray levels, of the channel with the largest. The minimum in the recorded feeds is 56."""
+BLANK_AFTER_NS = 500_000_000
+FROZEN_AFTER_NS = 2_000_000_000
+REOPEN_FIRST_NS = 3_000_000_000
+REOPEN_LAST_NS = 60_000_000_000
+STEP_PX = 4
+BLANK = "the image is blank; is the lens covered, or the exposure wrong?"
+FROZEN = "the image is frozen"
+TOO_OLD = "its pictures seem {:.0f} s old; one more start or stop shows it"
+BLOCK_PX = 8
+"""Pictures are compared by the means of such squares, in which a sensor's noise of 5 gray levels is one of 0.6."""
+BEFORE_NS, LEAST_NS, AFTER_NS = 1_500_000_000, 4_000_000_000, 10_000_000_000
+"""How long the vehicle must have stood before a start, or moved before a stop; and how long after it pictures are
+compared, at least and at most: older ones than that are not noticed."""
+LASTS_NS = 1_000_000_000
+"""A start or stop that lasts less is none: by its speed, a vehicle that creeps starts and stops."""
+CONTRAST = 3.0
+"""Times by which pictures must change more while the vehicle moves than while it stands."""
+OLD_NS = 2_000_000_000
+"""Pictures that are older are noticed: a slow start shows up to a second late, and frames have holes."""
+ALIKE_NS = 1_500_000_000
+"""Two ages that differ by no more are one: a slow start shows late, and a slow stop early."""
+LEAST_CHANGE = 0.1
+"""Gray levels, far below the noise of any sensor; rendered pictures have none."""
+
+
+@dataclass(frozen=True)
+class PictureFault:
+    """Why an image must not be used.
+
+    sure: the fault has lasted long enough to be reported. reopen: the camera should be opened again now.
+    """
+
+    what: str
+    sure: bool
+    reopen: bool = False
+
+
+class FrozenPictureDetector:
+    """Checks every frame; keeps what it needs of the last one."""
+
+    def __init__(self) -> None:
+        self._checksum: int | None = None
+        self._same_since_ns = 0
+        self._blank_since_ns: int | None = None
+        self._reopening = BackOff(REOPEN_FIRST_NS, REOPEN_LAST_NS)
+
+    def check(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> PictureFault | None:
+        """Check an image (H, W, 3) uint8; None if it is usable. moves: whether the vehicle drives, None if unknown.
+
+        Identical bytes mean a frozen camera, because sensors have noise; but not while the vehicle is known to stand,
+        because rendered images have none. A single repetition may come from a driver whose camera is slower than
+        requested: it has no new information and is not used either.
+        """
+        thinned = image[::STEP_PX, ::STEP_PX]
+        checksum = zlib.crc32(thinned.tobytes())
+        is_same = checksum == self._checksum and stamp_ns >= self._same_since_ns and moves is not False
+        if not is_same:
+            self._checksum, self._same_since_ns = checksum, stamp_ns
+            self._reopening.reset()
+            self._reopening.failed(stamp_ns)
+        # By channel, because a buffer of zeros in YUV is uniformly green.
+        is_blank = float(thinned.std(axis=(0, 1)).max()) < BLANK_DEVIATION
+        if not is_blank:
+            self._blank_since_ns = None
+        elif self._blank_since_ns is None:
+            self._blank_since_ns = stamp_ns
+        if self._blank_since_ns is not None:
+            return PictureFault(BLANK, stamp_ns - self._blank_since_ns >= BLANK_AFTER_NS)
+        if not is_same:
+            return None
+        sure = stamp_ns - self._same_since_ns >= FROZEN_AFTER_NS
+        return PictureFault(FROZEN, sure, reopen=sure and self._is_due(stamp_ns))
+
+    def _is_due(self, stamp_ns: int) -> bool:
+        """Whether to open a frozen camera again now; the delays grow while that does not help."""
+        if not self._reopening.is_over(stamp_ns):
+            return False
+        self._reopening.failed(stamp_ns)
+        return True
+
+
+@dataclass(frozen=True)
+class Age:
+    """Of the pictures: nanoseconds, 0 where they are in time; is_certain: whether two starts or stops say so."""
+
+    age_ns: int = 0
+    is_certain: bool = True
+
+
+class PictureAge:
+    """Compares starts and stops of the pictures with those of the vehicle."""
+
+    def __init__(self) -> None:
+        self._means: NDArray[np.float64] | None = None
+        self._changes: deque[tuple[int, float]] = deque()
+        """Of the pictures since BEFORE_NS + AFTER_NS ago: stamp, and logarithm of the gray levels of the change."""
+        self._newest: tuple[bool | None, int] = None, 0
+        self._moves: bool | None = None
+        self._since_ns = 0
+        """What the vehicle does, once that lasts, and since when; the newest may not last."""
+        self._is_judged = True
+        self._ages_ns: deque[int] = deque(maxlen=2)
+        self.age = Age()
+
+    def add(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> None:
+        """A picture (H, W, 3) of a moment; moves: whether the vehicle did then, None if unknown."""
+        height, width = (size // BLOCK_PX for size in image.shape[:2])
+        green = image[: height * BLOCK_PX, : width * BLOCK_PX, 1]
+        squares = green.reshape(height, BLOCK_PX, width, BLOCK_PX)
+        before, self._means = self._means, squares.mean(axis=(1, 3))
+        if before is not None and before.shape == self._means.shape:
+            change = max(LEAST_CHANGE, float(np.abs(self._means - before).mean()))
+            self._changes.append((stamp_ns, math.log(change)))
+        while self._changes and stamp_ns - self._changes[0][0] > BEFORE_NS + AFTER_NS:
+            self._changes.popleft()
+        if moves is not self._newest[0]:
+            self._newest = moves, stamp_ns
+        is_new = moves is not self._moves and stamp_ns - self._newest[1] >= LASTS_NS
+        lasted_ns = (self._newest[1] if is_new else stamp_ns) - self._since_ns
+        if not self._is_judged and (lasted_ns >= AFTER_NS or (is_new and lasted_ns >= LEAST_NS)):
+            self._judge()
+        if is_new:
+            self._is_judged = self._moves is None or moves is None or lasted_ns < BEFORE_NS
+            self._moves, self._since_ns = self._newest
+
+    def _judge(self) -> None:
+        """Find the moment at which the pictures started or stopped as the vehicle did."""
+        self._is_judged = True
+        stamps_ns, changes = np.array([one for one in self._changes if one[0] > self._since_ns - BEFORE_NS]).T
+        is_before = stamps_ns <= self._since_ns
+        is_last = stamps_ns > self._since_ns + (stamps_ns[-1] - self._since_ns) * 2 / 3
+        if not is_before.any():
+            return
+        earlier, later = float(np.median(changes[is_before])), float(np.median(changes[is_last]))
+        if (later - earlier if self._moves else earlier - later) < math.log(CONTRAST):
+            return
+        is_as_later = np.abs(changes - later) < np.abs(changes - earlier)
+        # The moment after which most of the pictures change as they do later, and before which they do not.
+        wrong = np.cumsum(is_as_later) + np.cumsum(~is_as_later[::-1])[::-1] - ~is_as_later
+        self._ages_ns.append(int(stamps_ns[wrong.argmin()] - self._since_ns))
+        self.age = self._judged()
+
+    def _judged(self) -> Age:
+        newest_ns = self._ages_ns[-1]
+        if max(self._ages_ns) < OLD_NS:
+            return Age()
+        is_certain = len(self._ages_ns) == 2 and abs(self._ages_ns[0] - newest_ns) <= ALIKE_NS
+        return Age(sum(self._ages_ns) // 2 if is_certain else newest_ns, is_certain)
+
+
+class PictureCheck:
+    """Checks the frames of a camera, and opens it again where that may help."""
+
+    def __init__(self, device: NewestFrame | None, min_speed_mps: float) -> None:
+        """device: None for a camera that cannot be opened again. min_speed_mps: a slower vehicle stands."""
+        self._device, self._min_speed_mps = device, min_speed_mps
+        self._detector = FrozenPictureDetector()
+        self._age = PictureAge()
+        self.age_ns = 0
+        """By how much the pictures are older than they say, where that is certain."""
+        self.fault: PictureFault | None = None
+        """Of the newest frame."""
+
+    def dated(self, frame: Frame, speed_mps: float | None) -> Frame:
+        """A frame with the stamp of its exposure; speed_mps: of the vehicle at the stamp that it has."""
+        self._age.add(frame.image, frame.stamp_ns, self._moves(speed_mps))
+        age = self._age.age
+        self.age_ns = age.age_ns if age.is_certain else 0
+        return replace(frame, stamp_ns=frame.stamp_ns - self.age_ns)
+
+    def _moves(self, speed_mps: float | None) -> bool | None:
+        return None if speed_mps is None else speed_mps >= self._min_speed_mps
+
+    def is_usable(self, frame: Frame, speed_mps: float | None) -> bool:
+        """Whether a frame may be used; speed_mps: of the vehicle, None if unknown."""
+        fault = self._detector.check(frame.image, frame.stamp_ns, self._moves(speed_mps))
+        if fault and fault.reopen and self._device is not None:
+            self._device.reopen(fault.what)
+        age = self._age.age
+        if fault is None and not age.is_certain:
+            fault = PictureFault(TOO_OLD.format(age.age_ns / 1e9), sure=True)
+        self.fault = fault
+        return fault is None
