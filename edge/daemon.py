@@ -214,9 +214,7 @@ class Daemon:
         """Judge GPS by the place of a frame, and let GPS bound the position."""
         position = self._autopilot.position()
         if self._recognizer.state != "standing":
-            is_believed = match is not None and match.accepted
-            gps = self._autopilot.gps_fix(stamp_ns) if is_believed else None
-            heading_deg = None if position is None else position.heading_deg
+            gps, heading_deg = self._autopilot.gps_fix(stamp_ns), None if position is None else position.heading_deg
             self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, displacement, heading_deg, missed))
         gps_sigma_m = self._autopilot.gps_sigma_m
         if position is not None and gps_sigma_m is not None:

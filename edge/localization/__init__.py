@@ -3,9 +3,10 @@
 `consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
 matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
 `route_filter` follows the vehicle with them, by one `track` or two, and `route_estimate` is the Kalman filter of each;
-`gps_referee` judges GPS by the places. `dead_reckoning` integrates what the autopilot reports of its motion,
-and `velocity_error` finds what is wrong with that where nothing measures it; `integrity` decides what may be published,
-by what was observed (`claims`), and `protection_level` says how far off that may be.
+`gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
+autopilot reports of its motion, and `velocity_error` finds what is wrong with that where nothing measures it;
+`integrity` decides what may be published, by what was observed (`claims`), and `protection_level` says how far off that
+may be.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from edge.geodesy import east_north_of
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 
-GpsVerdictState: TypeAlias = Literal["cannot say", "agrees", "doubtful", "wrong", "map shifted"]
+GpsVerdictState: TypeAlias = Literal["cannot say", "agrees", "doubtful", "wrong", "map shifted", "not recognized"]
 OFFSETS_M = (20.0, 50.0, 300.0)
 ANYWHERE = 2e-15
 """Per square meter: anywhere on Earth. No honest offset is less likely than a thousandth of that."""

@@ -11,7 +11,7 @@ import math
 from dataclasses import replace
 
 from edge.config import Config, RigConfig
-from edge.geodesy import VehiclePosition, east_north_of, moved_left
+from edge.geodesy import VehiclePosition, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
@@ -24,6 +24,7 @@ from edge.localization.place_fix import (
     untracked_fix,
 )
 from edge.localization.route_filter import RouteFilter
+from edge.localization.unseen_road import UnseenRoad, along_and_left_m
 from edge.localization.velocity_error import VelocityError
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
@@ -43,6 +44,7 @@ class Localizer:
         self._referee = GpsReferee(
             config.gates.gps_false_call, config.gates.gps_missed, config.gates.drift_percent / 100
         )
+        self._unseen_road = UnseenRoad(self._route, config.rig)
         self._velocity_error = VelocityError(config.sequence.length)
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
@@ -55,6 +57,7 @@ class Localizer:
         """Begin anew: no position is published that rests on frames from before. What is known of GPS stays."""
         self._filter.reset()
         self._velocity_error.clear()
+        self._unseen_road.reset()
         self.newest = None
 
     def update(
@@ -116,7 +119,8 @@ class Localizer:
         verdict = self._referee.update(comparison, missed)
         if verdict.state == "wrong" and not was_wrong:
             self._filter.reject_gps()
-        return verdict
+        is_unseen = self._unseen_road.update(match, gps)
+        return GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
 
     def bind(self, position: VehiclePosition, gps_sigma_m: float) -> None:
         """GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS."""
@@ -164,9 +168,7 @@ def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig,
     match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
     off_along_m = off_left_m = None
     if gps is not None:
-        sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-        east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, (lat_deg, lon_deg))
-        off_along_m, off_left_m = east_m * sin + north_m * cos, north_m * sin - east_m * cos
+        off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
     return Comparison(
         recording=drive.recording,
         lat_deg=lat_deg,

@@ -18,6 +18,7 @@ TEXTS = {
     "wrong": "Lookback: GPS is wrong by {}",
     "agrees": "Lookback: GPS agrees with the map again",
     "map shifted": "Lookback: GPS is {} of the whole map",
+    "not recognized": "Lookback: not recognized where GPS says we are",
 }
 
 

@@ -21,6 +21,7 @@ FAILSAFE_S = 6.0
 WARNING, WARNED_S = 4, 30.0
 CALLED_M, USUAL_M = 50.0, 10.0
 ARRIVED_M, LANE_M = 10.0, 5.0
+UNRECOGNIZED = "not recognized where GPS"
 
 
 class Failure(NamedTuple):
@@ -267,8 +268,18 @@ def called_on_map(run: Run) -> str:
 
 
 def never_called(run: Run) -> str:
-    """GPS is not called wrong."""
-    return "" if math.isinf(_called_s(run)) else f"called at {_called_s(run):.0f} s"
+    """GPS is not called wrong, nor the vehicle said to be unrecognized where GPS has it."""
+    for what, at_s in (("called", _called_s(run)), ("warned", _called_s(run, UNRECOGNIZED))):
+        if not math.isinf(at_s):
+            return f"{what} at {at_s:.0f} s"
+    return ""
+
+
+def warned_before_50_m(run: Run) -> str:
+    """GPS is called wrong, or the pilot warned, before the autopilot, which steers by it, is 50 m wrong."""
+    warned_s = min(_called_s(run), _called_s(run, UNRECOGNIZED))
+    worst_m = run.track.error_m[run.track.time_s <= warned_s].max()
+    return "no warning" if math.isinf(warned_s) else f"{worst_m:.0f} m before it" if worst_m >= CALLED_M else ""
 
 
 def back_to_usual(run: Run) -> str:
@@ -284,8 +295,8 @@ def back_to_usual(run: Run) -> str:
     return f"error {error_m:.0f} m after the call" if error_m > USUAL_M else ""
 
 
-def _called_s(run: Run) -> float:
-    return min((time_s for time_s, _, text in run.texts if "GPS is wrong" in text), default=math.inf)
+def _called_s(run: Run, text: str = "GPS is wrong") -> float:
+    return min((time_s for time_s, severity, one in run.texts if text in one and severity <= WARNING), default=math.inf)
 
 
 def _lost_s(run: Run) -> float:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from sim.world.renderer import Renderer
 
 CELL_DEG = 2.0
-MOST_LEFT_M = 25
+MOST_LEFT_M = 60
+"""Beside the lane: as far as an autopilot went that steered by a dragged GPS, in a recorded drive."""
 Cell: TypeAlias = tuple[int, int, int]
 
 

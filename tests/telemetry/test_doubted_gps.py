@@ -69,6 +69,17 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
     assert rig.connection.gps_fault == ""
 
 
+def test_not_recognized_is_a_warning_and_no_call(open_rig: OpenRig) -> None:
+    rig = spoofed(open_rig, "switch")
+    for verdict in (GpsVerdict("not recognized"), GpsVerdict("not recognized"), AGREES):
+        rig.connection.judge_gps(verdict)
+        rig.run(2.0)
+        assert values(rig, "gps_doubt")[-1] <= 0.0
+        assert rig.connection.gps_fault == ""
+    assert [text for text in texts(rig) if "GPS" in text] == ["Lookback: not recognized where GPS says we are"]
+    assert [one.state for one in rig.journalled(GpsJudged)] == ["agrees", "not recognized", "agrees"]
+
+
 def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "report")
     rig.connection.judge_gps(GpsVerdict())

@@ -23,6 +23,7 @@ from sim.trial.rules import (
     not_worse,
     resumes,
     sends,
+    warned_before_50_m,
     within_sigmas,
 )
 from sim.trial.way import along
@@ -144,6 +145,19 @@ def _gps_spoofed(draft: Draft, value: str) -> None:
     _follow_history(draft, SPOOFS[value](start_s))
     draft.doubted_gps = "send" if value in BY_SCRIPT else "switch"
     draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
+
+
+@course("D", "gps-steered-aside")
+def _gps_steered_aside(draft: Draft) -> None:
+    """A spoofed GPS is dragged to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
+    start_s = draft.share(0.35) / 8.0
+
+    def report(time_s: float) -> GpsReport:
+        heading_rad, off_m = draft.way.at(8.0 * time_s)[2], max(0.0, time_s - start_s)
+        return GpsReport(east_off_m=-off_m * np.cos(heading_rad), north_off_m=off_m * np.sin(heading_rad))
+
+    draft.gps_at = report
+    draft.rules = (never_sent, warned_before_50_m)
 
 
 def _follow_history(draft: Draft, history: gps_histories.History) -> None:

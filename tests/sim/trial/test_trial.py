@@ -41,6 +41,7 @@ SMALL = (
     "gps-spoofed-drag-2-left",
     "wheels-spin",
     "pictures-3-stop",
+    "gps-steered-aside",
     "daemon-killed",
     "px4-failsafe",
     "px4-no-velocity-aid-43003",
@@ -102,6 +103,7 @@ def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> Run
 
 CALLED = ((30.0, 4, "Lookback: GPS is wrong by 45 m to the E"),)
 """After 240 m."""
+WARNED = ((30.0, 4, "Lookback: not recognized where GPS says we are"),)
 DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
 """45 m wrong from 160 m on."""
 NOTHING = Sent(np.array([]), np.array([]), np.array([]))
@@ -141,6 +143,11 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
         (rules.called_soon, run_of(track=DRAGGED), "not called for 3"),
         (rules.never_called, run_of(), ""),
         (rules.never_called, run_of(texts=CALLED), "called at 30 s"),
+        (rules.never_called, run_of(texts=WARNED), "warned at 30 s"),
+        (rules.warned_before_50_m, run_of(texts=WARNED), ""),
+        (rules.warned_before_50_m, run_of(texts=CALLED), ""),
+        (rules.warned_before_50_m, run_of(), "no warning"),
+        (rules.warned_before_50_m, run_of(track=replace(straight(), error_m=np.full(600, 60.0)), texts=WARNED), "60 m"),
         (rules.back_to_usual, run_of(track=DRAGGED), ""),
         (rules.back_to_usual, run_of(texts=CALLED), ""),
         (rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
