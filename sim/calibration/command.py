@@ -34,7 +34,8 @@ from sim.calibration.offset import (
     sigma_key,
 )
 from sim.calibration.sightings import Sighting, sightings
-from sim.calibration.threshold import DEFAULT, TOLERANCE_M, Curve, choose, curve_of_drive, curve_of_map
+from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
+from sim.evaluation.metrics import TOLERANCE_M
 
 Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""

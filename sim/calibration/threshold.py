@@ -27,9 +27,6 @@ from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
 
-TOLERANCE_M = 40.0
-"""The paper's, for a road (section IV-B)."""
-
 DEFAULT = AcceptanceConfig().confidence_min
 
 

@@ -22,7 +22,8 @@ from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import measure_parallax, rig_config
-from sim.demo.review import TOLERANCE_M, Review, review_drive, stages_ms
+from sim.demo.review import Review, review_drive, stages_ms
+from sim.evaluation.metrics import TOLERANCE_M
 from sim.trial.table import line
 from sim.vehicle.daemon_drive import DaemonDrive, ReceivedFix, start_daemon_drive
 from sim.vehicle.protection import LIMIT_M

@@ -16,11 +16,11 @@ from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
-from sim.demo.review import TOLERANCE_M, Review, stages_ms
+from sim.demo.review import Review, stages_ms
 from sim.demo.story import section
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
-from sim.evaluation.metrics import precision_recall
+from sim.evaluation.metrics import TOLERANCE_M, precision_recall
 from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.vehicle.protection import LIMIT_M

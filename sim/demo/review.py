@@ -14,12 +14,9 @@ from edge.journal.records import FrameUsed, Stopped
 from edge.recognizer import open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap
 from edge.sequence import PlaceMatch
-from sim.evaluation.metrics import Answers
+from sim.evaluation.metrics import TOLERANCE_M, Answers
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.world.camera import open_renderer
-
-TOLERANCE_M = 40.0
-"""The paper's, for a road (section IV-B)."""
 
 
 @dataclass(frozen=True)

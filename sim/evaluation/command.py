@@ -21,12 +21,9 @@ from edge.feed import Feed, read_feed
 from edge.geodesy import east_north
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, open_map_set
-from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import TOLERANCE_M, Answers, precision_recall, recall_at_precision
 
 Value = str | int | float
-TOLERANCE_M = 40.0
-"""The paper's, for a road (section IV-B)."""
-
 OFFSET_SHARE = 0.5
 """Share of the tolerance by which half of the believed places may lie ahead of the vehicle, or behind it, without a
 warning. Beyond it, the curve says more of the camera's offset than of the places."""

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+TOLERANCE_M = 40.0
+"""The paper's, for a road (section IV-B)."""
 
 
 @dataclass(frozen=True)
