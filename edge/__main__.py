@@ -11,10 +11,30 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn, TextIO, cast
 
 from edge.commands.parser import build_parser, moved
 from edge.errors import EXIT_SETUP, LookbackError, SetupError
+
+
+class PlainText:
+    """A text stream in which control characters are spelled out: a name in a map must not move a terminal's cursor."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """As TextIO has it, with escapes that JSON knows as well."""
+        return self._stream.write(
+            "".join(one if one.isprintable() or one in "\n\r\t" else _spelled(one) for one in text)
+        )
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _spelled(character: str) -> str:
+    return f"\\u{ord(character):04x}" if ord(character) <= 0xFFFF else "?"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,6 +67,7 @@ def command() -> NoReturn:
     While it finalizes, the interpreter ends threads that still run in a driver or in the network by unwinding their C++
     code, which may abort the process. So where there are any, the process ends at once, when all is written.
     """
+    sys.stdout, sys.stderr = (cast("TextIO", PlainText(one)) for one in (sys.stdout, sys.stderr))
     code: str | int | None
     try:
         code = main()

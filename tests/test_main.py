@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import edge
@@ -46,6 +47,17 @@ def test_map_info_and_verify(street_map: Path, capsys: pytest.CaptureFixture[str
     assert "every 2 m" in printed
     assert main(["map", "verify", str(street_map)]) == 0
     assert "checksums match" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["map", "info"], ["home"], ["map", "verify"]])
+def test_names_in_a_map_cannot_control_the_terminal(map_along: Callable[..., Path], command: list[str]) -> None:
+    """Clear the screen, set the window's title, go back over the line."""
+    along_m = np.arange(0.0, 100.0, 2.0)[:, None] * [0.0, 1.0]
+    path = map_along(along_m, source="\x1b[2J\x1b]0;owned\x07evil\x9b31m\u202e{}")
+    done = subprocess.run([sys.executable, "-m", "edge", *command, path], capture_output=True, text=True, check=False)
+    printed = done.stdout + done.stderr
+    assert printed.replace("\n", "").isprintable(), printed
+    assert command[-1] == "verify" or "\\u001b[2J" in printed
 
 
 def test_a_map_is_extended_without_its_images(
