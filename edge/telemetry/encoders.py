@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.geodesy import east_north_of
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry.codec import Message
-from edge.telemetry.vehicle import Origin
+from edge.telemetry.confirmation import Origin
 
 EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
 SET_EKF_SOURCE_SET = 42007  # MAV_CMD_SET_EKF_SOURCE_SET, of ArduPilot's dialect

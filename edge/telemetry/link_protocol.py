@@ -17,7 +17,8 @@ from edge.config import TelemetryConfig
 from edge.localization import PlaceFix
 from edge.telemetry import encoders, stream_check, velocity_aid
 from edge.telemetry.codec import EkfStatusReport, Message
-from edge.telemetry.vehicle import Origin, Vehicle
+from edge.telemetry.confirmation import Origin
+from edge.telemetry.vehicle import Vehicle
 
 HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 500_000_000

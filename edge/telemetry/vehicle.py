@@ -10,7 +10,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -18,6 +18,7 @@ from edge.geodesy import VehiclePosition, east_north_of
 from edge.localization import PULLED_NS, DeadReckoning, Displacement, ReportedMotion
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.confirmation import JUMP_MS, AnotherClock, Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
 
@@ -40,24 +41,13 @@ PULLS_KEPT = 16
 """More than are sent within PULLED_NS."""
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
-REBOOT_BACK_MS = 1000  # less may be two messages that changed places on the way
 DOUBLED = "two autopilots have the same ids"
+AUTOPILOTS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 HEADING_UNKNOWN = 65535
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
-ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-FINDS_ITS_WAY = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Origin:
-    """The origin of the autopilot's local frame: degrees (WGS 84), meters above mean sea level."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
 
 
 class Vehicle:
@@ -74,7 +64,7 @@ class Vehicle:
         self.autopilot: int | None = None
         self.kind: int | None = None
         """MAV_TYPE of the vehicle, None until connected."""
-        self._base_mode: int | None = None
+        self._modes = Modes()
         self.parameters: dict[str, float] = {}
         """Those that the autopilot has sent in this session."""
         self.connected = False
@@ -82,8 +72,7 @@ class Vehicle:
         """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
         self.version: tuple[int, int] | None = None
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
-        self.origin: Origin | None = None
-        """None until GPS_GLOBAL_ORIGIN arrived: the autopilot may have none."""
+        self._origins, self._another_clock = Origins(), AnotherClock()
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
         self._alternation = Alternation()
@@ -150,9 +139,12 @@ class Vehicle:
     @property
     def drives_itself(self) -> bool | None:
         """Whether it is armed, in a mode in which it finds its own way; None where the mode is not known."""
-        if self._base_mode is None:
-            return None
-        return bool(self._base_mode & ARMED) and bool(self._base_mode & FINDS_ITS_WAY)
+        return self._modes.drives_itself
+
+    @property
+    def origin(self) -> Origin | None:
+        """The origin of its local frame, None until it is known: it may have none."""
+        return self._origins.known
 
     def heard_ns(self, message_id: int) -> int | None:
         """When a message came last in this session, None before the first."""
@@ -243,11 +235,13 @@ class Vehicle:
             is_same_vehicle = sender == self.system_id
             self.connected, self.system_id = True, sender
             self.autopilot, self.kind = message.autopilot, message.type
-            self._base_mode = None
+            self._modes = Modes()
             self._start_session(is_same_vehicle=is_same_vehicle)
-            log.info("link up: system %d, autopilot %d", sender, message.autopilot)
+            log.info(
+                "link up: system %d, %s", sender, AUTOPILOTS.get(message.autopilot, f"autopilot {message.autopilot}")
+            )
         if self.connected:
-            self._base_mode = message.base_mode
+            self._modes.add(message.base_mode, now_ns)
         return self.connected
 
     def _start_session(self, *, is_same_vehicle: bool) -> None:
@@ -261,25 +255,36 @@ class Vehicle:
         self._pulls.clear()
         self._accuracy = self._wheels = self._wheel_speed = self._error = self._position = None
         self.is_aided = True
-        self.origin = self.version = None
+        self._origins, self._another_clock, self.version = Origins(), AnotherClock(), None
 
-    def _read_boot_time(self, boot_ms: int, now_ns: int) -> int:
-        """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC."""
+    def _read_boot_time(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
+        """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC.
+
+        None, and the message must not be used, where the stamp is of another clock: a reboot is not sure yet.
+        """
         boot_ms = self._clock.unwrapped_ms(boot_ms, now_ns)
-        if boot_ms < self._newest_boot_ms - REBOOT_BACK_MS:
-            self._alternation.notice(now_ns)
-            self._newest_boot_ms = -1
+        if self._is_of_another_clock(boot_ms, now_ns):
+            if not self._another_clock.is_sure(now_ns, has_position=has_position):
+                return None
             if not self.is_doubled:
-                log.warning("the autopilot has rebooted: its clock went back to %d ms", boot_ms)
-                self._start_session(is_same_vehicle=True)
+                log.warning("the autopilot has rebooted: its clock jumped to %d ms", boot_ms)
+            self._start_session(is_same_vehicle=not self.is_doubled)
+        elif self._another_clock.contradict():
+            self._alternation.notice(now_ns)
         self._newest_boot_ms = max(boot_ms, self._newest_boot_ms)
         self._clock.add_stamp(boot_ms * 1_000_000, now_ns)
         return min(self._clock.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)
 
+    def _is_of_another_clock(self, boot_ms: int, now_ns: int) -> bool:
+        """Whether it is before the newest stamp, or ahead of the clock, by more than messages overtake each other."""
+        boot_ns = self._clock.boot_ns(now_ns)
+        is_ahead = boot_ns is not None and boot_ms > boot_ns / 1e6 + JUMP_MS
+        return is_ahead or boot_ms < self._newest_boot_ms - JUMP_MS
+
     def _read_global_position(self, message: Message, now_ns: int) -> None:
-        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        if message.lat == 0 and message.lon == 0:
-            return  # ArduPilot without an origin: neither a position nor a speed
+        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns, has_position=True)
+        if stamp_ns is None or (message.lat == 0 and message.lon == 0):
+            return  # the latter: ArduPilot without an origin, neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
         now = VehiclePosition(
@@ -315,6 +320,9 @@ class Vehicle:
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
+        if stamp_ns is None:
+            return
+        self._origins.add_local(stamp_ns, message.y, message.x)
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
         self._add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
@@ -328,6 +336,8 @@ class Vehicle:
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
         stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
+        if stamp_ns is None:
+            return
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
@@ -367,7 +377,8 @@ class Vehicle:
 
     def _read_origin(self, message: Message, now_ns: int) -> None:
         if message.latitude or message.longitude:
-            self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
+            origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
+            self._origins.add(origin, self.position(now_ns), now_ns)
 
     def _read_version(self, message: Message, now_ns: int) -> None:
         self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
@@ -396,8 +407,11 @@ class Vehicle:
         self._read_boot_time(message.time_boot_ms, now_ns)
 
     def _read_timesync(self, message: Message, now_ns: int) -> None:
-        if message.tc1 == 0:  # the autopilot's own request, stamped when it was sent
-            self._clock.add_stamp(message.ts1, now_ns)
+        boot_ns = message.tc1 or message.ts1  # the latter: the autopilot's own request, stamped when it was sent
+        if self._is_of_another_clock(boot_ns // 1_000_000, now_ns):
+            return
+        if message.tc1 == 0:
+            self._clock.add_stamp(boot_ns, now_ns)
         elif message.ts1 == self._timesync_sent_ns:
             self._clock.add_answer(message.ts1, message.tc1, now_ns)
 

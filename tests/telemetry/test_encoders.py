@@ -14,9 +14,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.confirmation import Origin
 from edge.telemetry.encoders import Sending
 from edge.telemetry.position_messages import suitable_message
-from edge.telemetry.vehicle import Origin
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, "residential_street", 5)
 ORIGIN = Origin(-27.478, 153.028, 20.0)

@@ -387,7 +387,7 @@ def test_a_vehicle_that_drives_itself_keeps_its_mission(home: Rig) -> None:
     assert results(home) == [REJECTED]
     assert not home.received("MISSION_COUNT")
     home.autopilot.base_mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-    home.run(1.5)
+    home.run(4.0)  # no heartbeat may contradict it
     home.autopilot.send(command())
     assert home.run(10.0, lambda: results(home)[-1] == ACCEPTED)
 

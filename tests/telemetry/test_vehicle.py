@@ -10,7 +10,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.vehicle import Origin, Vehicle
+from edge.telemetry.confirmation import Origin
+from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
@@ -138,7 +139,10 @@ def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> No
     for boot_ms in (500_000, 500_100, 500_050, 500_200):
         vehicle.handle(speaker.position(boot_ms), 2 * S)
     assert vehicle.session == 1
-    vehicle.handle(speaker.position(3_000), 4 * S)
+    for tenth in range(5):
+        vehicle.handle(speaker.position(3_000 + 100 * tenth), 4 * S + tenth * S // 10)
+    assert vehicle.session == 1, "half a second without a message of the old clock makes it sure"
+    vehicle.handle(speaker.position(3_500), 4 * S + S // 2)
     assert vehicle.session == 2
     assert vehicle.boot_time_s(5 * S) == pytest.approx(4.0)
 
@@ -283,9 +287,80 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
     assert vehicle.accuracy_m(5 * S) == 4.5
     assert vehicle.accuracy_m(5 * S + 1) is None, "stale"
     vehicle.handle(speaker.position(500_000), 3 * S)
-    vehicle.handle(speaker.position(2_000), 3 * S)
+    for now_ns in (3 * S, 3 * S + S // 2):
+        vehicle.handle(speaker.position(now_ns // 1_000_000), now_ns)
     assert vehicle.origin is None and vehicle.version is None
     assert vehicle.accuracy_m(3 * S) is None
+
+
+def drive(vehicle: Vehicle, forged: Any, ticks: int = 100) -> None:
+    """Ten seconds of an autopilot that drives north from its origin, and a forged message once a second."""
+    speaker = Speaker()
+    for tick in range(ticks):
+        now_ns, boot_ms = 2 * S + tick * S // 10, 500_000 + 100 * tick
+        if tick % 10 == 5:
+            vehicle.handle(speaker.say(forged), now_ns)
+        vehicle.handle(speaker.fix(boot_ms, 0.8 * tick, 8.0, 0.0), now_ns)
+        vehicle.handle(
+            speaker.say(mavlink.MAVLink_local_position_ned_message(boot_ms, 0.8 * tick, 0, 0, 8, 0, 0)), now_ns
+        )
+        assert vehicle.position(now_ns) is not None
+
+
+@pytest.mark.parametrize("boot_ms", [0, 3_000, 900_000, 2**32 - 1])
+@pytest.mark.parametrize("kind", ["system_time", "timesync", "wheels", "position"])
+def test_one_forged_time_a_second_is_no_reboot(boot_ms: int, kind: str) -> None:
+    vehicle = connect(Speaker())
+    forged = {
+        "system_time": mavlink.MAVLink_system_time_message(0, boot_ms),
+        "timesync": mavlink.MAVLink_timesync_message(0, boot_ms * 1_000_000),
+        "wheels": mavlink.MAVLink_wheel_distance_message(boot_ms * 1000, 1, [1e6] + [0.0] * 15),
+        "position": mavlink.MAVLink_local_position_ned_message(boot_ms, 1e6, 0, 0, 8, 0, 0),
+    }[kind]
+    drive(vehicle, forged)
+    assert vehicle.session == 1
+    assert vehicle.boot_time_s(12 * S) == pytest.approx(510.0, abs=0.2)
+    assert vehicle.driven_m(12 * S) == pytest.approx(80.0, abs=5.0)
+
+
+def test_a_forged_origin_moves_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    vehicle, speaker = connect(Speaker()), Speaker()
+    here, there = ((round((-27.0 + off) * 1e7), 1530000000, 30_000) for off in (0.0, 0.001))
+    drive(vehicle, mavlink.MAVLink_gps_global_origin_message(*here), 20)
+    assert vehicle.origin == Origin(-27.0, 153.0, 30.0)
+    for now_ns in (4 * S, 5 * S):
+        vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(*there)), now_ns)
+    assert vehicle.origin == Origin(-27.0, 153.0, 30.0)
+    assert "GPS_GLOBAL_ORIGIN ignored: the autopilot's own positions say that it is 111 m off" in caplog.text
+
+
+def test_an_origin_that_nothing_can_be_compared_with_needs_two_messages_to_change() -> None:
+    vehicle, speaker = connect(Speaker()), Speaker()
+    messages = [
+        speaker.say(mavlink.MAVLink_gps_global_origin_message(degrees, 1, 0)) for degrees in (10, 20, 10, 20, 20)
+    ]
+    known = []
+    for seconds, message in zip((2, 3, 4, 5, 6), messages, strict=True):
+        vehicle.handle(message, seconds * S)
+        assert vehicle.origin is not None
+        known.append(round(vehicle.origin.lat_deg * 1e7))
+    assert known == [10, 10, 10, 10, 20]
+
+
+def test_a_mode_is_known_once_no_heartbeat_contradicts_it() -> None:
+    """A stranger's heartbeats between those of an autopilot that drives itself do not permit a new mission."""
+    vehicle, speaker = Vehicle(), Speaker()
+    driving = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+
+    def beat(mode: int, now_ns: int) -> bool | None:
+        vehicle.handle(speaker.say(mavlink.MAVLink_heartbeat_message(10, 3, mode, 0, 4, 3)), now_ns)
+        return vehicle.drives_itself
+
+    assert [beat(0, tenths * S // 10) for tenths in (0, 10, 20, 30, 40)] == [None, None, None, None, False]
+    assert beat(driving, 5 * S)
+    assert all(beat(0, 5 * S + tenths * S // 10) for tenths in range(1, 10))
+    assert beat(driving, 6 * S)
+    assert [beat(0, tenths * S // 10) for tenths in (70, 80, 90)] == [True, True, False]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from edge.errors import FeedError
 from edge.journal.journal import read_journal
 from edge.journal.records import FixSent, FrameUsed, JournalOpened
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.vehicle import REBOOT_BACK_MS
+from edge.telemetry.confirmation import JUMP_MS
 from edge.toml_file import parse_toml, read_toml
 from sim.datasets.flight_logs import tlog_frames
 from sim.trial.rules import Array
@@ -149,7 +149,7 @@ def _epoch_s(messages: list[tuple[float, bytes, Message]], own: Columns) -> floa
 
 def _reboots_at(boot_ms: Array) -> int:
     """How many of some times since boot are from before the clock went back."""
-    back = np.flatnonzero(np.diff(boot_ms) < -REBOOT_BACK_MS)
+    back = np.flatnonzero(np.diff(boot_ms) < -JUMP_MS)
     return int(back[0]) + 1 if len(back) else len(boot_ms)
 
 
