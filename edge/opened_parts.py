@@ -17,7 +17,7 @@ from edge.drive_mapper import DriveMapper
 from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
 from edge.health.monitor import HealthMonitor, Links
 from edge.health.stage_times import StageTimes
-from edge.journal.journal import Journal
+from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
@@ -52,11 +52,11 @@ class OpenedParts:
         """
         self._config, self._clock_ns = config, clock_ns
         self.times = StageTimes()
-        self._journal: Journal | None = None
+        self._journal: QueuedJournal | None = None
         self.record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
             journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
-            self._journal = parts.enter_context(closing(journal))
+            self._journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self._journal.write
         link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, config.home)
         self.autopilot = parts.enter_context(closing(link))

@@ -22,6 +22,7 @@ from edge.recognizer import open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.place_records import spell_accuracy
 from edge.telemetry.autopilot import open_port
+from edge.telemetry.link import parse_connection
 
 
 def check_model_and_map(config: Config) -> Iterator[Diagnostic]:
@@ -132,4 +133,8 @@ def check_links(config: TelemetryConfig) -> Iterator[Diagnostic]:
         yield bad("link", str(error), "correct [telemetry]")
         return
     for link in links:
-        yield good("link", f"{link.connection}: a valid connection{', signed' if link.signing_key else ''}")
+        if link.signing_key or parse_connection(link.connection).is_local:
+            yield good("link", f"{link.connection}: a valid connection{', signed' if link.signing_key else ''}")
+        else:
+            open_to = f"{link.connection}: unsigned, and who reaches it can speak in the autopilot's name"
+            yield note("link", open_to, "set signing_key on both ends (docs/positions.md), or use a wire of its own")

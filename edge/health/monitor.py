@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.camera import CameraHealth
 from edge.health.health import STARTING, Health, HealthInputs, HealthState, derive
 from edge.health.service import notify
-from edge.journal.journal import Journal
+from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import JournalResumed, StateChanged
 
 TEXT_NS = 5_000_000_000
@@ -42,7 +42,7 @@ class Links:
 class HealthMonitor:
     """The newest health of the daemon."""
 
-    def __init__(self, links: Links, journal: Journal | None, clock_ns: Callable[[], int]) -> None:
+    def __init__(self, links: Links, journal: Journal | QueuedJournal | None, clock_ns: Callable[[], int]) -> None:
         self._links, self._journal, self._clock_ns = links, journal, clock_ns
         self._hang = ""
         self._frames_before_gap = 0

@@ -8,12 +8,15 @@ take, and is reported; the daemon runs on. A file that has grown to its share of
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import logging
 import math
 import os
+import queue
 import stat
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -24,11 +27,23 @@ import msgspec
 
 import edge
 from edge.errors import ConfigError
-from edge.journal.records import SCHEMA, FrameUsed, JournalLine, JournalOpened, Record, UnknownRecord
+from edge.journal.records import (
+    SCHEMA,
+    FrameUsed,
+    JournalLine,
+    JournalOpened,
+    JournalResumed,
+    Record,
+    UnknownRecord,
+)
 from edge.journal.rotation import FILES, open_all, rotate
 
 log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Record)
+QUEUE_RECORDS = 1000
+"""Of the daemon's journal: about 20 s of a drive with [telemetry] journal_frames, minutes without."""
+FLUSH_S = 3.0
+"""How long the end waits for a disk that does not answer; systemd kills after 10 s (TimeoutStopSec=)."""
 OF_THE_DISK = (errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of a disk, not of the path: navigation goes on without a journal."""
 
@@ -88,12 +103,17 @@ class Journal:
         self._rotate_at = self._file_bytes
         self.write(JournalOpened(SCHEMA, edge.__version__))
 
-    def write(self, record: Record) -> bool:
-        """Append one record with the wall clock as `unix_s`; False, and reported, when it does not fit on the disk."""
+    @property
+    def now_s(self) -> float:
+        """The wall clock in Unix seconds, as records have it."""
+        return round(self._unix_time_s(), 3)
+
+    def write(self, record: Record, unix_s: float | None = None) -> bool:
+        """Append one record of that moment, or of now; False, and reported, when it does not fit on the disk."""
         if self._fd < 0 and (self._is_closed or not self._is_open_again()):
             return False
         self._rotate_if_due()
-        fields = {"unix_s": round(self._unix_time_s(), 3), **msgspec.to_builtins(record)}
+        fields = {"unix_s": self.now_s if unix_s is None else unix_s, **msgspec.to_builtins(record)}
         line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
         try:
             written = os.write(self._fd, line)
@@ -133,6 +153,60 @@ class Journal:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+class QueuedJournal:
+    """A journal that another thread writes, so that a disk that hangs costs records and not the vehicle's position."""
+
+    def __init__(self, journal: Journal, room: int = QUEUE_RECORDS) -> None:
+        """`journal` is closed at the end. room: how many records may wait; further ones are dropped."""
+        self._journal = journal
+        self._queue: queue.Queue[tuple[Record, float] | None] = queue.Queue(room)
+        self._dropped = 0
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> int:
+        """Records that the disk did not take, or that were dropped while it hung."""
+        return self._dropped + self._journal.lost
+
+    @property
+    def why_lost(self) -> str:
+        """Why records are lost, "" while none is."""
+        return "the disk hangs" if self._dropped else self._journal.why_lost
+
+    def write(self, record: Record) -> bool:
+        """Queue a record of this moment; False where it is dropped. A `JournalResumed` that is queued ends the loss."""
+        try:
+            if self._is_closed:
+                return False
+            self._queue.put_nowait((record, self._journal.now_s))
+        except queue.Full:
+            if not self._dropped:
+                log.error("the journal's disk hangs: records are dropped")
+            self._dropped += not isinstance(record, JournalResumed)
+            return False
+        if isinstance(record, JournalResumed):
+            self._dropped = 0
+        return True
+
+    def close(self) -> None:
+        """Write what waits, in order; a disk that hangs is given up. More than once is harmless."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=FLUSH_S)
+            self._thread.join(FLUSH_S)
+        if self._thread.is_alive():
+            log.error("the journal's disk hangs: %d records at the end are lost", self._queue.qsize())
+
+    def _run(self) -> None:
+        while (one := self._queue.get()) is not None:
+            self._journal.write(*one)
+        self._journal.close()
 
 
 def _give_to_owner_of(folder: Path, fd: int) -> None:

@@ -22,7 +22,7 @@ UNDISPUTED_NS = 500_000_000
 MODE_NS = 2_500_000_000
 """For so long each heartbeat must say that it does not drive itself: they come once a second, and one may be lost."""
 ORIGIN_M, ORIGIN_NS = 20.0, 1_000_000_000
-"""How far an origin may be from where the autopilot's global and local positions put it, less what it drove between both.
+"""How far an origin may be from where the autopilot's global and local positions put it, less what it drove between.
 In 20 recorded flights 99 % were within 4.3 m; 4 in 32,000 were further off, each while its filter was reset."""
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 FINDS_ITS_WAY = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED

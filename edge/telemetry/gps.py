@@ -29,6 +29,8 @@ ABSENT_NS = 10_000_000_000
 FIXES = range(mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_PPP + 1)  # DGPS, RTK and static as well
 GOOD_M, BAD_M = 10.0, 25.0
 """Reported accuracy from which a fix becomes good, and beyond which it stays so no longer."""
+M_PER_HDOP, UNREPORTED = 4.0, 65535
+"""Where a receiver reports no accuracy, its HDOP stands for one: good up to 2.5, where PX4's EKF2_REQ_HDOP is."""
 APART_SIGMAS, APART_M, LATENCY_S = 3.0, 10.0, 0.3
 """How far the filter's position may be from that of a receiver that it uses."""
 SOURCES: dict[int, PositionSource] = {
@@ -68,7 +70,8 @@ class Receiver:
             self._good_ns, self._bad_ns, self._lost_ns = None, None, LOST_NS
         self.heard_ns = now_ns
         accuracy_m = message.h_acc / 1000  # 0 where it is not reported
-        is_good = message.fix_type in FIXES and accuracy_m <= (BAD_M if self._is_healthy else GOOD_M)
+        by_hdop_m = M_PER_HDOP * message.eph / 100 if message.eph != UNREPORTED else 0.0
+        is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._is_healthy else GOOD_M)
         if is_good and (message.lat or message.lon):
             self.at = message.lat / 1e7, message.lon / 1e7
             self.sigma_m = max(GPS_SIGMA_M, accuracy_m)

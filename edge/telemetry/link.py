@@ -5,12 +5,15 @@ udp:HOST:PORT        sends to that peer, and receives only from it
 udpin:HOST:PORT      listens on that port, and sends to the peer that was received last, or to the one that is kept
 tcp:HOST:PORT        connects to a server, such as mavlink-router or a simulated autopilot
 tcpin:HOST:PORT      waits for one client at a time
+
+After udpin and tcpin, `@ADDRESS` accepts that host only: udpin:0.0.0.0:14551@192.168.1.20
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import ipaddress
 import os
 import socket
 import termios
@@ -44,27 +47,40 @@ class Link(Protocol):
 
 @dataclass(frozen=True)
 class Connection:
-    """A parsed connection string. `target` is a device or a host, `number` its baud rate or port."""
+    """A parsed connection string. `target` is a device or a host, `number` its baud rate or port.
+
+    only_from: the address of the only host that is listened to, "" for any.
+    """
 
     kind: KINDS
     target: str
     number: int
+    only_from: str = ""
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing outside this computer reaches it, but by a wire of its own."""
+        host = self.only_from or self.target
+        with contextlib.suppress(ValueError):
+            return self.kind == "serial" or ipaddress.ip_address(host).is_loopback
+        return host == "localhost"
 
     def open(self) -> Link:
         """Open it; LinkLost when it cannot be opened now."""
         if self.kind == "serial":
             return SerialLink(self.target, self.number)
         if self.kind in ("tcp", "tcpin"):
-            return TcpLink(self.target, self.number, listen=self.kind == "tcpin")
-        return UdpLink(self.target, self.number, listen=self.kind == "udpin")
+            return TcpLink(self.target, self.number, listen=self.kind == "tcpin", only_from=self.only_from)
+        return UdpLink(self.target, self.number, listen=self.kind == "udpin", only_from=self.only_from)
 
     def __str__(self) -> str:
-        return f"{self.kind}:{self.target}:{self.number}"
+        return f"{self.kind}:{self.target}:{self.number}" + f"@{self.only_from}" * bool(self.only_from)
 
 
 def parse_connection(connection: str, where: str = "[telemetry] connection") -> Connection:
     """Check a connection string without opening anything; ConfigError names the key, which is at `where`."""
     kind, _, rest = connection.partition(":")
+    rest, at, only_from = rest.rpartition("@") if kind in ("udpin", "tcpin") and "@" in rest else (rest, "", "")
     target, _, number = rest.rpartition(":")
     if kind not in get_args(KINDS) or not target or target.startswith("//"):
         raise ConfigError(f"{where}: {connection!r} is not serial:DEVICE:BAUD, or udp, udpin, tcp or tcpin:HOST:PORT")
@@ -72,7 +88,22 @@ def parse_connection(connection: str, where: str = "[telemetry] connection") -> 
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):
         what = "baud rate" if kind == "serial" else "port"
         raise ConfigError(f"{where}: {connection!r}: {number!r} is not a {what} from 1 to {limit}")
-    return Connection(kind, target.strip("[]"), int(number))  # type: ignore[arg-type]  # narrowed above
+    if at and not _is_address(only_from):
+        raise ConfigError(f"{where}: {connection!r}: {only_from!r} is not the address of a host")
+    return Connection(kind, target.strip("[]"), int(number), only_from)  # type: ignore[arg-type]  # narrowed above
+
+
+def _is_address(text: str) -> bool:
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(text))
+    return False
+
+
+def _is_from(sender: str, host: str) -> bool:
+    """Whether an address is a host's, also where the socket gives IPv4 as IPv6 (::ffff:192.168.1.20)."""
+    address = ipaddress.ip_address(sender.partition("%")[0])
+    mapped = getattr(address, "ipv4_mapped", None)
+    return ipaddress.ip_address(host) in (address, mapped)
 
 
 class SerialLink:
@@ -135,7 +166,7 @@ class UdpLink:
     A host name is looked up while opening, which takes seconds when the network is down; an address does not.
     """
 
-    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+    def __init__(self, host: str, port: int, *, listen: bool, only_from: str = "") -> None:
         self._name = f"{host}:{port}"
         self._peer: Any = None  # an address, as the socket's family has it
         try:
@@ -153,7 +184,7 @@ class UdpLink:
         except OSError as error:
             self._socket.close()
             raise LinkLost(f"{self._name}: cannot open it: {error.strerror}") from None
-        self._listen = listen
+        self._listen, self._only_from = listen, only_from
         self.keeps_peer = False
         """Whether a listening socket ignores all but the peer that was received last."""
 
@@ -166,7 +197,9 @@ class UdpLink:
                 return b""
             except OSError as error:
                 raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
-            if self.keeps_peer and sender != self._peer:
+            if (self.keeps_peer and sender != self._peer) or (
+                self._only_from and not _is_from(sender[0], self._only_from)
+            ):
                 continue
             if self._listen:
                 self._peer = sender
@@ -200,8 +233,9 @@ class UdpLink:
 class TcpLink:
     """A stream to a server, or from one client at a time; the next client is accepted when that one has gone."""
 
-    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+    def __init__(self, host: str, port: int, *, listen: bool, only_from: str = "") -> None:
         self._name = f"{host}:{port}"
+        self._only_from = only_from
         self._server: socket.socket | None = None
         self._peer: socket.socket | None = None
         self._unsent = b""
@@ -266,11 +300,15 @@ class TcpLink:
         if self._server is None:
             raise LinkLost(f"{self._name}: it is closed")
         try:
-            self._peer, _ = self._server.accept()
+            client, address = self._server.accept()
         except (BlockingIOError, ConnectionAbortedError):
             return False
         except OSError as error:
             raise LinkLost(f"{self._name}: the socket failed: {error.strerror}") from None
+        if self._only_from and not _is_from(address[0], self._only_from):
+            client.close()
+            return False
+        self._peer = client
         self._peer.setblocking(False)
         self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._unsent = b""

@@ -71,10 +71,11 @@ class PositionSender:
         self.message: PositionMessage | None = None
         self.why = ""
         self._disabled = False
-        self.sources = SourceSelection(vehicle, record, send_text)
+        remembered = Path(telemetry.journal) if telemetry.journal else None
+        self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
         self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
-        remembered = Path(telemetry.journal).with_suffix(".bound") if telemetry.journal else None
-        self._checks = PositionChecks(gates, vehicle, self.doubted_gps, remembered)
+        bound = remembered and remembered.with_suffix(".bound")
+        self._checks = PositionChecks(gates, vehicle, self.doubted_gps, bound)
         self._use = PositionUse(vehicle, self._checks, telemetry.sensor_id, record, send_text)
         self._withheld = ""
         self._recorded_ns = 0

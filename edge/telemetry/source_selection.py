@@ -1,14 +1,16 @@
 """ArduPilot's set of position sources, selected by command 42007 until the autopilot acknowledges it. No I/O.
 
-With `vision_position` set 2 is selected when a position is sent without GPS, and set 1 when GPS is healthy again. A
-command is sent again while it is not answered, and in every session: the autopilot may have rebooted, or another
-program may have crashed with set 2 selected.
+With `vision_position` set 2 is selected when a position is sent without GPS, and set 1 when GPS is healthy again: only
+where this program has selected set 2 before, which a file remembers over a crash. What the pilot has selected stays. A
+command is sent again while it is not answered, and in every session: the autopilot may have rebooted.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable
+from pathlib import Path
 
 from edge.backoff import BackOff
 from edge.journal.records import Record, SourceSetAnswered
@@ -32,13 +34,18 @@ class SourceSelection:
     """One command at a time, since an acknowledgement does not say which set it is for."""
 
     def __init__(
-        self, vehicle: Vehicle, record: Callable[[Record], object], send_text: Callable[[str], object]
+        self,
+        vehicle: Vehicle,
+        record: Callable[[Record], object],
+        send_text: Callable[[str], object],
+        remembered: Path | None = None,
     ) -> None:
-        self._vehicle = vehicle
+        """remembered: a file that exists while set 2 may be selected by us."""
+        self._vehicle, self._remembered = vehicle, remembered
         self._record, self._send_text = record, send_text
         self.wanted: int | None = None
         """The set to select; None until there is a reason for one, and the pilot's choice stays."""
-        self._may_be_changed = False
+        self._may_be_changed = remembered is not None and remembered.exists()
         self.new_session()
 
     def new_session(self) -> None:
@@ -53,6 +60,8 @@ class SourceSelection:
         """The command, if the wanted set is not acknowledged yet and none is waiting for its answer."""
         if self._asked is not None and now_ns - self._asked[1] > ANSWER_NS:
             self._not_selected(self._asked[0], NO_ANSWER, now_ns)
+        if self.wanted == GPS_SET and not self._may_be_changed:
+            return []
         if self.wanted in (None, self._selected) or self._asked or self._refused or not self._back_off.is_over(now_ns):
             return []
         return self._select(self.wanted or GPS_SET, now_ns)
@@ -74,13 +83,19 @@ class SourceSelection:
             return
         self._asked, self._selected = None, number
         self._back_off.reset()
-        self._may_be_changed = number != GPS_SET
+        self._remember(number != GPS_SET)
         self._publish(number, result_name(result))
 
     def _select(self, number: int, now_ns: int) -> list[Message]:
         self._asked = number, now_ns
-        self._may_be_changed = self._may_be_changed or number != GPS_SET
+        self._remember(self._may_be_changed or number != GPS_SET)
         return [encoders.source_set(self._vehicle.system_id or 1, number)]
+
+    def _remember(self, may_be_changed: bool) -> None:
+        if self._remembered is not None and may_be_changed != self._may_be_changed:
+            with contextlib.suppress(OSError):  # a full disk costs what a crash needs, not the flight
+                self._remembered.touch() if may_be_changed else self._remembered.unlink(missing_ok=True)
+        self._may_be_changed = may_be_changed
 
     def _not_selected(self, number: int, result: str, now_ns: int) -> None:
         self._asked = None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import get_args
 
@@ -14,7 +16,7 @@ import pytest
 import edge
 from edge.commands.replay import as_line
 from edge.errors import ConfigError
-from edge.journal.journal import Journal, read_journal, records_of
+from edge.journal.journal import Journal, QueuedJournal, read_journal, records_of
 from edge.journal.records import (
     SCHEMA,
     DrivesDisagree,
@@ -112,6 +114,46 @@ def test_a_disk_that_fills_inside_a_line_leaves_the_next_line_whole(
     assert texts(path) == ["two"]
     assert "1 lines were lost" in caplog.text
     journal.close()
+
+
+def test_a_disk_that_hangs_keeps_nobody_waiting_and_what_is_dropped_is_counted(tmp_path: Path) -> None:
+    """A pipe that nobody reads stands for the disk: a write to a full one blocks."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    size = fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 4096)
+    journal = QueuedJournal(Journal(path, unix_time_s=lambda: 1_700_000_000.0), room=10)
+    written = [journal.write(StateChanged(f"{number:03}", "x" * 1000)) for number in range(50)]
+    assert not written[-1] and journal.why_lost == "the disk hangs"
+    assert journal.lost == written.count(False) >= 50 - 10 - size // 1000 - 2
+    os.set_blocking(reader, True)
+    lines = b""
+    while not journal.write(JournalResumed(journal.lost)):
+        lines += os.read(reader, 4096)
+    drain = threading.Thread(target=lambda: [None for _ in iter(lambda: keep(os.read(reader, 4096)), b"")])
+    kept: list[bytes] = [lines]
+
+    def keep(data: bytes) -> bytes:
+        kept.append(data)
+        return data
+
+    drain.start()
+    assert not journal.lost
+    journal.close()
+    drain.join()
+    os.close(reader)
+    *states, resumed = [msgspec.json.decode(line) for line in b"".join(kept).splitlines()[1:]]
+    assert [one["state"] for one in states] == [f"{number:03}" for number in range(50) if written[number]], "in order"
+    assert (resumed["event"], resumed["lost"]) == ("journal", written.count(False))
+
+
+def test_what_waits_is_written_at_the_end(path: Path) -> None:
+    journal = QueuedJournal(Journal(path))
+    assert all(journal.write(StateChanged(str(number))) for number in range(500))
+    journal.close()
+    journal.close()
+    assert not journal.write(StateChanged("too late"))
+    assert texts(path) == [str(number) for number in range(500)]
 
 
 def test_a_journal_that_cannot_be_opened_is_a_config_error(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig
 from edge.journal.records import FixSent, FixWithheld
 from edge.telemetry.codec import EkfStatusReport, MavlinkCodec
+from edge.telemetry.gps import Gps
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.vehicle import Vehicle
 from sim.vehicle.command import straight_line
@@ -23,6 +24,25 @@ OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0)
 GPS_EACH_NS = 250_000_000
 FLIGHTS = Path(__file__).parents[3] / "shared" / "flights"
 NO_FIX, FIX_3D = 1, 3
+
+
+@pytest.mark.parametrize(
+    ("h_acc_mm", "hdop", "state"),
+    [
+        (0, 99.0, "not healthy"),
+        (0, 2.6, "not healthy"),
+        (0, 2.4, "healthy"),
+        (1500, 99.0, "healthy"),
+        (0, 655.35, "healthy"),
+    ],
+)
+def test_where_no_accuracy_is_reported_the_hdop_says_how_good_a_fix_is(h_acc_mm: int, hdop: float, state: str) -> None:
+    """655.35 stands for one that is not reported either."""
+    gps = Gps()
+    for now_ns in range(0, 5_000_000_000, 250_000_000):
+        fix = -274772000, 1530283000, 0, round(100 * hdop), 65535, 0, 0, 4
+        gps.receivers[0].read(mavlink.MAVLink_gps_raw_int_message(0, FIX_3D, *fix, 0, h_acc_mm), now_ns)
+    assert gps.receiver_state(now_ns) == state
 
 
 class Sky:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
 import select
 import socket
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from edge.commands.doctor_setup import check_links
+from edge.config import TelemetryConfig
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry import open_link
+from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link import Link, UdpLink, parse_connection
+from edge.telemetry.port import Port
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 
@@ -38,6 +46,8 @@ def receive(link: Link, size: int) -> bytes:
         "udp:14550",
         "udp:localhost:70000",
         "udpin:0.0.0.0:-1",
+        "udpin:0.0.0.0:14551@vehicle",
+        "udp:127.0.0.1:14551@127.0.0.1",
     ],
 )
 def test_a_malformed_connection_is_one_line_that_names_the_key(connection: str) -> None:
@@ -52,6 +62,75 @@ def test_connections_that_are_well_formed() -> None:
     serial = parse_connection("serial:/dev/serial/by-id/usb-ArduPilot_00:1-if00:921600")
     assert (serial.target, serial.number) == ("/dev/serial/by-id/usb-ArduPilot_00:1-if00", 921600)
     assert parse_connection("udp:[::1]:14550").target == "::1"
+    bound = parse_connection("udpin:0.0.0.0:14551@192.168.1.20")
+    assert (bound.target, bound.number, bound.only_from) == ("0.0.0.0", 14551, "192.168.1.20")
+    assert str(bound) == "udpin:0.0.0.0:14551@192.168.1.20"
+
+
+@pytest.mark.parametrize(
+    ("connection", "warned"),
+    [
+        ("serial:/dev/ttyAMA0:921600", False),
+        ("udpin:127.0.0.1:14551", False),
+        ("udp:localhost:14551", False),
+        ("udpin:0.0.0.0:14551@127.0.0.1", False),
+        ("tcpin:0.0.0.0:5760", True),
+        ("udpin:0.0.0.0:14551@192.168.1.20", True),
+        ("udp:vehicle.local:14550", True),
+    ],
+)
+def test_doctor_warns_of_a_link_that_a_stranger_may_reach_unsigned(
+    connection: str, warned: bool, tmp_path: Path
+) -> None:
+    (found,) = check_links(TelemetryConfig(connection=connection))
+    assert found.level == ("note" if warned else "good")
+    assert ("can speak in the autopilot's name" in found.words) == warned
+    key = tmp_path / "key"
+    key.write_bytes(bytes(32))
+    key.chmod(0o600)
+    (found,) = check_links(
+        TelemetryConfig(connection=connection, signing_key=str(key), signing_clock=str(tmp_path / "c"))
+    )
+    assert "signed" in found.words and found.level == "good"
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_a_link_that_is_bound_to_a_host_ignores_all_others(kind: str) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    for host, expected in (("127.0.0.2", b""), ("127.0.0.1", b"hello")):
+        with (
+            closing(open_link(f"{kind}in:{address}@{host}")) as listener,
+            closing(open_link(f"{kind}:{address}")) as sender,
+        ):
+            with contextlib.suppress(LinkLost):  # the stranger's connection is closed
+                sender.send(b"hello")
+            assert receive(listener, len(expected)) == expected
+            assert listener.receive() == b""
+
+
+def test_a_flood_of_noise_takes_one_poll_no_longer_than_its_time() -> None:
+    """A clock that moves on by 5 ms for each piece that is decoded: 30 datagrams of 60 KB are 900 pieces."""
+    address, now_ns, pieces = f"127.0.0.1:{free_port()}", 0, 0
+
+    class Counting(MavlinkCodec):
+        def decode(self, data: bytes) -> list[Any]:
+            nonlocal now_ns, pieces
+            now_ns, pieces = now_ns + 5_000_000, pieces + 1
+            return super().decode(data)
+
+    port = Port(parse_connection(f"udpin:{address}"), Counting(1, 191), lambda: now_ns)
+    assert port.open_if_due(0)
+    noise, stranger = random.Random(5), open_link(f"udp:{address}")
+    sent = sum(stranger.send(noise.randbytes(60_000)) for _ in range(30))
+    polls_ns, before = [], -1
+    while pieces != before:
+        before, began_ns = pieces, now_ns
+        assert not list(port.receive())
+        polls_ns.append(now_ns - began_ns)
+    assert max(polls_ns) <= 60_000_000
+    assert pieces * 2048 >= sent * 60_000 > 0, "what the kernel has kept is read by later polls"
+    stranger.close()
+    port.close()
 
 
 def test_serial_carries_bytes_both_ways_and_never_blocks() -> None:

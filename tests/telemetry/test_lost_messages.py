@@ -102,12 +102,21 @@ def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(vision: Rig) ->
     stream(vision, 8.0)
     assert vision.autopilot.inputs.source_set == 2
     assert [(one.number, one.result) for one in vision.journalled(SourceSetAnswered)] == [
-        (1, "ACCEPTED"),
         (2, "NO_ANSWER"),
         (2, "ACCEPTED"),
     ]
     texts = [message.text for message in vision.received("STATUSTEXT")]
     assert "Lookback: source set 2 NO_ANSWER" in texts
+
+
+def test_the_set_that_the_pilot_has_selected_stays(open_rig: OpenRig) -> None:
+    """Not even with GPS: only a set that was selected here is taken back."""
+    rig = open_rig(emit="vision_position", gates=GatesConfig(risk=1.0))
+    rig.autopilot.inputs.source_set = 2
+    rig.run(20.0)
+    assert rig.connection.vehicle.gps.receiver_state(rig.now_ns) == "healthy"
+    assert not selections(rig)
+    assert rig.autopilot.inputs.source_set == 2
 
 
 def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(vision: Rig) -> None:
