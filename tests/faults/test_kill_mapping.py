@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,14 +17,28 @@ from edge.reference_map import open_map
 from tests.faults.mapping_loop import open_live
 
 LOOP = Path(__file__).with_name("mapping_loop.py")
+SHIM = Path(__file__).with_name("slow_disk_shim.c")
 MOST_LOST = 5
 
 
-@pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.soak)])
-def test_killed_while_mapping(kills: int, tmp_path: Path, seed: int, figures: Callable[[str], None]) -> None:
-    done = subprocess.run(
-        [sys.executable, str(LOOP), str(tmp_path), str(kills), str(seed)], capture_output=True, text=True, check=True
-    )
+@pytest.fixture(scope="module")
+def slow_disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library that makes writing a record take a while."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    library = tmp_path_factory.mktemp("shim") / "slow_disk_shim.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(SHIM), "-ldl"], check=True)
+    return library
+
+
+@pytest.mark.parametrize("kills", [8, pytest.param(200, marks=pytest.mark.soak)])
+def test_killed_while_mapping(
+    kills: int, slow_disk: Path, tmp_path: Path, seed: int, figures: Callable[[str], None]
+) -> None:
+    command = [sys.executable, str(LOOP), str(tmp_path), str(kills), str(seed)]
+    environment = {**os.environ, "LD_PRELOAD": str(slow_disk)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     found = json.loads(done.stdout)
     places = found["places"]
     figures(
@@ -30,6 +46,7 @@ def test_killed_while_mapping(kills: int, tmp_path: Path, seed: int, figures: Ca
         f" {sum(found['cut'])} times a record was cut off"
     )
     assert len(places) == kills
+    assert sum(found["cut"]) >= kills // 4, "so many kills have to meet a record"
     assert places == sorted(places), "what was there before stays"
     assert max(found["lost"]) <= MOST_LOST
     mapped = open_live(tmp_path)
