@@ -1,6 +1,6 @@
 #!/bin/sh
 # Install or update Lookback as a service; see --help. For systems with systemd and Python 3.10 to
-# 3.13: Raspberry Pi OS, Debian, Ubuntu, Jetson Linux.
+# 3.14: Raspberry Pi OS, Debian, Ubuntu, Jetson Linux.
 set -eu
 umask 022 # the service's user must be able to read what root installs
 
@@ -22,7 +22,8 @@ Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras NAMES] [--python PYT
 
 Installs or updates Lookback in $prefix with its service, user, udev rules and directories, and $link.
 Run it as root. An existing config is kept, and so are extras that were installed before. A failed update leaves the old
-version in place. A service that was disabled stays disabled.
+version in place: also if the new one refuses a config that the old one accepts, or if the running service does not run for
+a minute with it. A service that was disabled stays disabled.
 
   --wheel FILE      install this wheel (default: the checkout that contains this script)
   --pypi VERSION    install this version from PyPI
@@ -99,7 +100,8 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
 }
 
 installed_extras() { # prints those of the installed version whose packages are all there, with commas
-    "$root$prefix/bin/python" - <<'PYTHON'
+    # By the new Python: after an upgrade of the system, the old environment's own finds none of its packages.
+    PYTHONPATH=$(echo "$root$prefix"/lib/python3*/site-packages) "$python" - <<'PYTHON'
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 
 from pip._vendor.packaging.requirements import Requirement
@@ -136,8 +138,10 @@ choose_extras() {
         none) extras= ;;
         *)
             kept=page
-            [ ! -x "$root$prefix/bin/python" ] || kept=$(installed_extras) \
-                || die "cannot find out which extras are installed; name them with --extras"
+            if [ -e "$root$prefix/pyvenv.cfg" ] && ! kept=$(installed_extras); then
+                [ -n "$extras" ] || die "cannot find out which extras are installed; name them with --extras"
+                kept=
+            fi
             extras=$kept${kept:+${extras:+,}}$extras
             ;;
     esac
@@ -147,8 +151,8 @@ check_python() {
     command -v "$python" >/dev/null || die "$python: no such program; install it: apt install python3 python3-venv"
     version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])') || die "$python does not run as Python"
     case $version in
-        3.10 | 3.11 | 3.12 | 3.13) ;;
-        *) die "$python is Python $version, and Lookback needs 3.10 to 3.13; name one with --python" ;;
+        3.10 | 3.11 | 3.12 | 3.13 | 3.14) ;;
+        *) die "$python is Python $version, and Lookback needs 3.10 to 3.14; name one with --python" ;;
     esac
     "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python$version-venv"
 }
@@ -168,14 +172,54 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
     done
     # The service cannot write here, so compile the modules now. Packages also contain files for other Python
     # versions, which do not compile.
-    "$stage/bin/python" -m compileall -q -s "$stage" -p "$prefix" "$stage/lib" || true
+    "$stage/bin/python" -m compileall -q -j 0 -s "$stage" -p "$prefix" "$stage/lib" || true
+}
+
+accepts_config() { # accepts_config ENVIRONMENT: whether its version accepts the config and the files that it names
+    (cd / && "$1/bin/python" -m edge doctor --offline "$root/etc/lookback/lookback.toml") >"$work/doctor" 2>&1
+}
+
+check_config() { # what the old version refuses as well, such as a map that is not built yet, is no reason to stop
+    [ -e "$root/etc/lookback/lookback.toml" ] && [ -e "$root$prefix" ] || return 0
+    if accepts_config "$root$prefix" && ! accepts_config "$stage"; then
+        grep -v '^ok  ' "$work/doctor" >&2 || true
+        die "the new version refuses the config, so the old one stays"
+    fi
 }
 
 swap_venv() {
     rm -rf "$root$prefix.old"
     [ ! -e "$root$prefix" ] || mv "$root$prefix" "$root$prefix.old"
     mv "$stage" "$root$prefix"
-    rm -rf "$root$prefix.old"
+}
+
+units() { # those that an update replaces
+    for unit in lookback.service lookback-camera.socket lookback-camera@.service; do
+        [ ! -e "$root/etc/systemd/system/$unit" ] || echo "$root/etc/systemd/system/$unit"
+    done
+}
+
+runs() { # whether the service runs, by the process that it was started with
+    pid=$(systemctl show -p MainPID --value lookback.service)
+    [ "$pid" != 0 ] && [ "${1:-$pid}" = "$pid" ] && systemctl is-active --quiet lookback.service
+}
+
+restart_or_roll_back() { # the old version is kept until the new one has run for a minute
+    runs || return 0
+    if systemctl restart lookback.service && runs; then
+        since=$pid
+        for _ in 1 2 3 4 5 6 7 8 9 10 11 12; do
+            sleep 5
+            runs "$since" || break
+        done
+        if runs "$since"; then return 0; fi
+    fi
+    rm -rf "$root$prefix"
+    mv "$root$prefix.old" "$root$prefix"
+    cp -p "$work/units/"* "$root/etc/systemd/system/"
+    systemctl daemon-reload
+    systemctl restart lookback.service || true
+    die "the new version did not run for a minute, so the old one is back: journalctl -eu lookback"
 }
 
 clean_up_after_a_kill() { # of an earlier run of this script, at any point
@@ -235,6 +279,9 @@ install_all() {
     trap 'exit 130' INT TERM
     stage=$work/venv
     make_venv
+    check_config
+    mkdir "$work/units"
+    units | while IFS= read -r unit; do cp -p "$unit" "$work/units/"; done
     swap_venv
     put_files
     put_link
@@ -243,7 +290,8 @@ install_all() {
     live reload_udev
     live_systemctl daemon-reload
     [ "$first" = no ] || live_systemctl enable --quiet lookback.service # an admin may have disabled it later
-    live_systemctl try-restart lookback.service || die "the service does not start: journalctl -eu lookback"
+    [ "$first" = yes ] || [ ! -d /run/systemd/system ] || live restart_or_roll_back
+    rm -rf "$root$prefix.old"
     if [ "$first" = no ]; then
         echo "Lookback is updated${extras:+, with the extras $extras}."
         return

@@ -113,7 +113,7 @@ def test_an_old_python_is_named(tmp_path: Path) -> None:
     python.write_text("#!/bin/sh\necho 3.9\n")
     python.chmod(0o755)
     result = run(INSTALL, "--root", tmp_path / "root", "--python", python)
-    needs = "and Lookback needs 3.10 to 3.13; name one with --python"
+    needs = "and Lookback needs 3.10 to 3.14; name one with --python"
     assert result.stderr == f"install.sh: {python} is Python 3.9, {needs}\n"
 
 

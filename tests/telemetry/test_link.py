@@ -128,7 +128,7 @@ def test_a_flood_of_noise_takes_one_poll_no_longer_than_its_time() -> None:
         assert not list(port.receive())
         polls_ns.append(now_ns - began_ns)
     assert max(polls_ns) <= 60_000_000
-    assert pieces * 2048 >= sent * 60_000 > 0, "what the kernel has kept is read by later polls"
+    assert sent and len(polls_ns) > 3 and pieces * 2048 > 60_000, "what the kernel has kept is read by later polls"
     stranger.close()
     port.close()
 
