@@ -42,7 +42,7 @@ The public interface is below: `from edge import load_config, open_recognizer, o
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["PlaceMatch", "ReferenceMap", "load_config", "open_map", "open_recognizer"]
 
 _HOMES = {

@@ -203,8 +203,9 @@ class AutopilotConnection:
 
     @property
     def is_ready_for_home(self) -> bool:
-        """Whether the way home can be requested: the autopilot and how well it knows its position are known."""
-        return self.state == "up" and self.position() is not None and self.uncertainty_m is not None
+        """Whether the way home can be requested: the autopilot, its mode and how well it knows its position are known."""
+        is_known = self.position() is not None and self.uncertainty_m is not None
+        return self.state == "up" and is_known and self.vehicle.drives_itself is not None
 
     def request_home(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
         """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last.
