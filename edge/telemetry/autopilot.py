@@ -203,7 +203,7 @@ class AutopilotConnection:
 
     @property
     def is_ready_for_home(self) -> bool:
-        """Whether the way home can be requested: the autopilot, its mode, its position and how good that is are known."""
+        """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
         is_known = self.position() is not None and self.uncertainty_m is not None
         return self.state == "up" and is_known and self.vehicle.drives_itself is not None
 
