@@ -1,6 +1,6 @@
 """The daemon: moves frames through the parts that the config names (`opened_parts`) until it is stopped.
 
-camera -> usable, at a new place? -> recognizer -> localizer -> event -> journal, people, live page
+camera -> usable, at a new place? -> recognizer -> estimator -> event -> journal, people, live page
                                                              -> position -> autopilot
 
 Read `Daemon.turn` first: each step of it is one of the methods below, in the same order.
@@ -27,7 +27,6 @@ from edge.feed.sampling import Sampler
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
 from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
-from edge.localization.localizer import Localizer
 from edge.localization.velocity_error import VelocityError
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
@@ -65,7 +64,7 @@ class Daemon:
         self._live_status, self._page = opened.live_status, opened.page
         self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
         self._sampler = Sampler(config.sampling)
-        self._localizer = Localizer(self._verification.as_uncertain(self._recognizer.map_set), config)
+        self._estimator = opened.estimator
         self._supervision = Supervision()
         self._turn_around = TurnAround()
         self._frames_used = self._events = self._distance_gaps = 0
@@ -116,7 +115,7 @@ class Daemon:
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
         motion = self._autopilot.motion(frame.stamp_ns)
-        self._use_velocity_error(self._localizer.follow_velocity(frame.stamp_ns, motion))
+        self._use_velocity_error(self._estimator.follow(frame.stamp_ns, motion))
         is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
         if is_place:
             self._process_frame(frame, motion)
@@ -130,14 +129,8 @@ class Daemon:
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
-        self._localizer.update(match, frame.stamp_ns, displacement, missed)
-        stands = self._recognizer.state == "standing"
-        self._use_velocity_error(self._localizer.correct_velocity(match, frame.stamp_ns, motion, stands=stands))
+        self._estimate(frame.stamp_ns, match, motion, displacement, missed)
         self._map_frame(frame, distance_m, missed)
-        self._use_gps(match, frame.stamp_ns, displacement, missed)
-        position = self._localizer.position_at_exposure()
-        if position is not None and position.stamp_ns == frame.stamp_ns:
-            self._autopilot.observe_position(position)
         self._publish_frame(frame, match, missed)
         self._warn_without_odometer()
         if self._recording is not None:
@@ -147,7 +140,24 @@ class Daemon:
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
-        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._localizer.newest)
+        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._estimator.newest)
+
+    def _estimate(
+        self,
+        stamp_ns: int,
+        match: PlaceMatch | None,
+        motion: ReportedMotion,
+        displacement: Displacement | None,
+        missed: int,
+    ) -> None:
+        """What follows from the answer to a frame: for the vehicle, for GPS, and for the autopilot's velocity."""
+        report, gps = self._autopilot.report(), self._autopilot.gps_fix(stamp_ns)
+        stands = self._recognizer.state == "standing"
+        seen = match, stamp_ns, motion, displacement, report, gps
+        verdict = self._estimator.update(*seen, missed=missed, stands=stands)
+        if not stands:
+            self._autopilot.judge_gps(verdict)
+        self._use_velocity_error(self._estimator.velocity_error)
 
     def _use_velocity_error(self, error: VelocityError) -> None:
         self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
@@ -159,7 +169,7 @@ class Daemon:
             self._recognizer.restart_odometer()
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
         if self._recognizer.was_carried:
-            self._localizer.reset()
+            self._estimator.reset()
         return None if match is not None and match.accepted and not self._is_verified(match) else match
 
     def _search_area(self) -> Near | None:
@@ -186,7 +196,7 @@ class Daemon:
         if maps is None:
             return True
         self._recognizer.use_maps(maps)
-        self._localizer = Localizer(self._verification.as_uncertain(maps), self._config)
+        self._estimator.use_maps(self._verification.as_uncertain(maps))
         self._show_maps()
         return False
 
@@ -199,7 +209,7 @@ class Daemon:
         if newest is not None:
             maps = self._recognizer.map_set.with_newest(newest)
             self._recognizer.grow_maps(maps)
-            self._localizer.grow(self._verification.as_uncertain(maps))
+            self._estimator.grow(self._verification.as_uncertain(maps))
             self._show_maps()
         self._times.lap("mapping")
 
@@ -210,19 +220,9 @@ class Daemon:
         self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
         return raw
 
-    def _use_gps(self, match: PlaceMatch | None, stamp_ns: int, displacement: Displacement | None, missed: int) -> None:
-        """Judge GPS by the place of a frame, and let GPS bound the position."""
-        position = self._autopilot.position()
-        if self._recognizer.state != "standing":
-            gps, heading_deg = self._autopilot.gps_fix(stamp_ns), None if position is None else position.heading_deg
-            self._autopilot.judge_gps(self._localizer.judge_gps(match, gps, displacement, heading_deg, missed))
-        gps_sigma_m = self._autopilot.gps_sigma_m
-        if position is not None and gps_sigma_m is not None:
-            self._localizer.bind(position, gps_sigma_m)
-
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:
         """To the live page, to the journal where it is to have every frame, and an event to people."""
-        used = self._localizer.frame_used(frame.index, frame.stamp_ns, match, missed)
+        used = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
         position = self._autopilot.position()
         self._live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
         if self._config.telemetry.journal_frames:
@@ -232,7 +232,7 @@ class Daemon:
         if self._mapper is not None:
             self._mapper.count(match)
         if match.event:
-            fix = self._localizer.place_fix(match, frame.stamp_ns)
+            fix = self._estimator.place_fix(match, frame.stamp_ns)
             self._events += 1
             self._record(fix)
             self._autopilot.publish_place(fix)
@@ -261,7 +261,7 @@ class Daemon:
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
         self._recognizer.reset()
-        self._localizer.reset()
+        self._estimator.reset()
 
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
@@ -272,10 +272,10 @@ class Daemon:
         if time_base is None or self._pictures.fault is not None:
             return
         if time_base == "exposure":
-            fix = self._localizer.position_at_exposure()
+            fix = self._estimator.position_at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._localizer.position(now_ns, self._autopilot.displacement(now_ns))
+            fix = self._estimator.position(now_ns, self._autopilot.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
 
@@ -303,7 +303,7 @@ class Daemon:
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
-        self._warm_start.keep(self.monitor.health.state, self._localizer.newest)
+        self._warm_start.keep(self.monitor.health.state, self._estimator.newest)
         return stopped
 
 

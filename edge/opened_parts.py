@@ -19,6 +19,7 @@ from edge.health.monitor import HealthMonitor, Links
 from edge.health.stage_times import StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
+from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
 from edge.page import LiveStatus, Sources, map_view, open_page
@@ -58,7 +59,9 @@ class OpenedParts:
             journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
             self._journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self._journal.write
-        link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, config.home)
+        self.estimator = PositionEstimator(config)
+        settings = config.telemetry, clock_ns, self.record, config.gates, config.home
+        link = AutopilotConnection(*settings, estimator=self.estimator)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)
@@ -81,6 +84,7 @@ class OpenedParts:
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
         self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
+        self.estimator.use_maps(self.verification.as_uncertain(maps))
         self.warm_start = WarmStart(config, self.recognizer)
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:

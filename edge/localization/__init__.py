@@ -1,6 +1,6 @@
 """From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
 
-`consensus` believes a place or not. `localizer` joins what follows from a match: `place_fix` makes positions of
+`consensus` believes a place or not; `position_estimator` is what follows from a match. `place_fix` makes positions of
 matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
 `route_filter` follows the vehicle with them, by one `track` or two, and `route_estimate` is the Kalman filter of each;
 `gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
@@ -24,7 +24,8 @@ from edge.localization.integrity import (
     distance_from,
     offset_m,
 )
-from edge.localization.protection_level import ProtectionLevel, Reckoning
+from edge.localization.position_estimator import Limits, PositionEstimator, Report
+from edge.localization.protection_level import ProtectionLevel
 from edge.localization.route_estimate import CORRELATION_M
 from edge.localization.velocity_error import PULLED_NS
 
@@ -38,10 +39,12 @@ __all__ = [
     "GpsState",
     "GpsVerdict",
     "Integrity",
+    "Limits",
     "PlaceFix",
+    "PositionEstimator",
     "ProtectionLevel",
-    "Reckoning",
     "Refusal",
+    "Report",
     "ReportedMotion",
     "Situation",
     "Uncertainty",

@@ -11,10 +11,10 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
+from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource, VehiclePosition
 from edge.journal.records import LinkChanged, Record
-from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix, ReportedMotion
+from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report, ReportedMotion
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests, Plan
@@ -47,8 +47,12 @@ class AutopilotConnection:
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
         home: HomeConfig = HomeConfig(),  # noqa: B008
+        estimator: PositionEstimator | None = None,
     ) -> None:
-        """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key."""
+        """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
+
+        estimator: decides on each position, and reads what bounds the autopilot's own; None: one without maps.
+        """
         self._clock_ns = clock_ns
         self._record = record
         self._component_id = config.component_id
@@ -58,7 +62,8 @@ class AutopilotConnection:
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
-        self._positions = PositionSender(config, gates, self.vehicle, record, self._warn)
+        estimator = estimator or PositionEstimator(Config(gates=gates))
+        self._positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
         self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
         self._home.position = lambda: (self.position(), self.uncertainty_m)
@@ -86,11 +91,9 @@ class AutopilotConnection:
         """The autopilot's own newest position, None where it has none."""
         return self.vehicle.position(self._clock_ns())
 
-    @property
-    def gps_sigma_m(self) -> float | None:
-        """One standard deviation of that position while GPS bounds it, None while it does not."""
-        now_ns = self._clock_ns()
-        return self.vehicle.gps.bound_m(self.vehicle.position(now_ns), now_ns)
+    def report(self) -> Report:
+        """What the autopilot reports now, for the estimator."""
+        return self._positions.report(self._clock_ns())
 
     def position_at(self, stamp_ns: int) -> VehiclePosition | None:
         """The autopilot's own position at an exposure, with its accuracy and source; None where it is not known."""
@@ -213,10 +216,6 @@ class AutopilotConnection:
         restore: the mission that it has replaced instead.
         """
         self._send(self._home.request(reply, self._clock_ns(), restore=restore))
-
-    def observe_position(self, fix: PlaceFix) -> None:
-        """The position of a new match: evidence, whether or not one will be sent."""
-        self._positions.observe(fix, self._clock_ns())
 
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""

@@ -21,9 +21,12 @@ from edge.journal.records import FixAnswered, FixSent, FixWithheld, PositionMess
 from edge.localization import (
     CORRELATION_M,
     GpsVerdict,
+    Limits,
     PlaceFix,
+    PositionEstimator,
     ProtectionLevel,
     Refusal,
+    Report,
     distance_from,
 )
 from edge.telemetry import encoders
@@ -40,15 +43,16 @@ from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
 from edge.telemetry.gps import UNSTEADY
-from edge.telemetry.position_checks import PositionChecks
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.position_use import PositionUse
+from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 UNCONFIRMED = "not confirmed by another place yet"
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
+REMEMBER_NS = 1_000_000_000
 log = logging.getLogger(__name__)
 
 
@@ -60,11 +64,14 @@ class PositionSender:
         telemetry: TelemetryConfig,
         gates: GatesConfig,
         vehicle: Vehicle,
+        estimator: PositionEstimator,
         record: Callable[[Record], object],
         send_text: Callable[[str], object],
     ) -> None:
+        """estimator: decides on each position, and reads of the autopilot whether it used one."""
         self._telemetry = telemetry
         self._gates = gates
+        self._estimator = estimator
         self._vehicle = vehicle
         self._record = record
         self._send_text = send_text
@@ -75,8 +82,8 @@ class PositionSender:
         self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
         self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
         bound = remembered and remembered.with_suffix(".bound")
-        self._checks = PositionChecks(gates, vehicle, self.doubted_gps, bound)
-        self._use = PositionUse(vehicle, self._checks, telemetry.sensor_id, record, send_text)
+        self._remembered, self._remember_due_ns = RememberedBound(bound, gates.drift_percent), 0
+        self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
         self._withheld = ""
         self._recorded_ns = 0
         self._start_over()
@@ -96,7 +103,7 @@ class PositionSender:
         self._start_over()
         self._disabled = False
         self.sources.new_session()
-        self._checks.reset()
+        self._estimator.restart()
         self._choose()
 
     def _choose(self) -> None:
@@ -124,19 +131,37 @@ class PositionSender:
 
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        return self._checks.uncertainty_m(now_ns)
+        return self._estimator.uncertainty_m(self.report(now_ns))
+
+    def report(self, now_ns: int) -> Report:
+        """What the autopilot reports now. GPS that is ignored is none, and its error is not in the position."""
+        vehicle, is_ignored = self._vehicle, self.doubted_gps.is_ignored
+        own = vehicle.position(now_ns)
+        return Report(
+            now_ns,
+            gps="not healthy" if is_ignored else vehicle.gps.state(now_ns),
+            gps_sigma_m=None if is_ignored else vehicle.gps.bound_m(own, now_ns),
+            position=self.doubted_gps.corrected(own),
+            displacement=None if own is None else vehicle.displacement(own.stamp_ns),
+            accuracy_m=vehicle.accuracy_m(now_ns),
+            speed_mps=vehicle.speed_mps(now_ns),
+            driven_m=vehicle.driven_m(now_ns),
+            is_aided=vehicle.is_aided,
+        )
+
+    def _bind(self, sigma_m: float, now_ns: int) -> None:
+        """The autopilot has used a position."""
+        self._estimator.bind(sigma_m, self.report(now_ns))
+        if self._vehicle.is_aided:
+            self.doubted_gps.bound()
 
     def judge_gps(self, verdict: GpsVerdict, now_ns: int, *, is_aided: bool) -> None:
         """What the places say of GPS now. is_aided: whether anything besides GPS measures the autopilot's velocity."""
         was_called = self.doubted_gps.judge(verdict, now_ns)
         if was_called and self.doubted_gps.is_ignored:
-            self._checks.leave_gps(now_ns)
+            self._estimator.leave_gps(self.report(now_ns))
             if not is_aided:
                 self._send_text("Lookback: no velocity aid, sends no position")
-
-    def observe(self, fix: PlaceFix, now_ns: int) -> None:
-        """The fix of a new match: evidence, whether or not it will be sent."""
-        self._checks.observe(fix, now_ns)
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -175,7 +200,9 @@ class PositionSender:
         self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
     ) -> Refusal | None:
         period_s = self._period_s(message) if period_s is None else period_s
-        return self._checks.refusal(fix, message, self._last_sent_ns, period_s, now_ns)
+        limits = Limits(period_s, message.max_age_s, message.acknowledged)
+        displacement = self._vehicle.displacement(fix.stamp_ns)
+        return self._estimator.refusal(fix, limits, self._last_sent_ns, self.report(now_ns), displacement)
 
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
@@ -186,7 +213,7 @@ class PositionSender:
         self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
         if why not in ("", f": {UNSTEADY}"):
             self._send_text(f"Lookback: {self._withheld}")
-        if refused.reason == UNCONFIRMED and not (self._checks.is_bounded or self._has_said_that_it_waits):
+        if refused.reason == UNCONFIRMED and not (self._estimator.is_bounded or self._has_said_that_it_waits):
             self._has_said_that_it_waits = True
             self._send_text("Lookback: waits for a second place to be sure")
         if refused.reason == "impossibly far" and refused.distance_m is not None:
@@ -215,7 +242,7 @@ class PositionSender:
         values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
-            level_m = _level_m(self._checks.protection_level)
+            level_m = _level_m(self._estimator.protection_level)
             self._record(
                 FixSent(
                     fix.place,
@@ -233,7 +260,7 @@ class PositionSender:
             )
             self.sent_status = {"sent_ns": now_ns, "sent_sigma_m": round(fix.sigma_m, 2)}
             self.sent_status |= {"level_along_m": level_m[0], "level_across_m": level_m[1]}
-            values = encoders.protection_values(self._checks.protection_level, round(1000 * boot_s))
+            values = encoders.protection_values(self._estimator.protection_level, round(1000 * boot_s))
         self._last_sent_ns = now_ns
         vehicle.expect_pull(distance_m or 0.0, now_ns)
         if message.shares_information or not (message.acknowledged or vehicle.is_aided):
@@ -285,13 +312,13 @@ class PositionSender:
             self._choose()
         messages: list[Message] = []
         vehicle = self._vehicle
-        bound_m = vehicle.gps.bound_m(vehicle.position(now_ns), now_ns)
-        if bound_m is not None and not self.doubted_gps.is_ignored:
-            self._checks.bind(bound_m, now_ns, by_gps=True)
+        report = self.report(now_ns)
+        if report.gps_sigma_m is not None:
+            self._estimator.bind_by_gps(report)
             if self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS:
                 vehicle.has_our_position = False
         receivers = vehicle.gps.receiver_state(now_ns)
-        if self._had_gps and receivers == "not healthy" and not self._checks.is_bounded:
+        if self._had_gps and receivers == "not healthy" and not self._estimator.is_bounded:
             log.warning("GPS is lost, and the autopilot had not used it yet: nothing bounds its position")
             self._send_text("Lookback: GPS lost before the autopilot used it")
         self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
@@ -302,12 +329,26 @@ class PositionSender:
             messages += self._select_sources(GPS_SET, now_ns) or self._return_to_gps(now_ns)
         elif self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
-        self._checks.remember(now_ns)
+        self._remember(report)
         if self._use.was_ignored(now_ns):
             self._back_off.failed(now_ns)
         if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
             messages += self._not_answered(now_ns, *self._unanswered)
         return messages
+
+    def _remember(self, report: Report) -> None:
+        """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
+        vehicle, now_ns = self._vehicle, report.now_ns
+        if now_ns < self._remember_due_ns or not vehicle.is_aided:
+            return
+        self._remember_due_ns = now_ns + REMEMBER_NS
+        bounded_m = self._estimator.bounded_m(report)
+        if bounded_m is not None:
+            self._remembered.keep(bounded_m, vehicle, now_ns, by_fixes=vehicle.has_our_position)
+        elif (remembered := self._remembered.recall(vehicle, now_ns)) is not None:
+            remembered_m, by_fixes = remembered
+            self._bind(remembered_m, now_ns)
+            vehicle.has_our_position |= by_fixes
 
     def _leave_gps(self, now_ns: int) -> list[Message]:
         """With doubted_gps "switch": ArduPilot's second set of sources, where positions are sent to be used with it."""

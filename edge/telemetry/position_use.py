@@ -9,7 +9,6 @@ from collections.abc import Callable
 from edge.journal.records import FixChecked, Record
 from edge.localization import PlaceFix, offset_m
 from edge.telemetry.acknowledgements import MOVED_NS, Jump
-from edge.telemetry.position_checks import PositionChecks
 from edge.telemetry.position_messages import PositionMessage
 from edge.telemetry.stream_check import StreamCheck, unused_because
 from edge.telemetry.vehicle import Vehicle
@@ -25,13 +24,13 @@ class PositionUse:
     def __init__(
         self,
         vehicle: Vehicle,
-        checks: PositionChecks,
+        bind: Callable[[float, int], object],
         sensor_id: int,
         record: Callable[[Record], object],
         send_text: Callable[[str], object],
     ) -> None:
-        """checks: are given the bound of the autopilot's uncertainty where a position was used."""
-        self._vehicle, self._checks, self._sensor_id = vehicle, checks, sensor_id
+        """bind: is called with the standard deviation of the autopilot's position where it has used one of ours."""
+        self._vehicle, self._bind, self._sensor_id = vehicle, bind, sensor_id
         self._record, self._send_text = record, send_text
         self.reset_counter = 0
         """Of the positions of a stream: another number where they jump."""
@@ -57,7 +56,7 @@ class PositionUse:
         if moved is not None:
             self._publish_check(fix, distance_m, "fixes sent", moved=moved)
         if distance_m <= NEAR_SIGMAS * fix.sigma_m:
-            self._checks.bind(max(fix.sigma_m, distance_m), now_ns)
+            self._bind(max(fix.sigma_m, distance_m), now_ns)
         elif is_new_stream:
             self.reset_counter = (self.reset_counter + 1) % 256
 
@@ -85,7 +84,7 @@ class PositionUse:
         remaining_m = jump.remaining_m(own)
         self._publish_check(fix, remaining_m, "fix accepted", moved=moved)
         if moved:
-            self._checks.bind(max(fix.sigma_m, remaining_m), now_ns)
+            self._bind(max(fix.sigma_m, remaining_m), now_ns)
         return not moved
 
     def _publish_unused(self, why: str) -> None:

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.localization import GPS_SIGMA_M, DeadReckoning, Integrity, PlaceFix, Situation, Uncertainty
-from edge.localization.protection_level import Reckoning
-from edge.localization.route_filter import RouteFilter
+from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, PlaceFix, ReportedMotion
+from edge.localization.position_estimator import Limits, PositionEstimator, Report
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
-from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.sequence import PlaceMatch
 from tests.localization.region_bench import PLACES_APART, RegionViews
@@ -33,6 +31,8 @@ from tests.localization.region_bench import PLACES_APART, RegionViews
 HOME = (-27.0, 153.0)
 STEP_S, SPACING_M, LENGTH = 0.1, 2.0, 40
 CORRELATED_M, GPS_M = 60.0, 72.0
+STEERS_S = 1.0
+"""In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 TURN_RADIUS_M = 8.0
 Points = NDArray[np.float64]
@@ -124,9 +124,9 @@ def lap_line(length_m: float, laps: int) -> tuple[Points, Points]:
     return np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)[:-1]]), heading
 
 
-def build_route(
+def build_maps(
     path: Path, line: Points, heading: Points, stretches: tuple[Stretch, ...]
-) -> tuple[Route, list[tuple[int, float, float, int]]]:
+) -> tuple[MapSet, list[tuple[int, float, float, int]]]:
     """A map whose segments are those stretches; for each its first place, its first and last meter of the road."""
     raw = np.zeros((2, 4), np.float32)
     found, index = [], 0
@@ -146,7 +146,7 @@ def build_route(
             found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
             index += len(at_m)
         builder.finish(normalize, "test")
-    return Route(MapSet.of(open_map(path))), found
+    return MapSet.of(open_map(path)), found
 
 
 class Bench:
@@ -163,13 +163,12 @@ class Bench:
         stretches = tuple(
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
-        self.route, self.segments = build_route(folder / f"map{seed}", self.line, self.heading, stretches)
+        maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
-        config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH))
-        self.filter = RouteFilter(self.route, config)
-        self.integrity, self.gates = Integrity(GatesConfig()), GatesConfig()
-        self.uncertainty = Uncertainty(self.gates.drift_percent)
-        self.reckoning = Reckoning(self.gates.drift_percent)
+        self.gates = GatesConfig()
+        config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH), gates=self.gates)
+        self.estimator = PositionEstimator(config)
+        self.estimator.use_maps(maps)
         self.motion = DeadReckoning()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
@@ -179,9 +178,9 @@ class Bench:
         self.regions = RegionViews(rng, SPACING_M)
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
-        self.seconds = self.lane = self.sampled_m = self.driven_m = self.steered_m = 0.0
+        self.seconds = self.lane = self.aims_m = self.sampled_m = self.driven_m = self.steered_m = 0.0
         self.own_error = np.zeros(2)
-        self.last_sent_s = -math.inf
+        self.last_sent_ns: int | None = None
         self.alias_now = False
 
     def run(self) -> Result:
@@ -257,7 +256,8 @@ class Bench:
             return at
         self.on_road = True
         kept = math.exp(-0.8 / 100)
-        self.lane = kept * self.lane + math.sqrt(1 - kept**2) * self.rng.normal(0.0, 0.7)
+        self.aims_m = kept * self.aims_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, 0.7)
+        self.lane += (self.aims_m - self.lane) * STEP_S / STEERS_S
         right_m = self.lane_m + self.lane
         if self.course.steers:
             # It keeps its own estimate on the lane, so the vehicle is off by what the estimate is wrong across.
@@ -282,29 +282,40 @@ class Bench:
         velocity = seen / STEP_S
         self.motion.add_velocity(now_ns, float(velocity[0]), float(velocity[1]))
         self.motion.add_speed(now_ns, math.copysign(float(np.hypot(*velocity)), speed_mps), 0)
-        if gps:
-            lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
-            own = VehiclePosition(
-                now_ns, lat_deg, lon_deg, 0.0, 0.0, *(float(value) for value in (0.0, *velocity[::-1]))
-            )
-            self.reckoning.bind(own, self.motion.displacement(now_ns), self.motion.total_m or 0.0, GPS_SIGMA_M)
-            self.uncertainty.bind(GPS_SIGMA_M, self.motion.total_m, by_gps=True)
-            self.integrity.bound(by_gps=True)
+        report = self._report(now_ns, velocity, gps=gps)
+        self.estimator.bind_by_gps(report)
         distance_m = self.motion.distance_m(now_ns) or 0.0
         if distance_m - self.sampled_m >= SPACING_M:
             self.sampled_m += SPACING_M * math.floor((distance_m - self.sampled_m) / SPACING_M)
-            match = self._match(s)
-            self.filter.update(match, now_ns, self.motion.displacement(now_ns))
+            motion = ReportedMotion(distance_m, True, (report.speed_mps or 0.0, 0.0), 0.0, 0.0)
+            own = report.position
+            fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps and own is not None else None
+            self.estimator.update(self._match(s), now_ns, motion, report.displacement, report, fix)
         self.own_error = self.own - truth
-        self._send(truth, now_ns, gps, velocity)
+        self._send(truth, report)
         if round(self.seconds / STEP_S) % 10 == 0 and not gps:
             self.result.own_m.append(float(np.hypot(*(self.own - truth))))
             self.result.alone_m.append(float(np.hypot(*(self.alone - truth))))
             self.result.across_m.append(abs(self.right_m))
-            fix = self.filter.at(now_ns, self.motion.displacement(now_ns))
-            if fix is not None:
-                off = np.array(east_north_of(fix.lat_deg or 0, fix.lon_deg or 0, HOME)) - truth
-                self.result.predicted_sigmas.append(float(np.hypot(*off)) / fix.sigma_m)
+            predicted = self.estimator.position(now_ns, report.displacement)
+            if predicted is not None:
+                off = np.array(east_north_of(predicted.lat_deg or 0, predicted.lon_deg or 0, HOME)) - truth
+                self.result.predicted_sigmas.append(float(np.hypot(*off)) / predicted.sigma_m)
+
+    def _report(self, now_ns: int, velocity: Points, *, gps: bool) -> Report:
+        """What the autopilot reports."""
+        lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
+        east_mps, north_mps = velocity.tolist()
+        speed_mps = math.hypot(east_mps, north_mps)
+        return Report(
+            now_ns,
+            gps="healthy" if gps else "not healthy",
+            gps_sigma_m=GPS_SIGMA_M if gps else None,
+            position=VehiclePosition(now_ns, lat_deg, lon_deg, 0.0, None, speed_mps, north_mps, east_mps),
+            displacement=self.motion.displacement(now_ns),
+            speed_mps=self.motion.speed_mps(now_ns),
+            driven_m=self.motion.total_m,
+        )
 
     def _match(self, s: float) -> PlaceMatch | None:
         """The best line through the last frames, as the recognizer would find it."""
@@ -353,32 +364,22 @@ class Bench:
                 return number, s - begins_m
         return None
 
-    def _send(self, truth: Points, now_ns: int, gps: bool, velocity: Points) -> None:
-        fix = self.filter.at_exposure()
+    def _send(self, truth: Points, report: Report) -> None:
+        fix, now_ns = self.estimator.position_at_exposure(), report.now_ns
         if fix is None or fix.stamp_ns != now_ns:
             return
-        lat_deg, lon_deg = moved(*HOME, float(self.own[0]), float(self.own[1]))
-        own = VehiclePosition(
-            now_ns, lat_deg, lon_deg, 0.0, 0.0, float(np.hypot(*velocity)), float(velocity[1]), float(velocity[0])
-        )
-        sigma_m = self.uncertainty.at(self.motion.total_m, None, fix.velocity_error)
-        situation = Situation(
-            now_ns, gps, self.motion.speed_mps(now_ns), own, sigma_m, self.uncertainty.by_gps, None,
-            self.motion.displacement(now_ns),
-            self.reckoning.at(fix, self.motion.displacement(now_ns), self.motion.total_m),
-        )  # fmt: skip
-        self.integrity.observe(fix, situation)
-        if self.seconds - self.last_sent_s < self.gates.min_interval_s:
+        if self.last_sent_ns is not None and now_ns - self.last_sent_ns < self.gates.min_interval_s * 1e9:
             return
-        refused = self.integrity.refusal(fix, situation, 1.0, 5.0)
+        limits = Limits(self.gates.min_interval_s, 5.0, is_reset=False)
+        refused = self.estimator.refusal(fix, limits, self.last_sent_ns, report, report.displacement)
         self._bounded(fix, truth)
         if refused is not None:
             self.result.withheld[refused.reason] = self.result.withheld.get(refused.reason, 0) + 1
             return
-        self._reset(fix, truth)
+        self._reset(fix, truth, report)
 
     def _bounded(self, fix: PlaceFix, truth: Points) -> None:
-        level = self.integrity.protection_level
+        level = self.estimator.protection_level
         if level is None:
             return
         east_m, north_m = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME)) - truth
@@ -388,13 +389,12 @@ class Bench:
             Bounded(self.driven_m, *errors, fix.sigma_along_m, fix.sigma_across_m, level.along_m, level.across_m)
         )
 
-    def _reset(self, fix: PlaceFix, truth: Points) -> None:
+    def _reset(self, fix: PlaceFix, truth: Points, report: Report) -> None:
         place = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME))
         error_m = float(np.hypot(*(place - truth)))
         self.result.errors_m.append(error_m)
         self.result.sigmas.append(error_m / fix.sigma_m)
         self.result.sent_at_m.append(self.driven_m)
         self.own = place
-        self.last_sent_s = self.seconds
-        self.uncertainty.bind(fix.sigma_m, self.motion.total_m)
-        self.integrity.bound(by_gps=False)
+        self.last_sent_ns = report.now_ns
+        self.estimator.bind(fix.sigma_m, report)

@@ -9,8 +9,8 @@ import pytest
 
 from edge.config import RigConfig
 from edge.geodesy import moved
-from edge.localization import GpsFix
-from edge.localization.localizer import Localizer
+from edge.localization import GpsFix, ReportedMotion
+from edge.localization.position_estimator import PositionEstimator, Report
 from edge.localization.unseen_road import FIRM, UNSEEN_M, UnseenRoad
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
@@ -122,12 +122,15 @@ def test_a_sequence_that_begins_anew_is_not_unrecognized(route: Route) -> None:
 
 
 def test_it_is_a_state_of_the_verdict_and_the_position_stays_as_it_is(map_set: MapSet) -> None:
-    localizer = Localizer(map_set, settings(RigConfig()))
-    states = [
-        localizer.judge_gps(seen(place) if place < FROM else unseen(place), gps_at(place * SPACING_M)).state
-        for place in range(20, FROM + FRAMES)
-    ]
+    estimator = PositionEstimator(settings(RigConfig()))
+    estimator.use_maps(map_set)
+
+    def verdict(answer: PlaceMatch, place: int) -> str:
+        motion = ReportedMotion(0.0, True, (0.0, 8.0), 0.0, 0.0)
+        return estimator.update(answer, 0, motion, None, Report(0), gps_at(place * SPACING_M)).state
+
+    states = [verdict(seen(place) if place < FROM else unseen(place), place) for place in range(20, FROM + FRAMES)]
     assert states[FROM - 21] == "agrees"
     assert states[-1] == "not recognized"
-    localizer.reset()
-    assert localizer.judge_gps(unseen(FROM), gps_at(FROM * SPACING_M)).state != "not recognized"
+    estimator.reset()
+    assert verdict(unseen(FROM), FROM) != "not recognized"

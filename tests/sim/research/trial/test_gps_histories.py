@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from edge.geodesy import moved
+from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 from sim.research.trial import gps_command
 from sim.research.trial.gps_drives import Outcome, PlacedDrive, PlacedFrame, judge
 from sim.trial import gps_histories
 from sim.vehicle.position_inputs import east_north_m
-from tests.localization.route_bench import HOME, Stretch, build_route, road_line
+from tests.localization.route_bench import HOME, Stretch, build_maps, road_line
 
 TIME_S = np.arange(0.0, 200.0, 0.1)
 NORTH_M = np.column_stack([np.zeros(2000), 8.0 * TIME_S])
@@ -56,7 +57,8 @@ def test_jamming_comes_before_the_spoofed_position() -> None:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> PlacedDrive:
     """Along a winding road at 8 m/s, with a match each 2 m that is a few meters wrong."""
     line, heading = road_line(1600.0, np.random.default_rng(7))
-    route, _ = build_route(tmp_path_factory.mktemp("map") / "map", line, heading, (Stretch(0.0, 1600.0),))
+    maps, _ = build_maps(tmp_path_factory.mktemp("map") / "map", line, heading, (Stretch(0.0, 1600.0),))
+    route = Route(maps)
     noise, error_m, frames = rng(), 0.0, []
     for number in range(790):
         error_m += -0.03 * error_m + noise.normal(0.0, 0.8)

@@ -1,0 +1,346 @@
+"""Where the vehicle is, and whether that may be published: all that follows from matches and from what is reported.
+
+    every frame:   `follow`, with the autopilot's velocity
+    a used frame:  `update`, with its match, the motion and GPS: the route filter, GPS by the places, the evidence
+    every turn:    `bind_by_gps`, and `bind` where the autopilot has used a position
+    a position:    `position_at_exposure` or `position`, and `refusal`: why it may not be published
+
+Pure: no link, no clock, no file; what is reported comes in as a `Report`. The daemon, and with it the trial and the
+replays of recorded drives, and the hours of the protection level call this object alike.
+
+A match says how far along the map's drive the vehicle is; across it, only that the vehicle is on the road, in its lane.
+Neither uses GPS or the autopilot's velocity, which a spoofed GPS would carry along. So GPS is compared with the newest
+place of the line, although its middle is known better: the middle would have to be moved on by that velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from edge.config import Config, RigConfig
+from edge.geodesy import VehiclePosition, moved_left
+from edge.journal.records import FrameUsed, PlaceFix
+from edge.localization.dead_reckoning import Displacement, ReportedMotion
+from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
+from edge.localization.integrity import GpsState, Integrity, Refusal, Situation, Uncertainty
+from edge.localization.place_fix import (
+    EVEN_SHARPNESS,
+    frame_used,
+    line_middle,
+    map_error_m,
+    match_position,
+    untracked_fix,
+)
+from edge.localization.protection_level import ProtectionLevel, Reckoning
+from edge.localization.route_filter import RouteFilter
+from edge.localization.unseen_road import UnseenRoad, along_and_left_m
+from edge.localization.velocity_error import VelocityError
+from edge.reference_map import MapSet, Route
+from edge.sequence import PlaceMatch
+
+MOST_ASIDE_RAD = math.radians(60)
+"""Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
+the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
+GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
+"""A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
+another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
+BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
+measures its velocity, none is sent. Messages that are weighed need none of this."""
+CALLED_SIGMA_M = 10.0
+"""Of the autopilot's position less the error of GPS, when GPS is called wrong."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an autopilot reports at `now_ns`; None: not known.
+
+    gps: "not healthy" also while GPS is called wrong and ignored. gps_sigma_m: of `position` while GPS bounds it, in
+    each direction. position: its own, without the error of a GPS that was called wrong. displacement: by its velocity
+    at the position's moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether anything
+    besides our positions measures its velocity.
+    """
+
+    now_ns: int
+    gps: GpsState = "unknown"
+    gps_sigma_m: float | None = None
+    position: VehiclePosition | None = None
+    displacement: Displacement | None = None
+    accuracy_m: float | None = None
+    speed_mps: float | None = None
+    driven_m: float | None = None
+    is_aided: bool = True
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of the message that would carry a position: seconds between two, and of the oldest exposure.
+
+    is_reset: whether the autopilot takes it as it is instead of weighing it.
+    """
+
+    period_s: float
+    oldest_s: float
+    is_reset: bool
+
+
+class PositionEstimator:
+    """Follows one vehicle, one frame and one report after another."""
+
+    def __init__(self, config: Config) -> None:
+        gates = config.gates
+        self._config = config
+        self._route: Route | None = None
+        self._filter: RouteFilter | None = None
+        self._unseen_road: UnseenRoad | None = None
+        self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
+        self.velocity_error = VelocityError(config.sequence.length)
+        self._integrity = Integrity(gates)
+        self._uncertainty = Uncertainty(gates.drift_percent)
+        self._reckoning = Reckoning(gates.drift_percent)
+        self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
+        self.newest: PlaceMatch | None = None
+        """The newest believed match."""
+
+    def use_maps(self, maps: MapSet) -> None:
+        """Follow the vehicle along the drives of these maps; what is known of GPS and of the autopilot stays."""
+        self._route = Route(maps)
+        self._filter = RouteFilter(self._route, self._config)
+        self._unseen_road = UnseenRoad(self._route, self._config.rig)
+        self.newest = None
+
+    def grow(self, maps: MapSet) -> None:
+        """Follow the vehicle along maps that have further places after those of the last ones."""
+        assert self._route is not None
+        self._route.grow(maps)
+
+    def reset(self) -> None:
+        """Begin anew: no position is published that rests on frames from before. What is known of GPS stays."""
+        if self._filter is not None and self._unseen_road is not None:
+            self._filter.reset()
+            self._unseen_road.reset()
+        self.velocity_error.clear()
+        self.newest = None
+
+    def restart(self) -> None:
+        """The autopilot may be another one, or has rebooted: nothing bounds its position any more.
+
+        What places and GPS showed of the vehicle holds as far as it can have gone meanwhile (`Displacement.unknown_m`).
+        """
+        self._uncertainty.reset()
+
+    def follow(self, stamp_ns: int, motion: ReportedMotion) -> VelocityError:
+        """Go on to a frame, used or not: what the autopilot's velocity is wrong by, while nothing measures it."""
+        error = self.velocity_error
+        if motion.is_measured:
+            error.begin()
+        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps, motion.pulled_m)
+        return error
+
+    def update(
+        self,
+        match: PlaceMatch | None,
+        stamp_ns: int,
+        motion: ReportedMotion,
+        displacement: Displacement | None,
+        report: Report,
+        gps: GpsFix | None = None,
+        *,
+        missed: int = 0,
+        stands: bool = False,
+    ) -> GpsVerdict:
+        """Use the answer to one frame; what the places say of GPS since.
+
+        displacement, gps: at its exposure. missed: see `RouteFilter.update`. stands: it shows what the last one did.
+        """
+        assert self._filter is not None and self._unseen_road is not None
+        self._filter.update(match, stamp_ns, displacement, missed)
+        if match is not None and match.accepted:
+            self.newest = match
+        self._correct_velocity(match, stamp_ns, motion, stands=stands)
+        is_unseen = False
+        if not stands:
+            self._judge_gps(match, gps, displacement, report.position, missed)
+            is_unseen = self._unseen_road.update(match, gps)
+        verdict = self._referee.verdict
+        # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
+        is_bound = report.position is not None and verdict.state not in ("doubtful", "wrong")
+        if is_bound and report.position is not None and report.gps_sigma_m is not None:
+            self._filter.bind(report.position, report.gps_sigma_m)
+        fix = self._filter.at_exposure()
+        if fix is not None and fix.stamp_ns == stamp_ns:
+            self._integrity.observe(fix, self._situation(fix, displacement, report, None))
+        return GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
+
+    def _correct_velocity(
+        self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
+    ) -> None:
+        error = self.velocity_error
+        if stands:
+            error.use_halt(stamp_ns, motion.velocity_mps)
+            return
+        error.add_frame(stamp_ns)
+        if motion.is_measured or match is None or not match.accepted or match.sharpness < EVEN_SHARPNESS:
+            return
+        assert self._route is not None
+        line = line_middle(match, self._route, self._config.sequence.length)
+        if line is not None:
+            sign = 1 if match.direction == "forward" else -1
+            error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
+
+    def _judge_gps(
+        self,
+        match: PlaceMatch | None,
+        gps: GpsFix | None,
+        displacement: Displacement | None,
+        own: VehiclePosition | None,
+        missed: int,
+    ) -> None:
+        """Compare GPS with the place of a frame at which the vehicle moved."""
+        assert self._filter is not None and self._route is not None
+        comparison = None
+        if match is not None:
+            comparison = compare(match, gps, self._route, self._config.rig, self._config.sequence.length)
+        if comparison is not None:
+            heading_deg = None if own is None else own.heading_deg
+            heads = heading_deg is None or _heads_along(comparison.heading_rad, math.radians(heading_deg))
+            comparison = replace(comparison, displacement=displacement) if heads else None
+        was_wrong = self._referee.verdict.state == "wrong"
+        if self._referee.update(comparison, missed).state == "wrong" and not was_wrong:
+            self._filter.reject_gps()
+
+    def bind_by_gps(self, report: Report) -> None:
+        """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
+        if report.gps_sigma_m is None:
+            return
+        self._uncertainty.bind(report.gps_sigma_m, report.driven_m, by_gps=True)
+        self._integrity.bound(by_gps=True)
+        if report.position is not None and report.driven_m is not None:
+            self._reckoning.bind(report.position, report.displacement, report.driven_m, report.gps_sigma_m)
+
+    def bind(self, sigma_m: float, report: Report) -> None:
+        """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows."""
+        if report.is_aided:
+            self._uncertainty.bind(sigma_m, report.driven_m)
+            self._integrity.bound(by_gps=False)
+
+    def leave_gps(self, report: Report) -> None:
+        """GPS was called wrong and is ignored: what it has contradicted so far is not contradicted any more."""
+        self._uncertainty.bind(CALLED_SIGMA_M, report.driven_m)
+        self._integrity.bound(by_gps=False)
+        self._reckoning.reset()
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether GPS or a position of ours has bounded the autopilot's since its boot."""
+        return self._uncertainty.is_bounded
+
+    def uncertainty_m(self, report: Report) -> float | None:
+        """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
+        if not report.is_aided:
+            return None
+        return self._uncertainty.at(report.driven_m, report.accuracy_m, self._own_velocity_error)
+
+    def bounded_m(self, report: Report) -> float | None:
+        """The same by what bounded it and the distance driven since alone."""
+        return self._uncertainty.at(report.driven_m, None) if report.is_aided else None
+
+    def position_at_exposure(self) -> PlaceFix | None:
+        """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
+        return None if self._filter is None else self._filter.at_exposure()
+
+    def position(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
+        """The position at another moment, by the autopilot's velocity since; None while that is not known."""
+        return None if self._filter is None else self._filter.at(stamp_ns, displacement)
+
+    def refusal(
+        self,
+        fix: PlaceFix,
+        limits: Limits,
+        last_sent_ns: int | None,
+        report: Report,
+        displacement: Displacement | None,
+    ) -> Refusal | None:
+        """Why a position may not be published now; None if it may.
+
+        last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
+        """
+        situation = self._situation(fix, displacement, report, last_sent_ns)
+        refused = self._integrity.refusal(fix, situation, limits.period_s, limits.oldest_s)
+        if refused is not None:
+            return refused
+        most_m, known_m = math.inf, situation.uncertainty_m
+        if not report.is_aided:
+            most_m = ACCURATE_M
+        elif limits.is_reset and known_m is not None:
+            most_m = max(min(GROWS * known_m, ACCURATE_M), known_m / BOUND)
+        return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
+
+    @property
+    def protection_level(self) -> ProtectionLevel | None:
+        """Of the newest position that was asked for; None where its place is not certain enough to be published."""
+        return self._integrity.protection_level
+
+    def _situation(
+        self, fix: PlaceFix, displacement: Displacement | None, report: Report, last_sent_ns: int | None
+    ) -> Situation:
+        self._own_velocity_error = fix.velocity_error
+        reckoned = self._reckoning.at(fix, displacement, report.driven_m)
+        own, sigma_m, is_by_gps = report.position, self.uncertainty_m(report), self._uncertainty.by_gps
+        if not report.is_aided:  # its own position has run away, or is ours
+            own = None
+        if sigma_m is None and reckoned is not None:  # as after a reboot too
+            own, sigma_m, is_by_gps = reckoned.position(fix), reckoned.sigma_m, True
+        speed_mps = report.speed_mps
+        return Situation(
+            report.now_ns, report.gps, speed_mps, own, sigma_m, is_by_gps, last_sent_ns, displacement, reckoned
+        )
+
+    def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:
+        """An event: with the position of the vehicle if it is followed, else with the place's own."""
+        assert self._filter is not None and self._route is not None
+        fix = self._filter.at_exposure()
+        if fix is None or fix.stamp_ns != stamp_ns:
+            fix = untracked_fix(match, stamp_ns, self._route, self._config.rig)
+        return fix
+
+    def frame_used(self, frame: int, stamp_ns: int, match: PlaceMatch | None, missed: int = 0) -> FrameUsed:
+        """The record of a frame and of its match. missed: places passed without a frame before it."""
+        assert self._route is not None
+        return frame_used(frame, stamp_ns, match, self._route, self._config.rig, missed)
+
+
+def _heads_along(road_rad: float, heading_rad: float) -> bool:
+    """Whether a vehicle heads along the road of a place: a match may go on through a turn of the map's drive."""
+    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
+
+
+def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:
+    """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
+
+    length: frames in a sequence.
+    """
+    if not match.accepted or line_middle(match, route, length) is None:
+        return None
+    place = match_position(match, route, rig)
+    if place is None or place.heading_deg is None:
+        return None
+    drive, lane_m = route.drive(match.place_index), rig.left_m(match.direction)
+    lat_deg, lon_deg = moved_left(place.lat_deg, place.lon_deg, place.heading_deg, lane_m)
+    heading_rad = math.radians(place.heading_deg)
+    match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
+    off_along_m = off_left_m = None
+    if gps is not None:
+        off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
+    return Comparison(
+        recording=drive.recording,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        spacing_m=drive.spacing_m,
+        heading_rad=heading_rad,
+        off_along_m=off_along_m,
+        off_left_m=off_left_m,
+        along_sigma_m=math.hypot(match_m, map_m, gps_m),
+        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
+        match_sigma_m=match_m,
+    )

@@ -1,0 +1,58 @@
+"""What the estimator joins: GPS is compared with a place only where the vehicle heads along its road."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from edge.config import RigConfig
+from edge.geodesy import VehiclePosition
+from edge.localization import GpsFix, ReportedMotion
+from edge.localization.position_estimator import PositionEstimator, Report
+from edge.reference_map import MapSet
+from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, match, settings
+
+TURNED_AT, FRAMES = 110, 40
+ROOT = Path(__file__).parents[2]
+PARTS = "Integrity", "Reckoning", "Uncertainty", "RouteFilter", "VelocityError"
+
+
+@pytest.mark.parametrize(("heading_deg", "is_called"), [(0.0, False), (None, True)])
+def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(
+    map_set: MapSet, heading_deg: float | None, is_called: bool
+) -> None:
+    """A drive that turned round is in the map; matches follow it back for a while, and GPS goes on with the vehicle.
+
+    Without a heading, an honest GPS is called wrong.
+    """
+    estimator = PositionEstimator(settings(RigConfig()))
+    estimator.use_maps(map_set)
+    motion = ReportedMotion(0.0, True, (0.0, 8.0), 0.0, 0.0)
+
+    def judged(place: int, direction: str, seen: int) -> str:
+        gps = GpsFix(LAT_DEG + place * SPACING_M * METRE_DEG, 153.0, 1.0)
+        report = Report(0, position=VehiclePosition(0, gps.lat_deg, gps.lon_deg, 0.0, heading_deg, 8.0))
+        return estimator.update(match(seen, direction), 0, motion, None, report, gps).state
+
+    states = [judged(place, "forward", place) for place in range(30, TURNED_AT)]
+    assert states[-1] == "agrees"
+    turned = [judged(TURNED_AT + far, "reverse", TURNED_AT - far) for far in range(FRAMES)]
+    assert ("wrong" in turned) == is_called
+
+
+def test_positions_are_estimated_in_one_place() -> None:
+    """The daemon, the trial, the replays and the hours of the protection level put nothing together themselves."""
+    found = set()
+    bench = ROOT / "tests" / "localization"
+    for path in (
+        *ROOT.glob("edge/**/*.py"),
+        *ROOT.glob("sim/**/*.py"),
+        bench / "route_bench.py",
+        bench / "level_hours.py",
+    ):
+        calls = (node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call))
+        if any(isinstance(called, ast.Name) and called.id in PARTS for called in calls):
+            found.add(path.name)
+    assert found == {"position_estimator.py"}
