@@ -202,17 +202,23 @@ class DeadReckoning:
         self._distance.add(stamp_ns, 0.0 if backed else forward_mps, abs(forward_mps))
         self._speed_mps, self._source = abs(speed_mps), source
 
-    def add_velocity(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
-        """A velocity over ground. Ignored where it is not after the newest, or is none."""
+    def add_velocity(
+        self, stamp_ns: int, east_mps: float, north_mps: float, reported_mps: tuple[float, float] | None = None
+    ) -> None:
+        """A velocity over ground. Ignored where it is not after the newest, or is none.
+
+        reported_mps: as it was reported, east and north, where it was found otherwise: two positions that are rounded
+        to a centimeter and 16 ms apart change it by 0.7 m/s, which would be in doubt.
+        """
         if not math.hypot(east_mps, north_mps) <= MAX_SPEED_MPS:
             return
         last_ns = self._displacement.last_ns
         if last_ns is not None and stamp_ns <= last_ns:
             return
         if last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS:
-            self._begin_leg(stamp_ns, east_mps, north_mps)
+            self._begin_leg(stamp_ns, east_mps, north_mps, reported_mps or (east_mps, north_mps))
         else:
-            doubtful_mps = self._doubt.of(stamp_ns - last_ns, (east_mps, north_mps))
+            doubtful_mps = self._doubt.of(stamp_ns - last_ns, reported_mps or (east_mps, north_mps))
             self._displacement.add(stamp_ns, east_mps, north_mps, doubtful_mps)
 
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
@@ -220,7 +226,7 @@ class DeadReckoning:
         self._is_leg_over = True
         self._unknown_m += 0.0 if is_same_vehicle else ELSEWHERE_M
 
-    def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
+    def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float, reported_mps: tuple[float, float]) -> None:
         """Nobody knows how the vehicle moved since the last leg: at most as fast as before or after it."""
         last_ns, total, rate = self._displacement.last_ns, self._displacement.total, self._displacement.rate
         if last_ns is not None and total is not None:
@@ -229,7 +235,7 @@ class DeadReckoning:
             self._unknown_m += most_mps * silent_s
             ends = zip(total, rate, (east_mps, north_mps, 0.0), strict=True)
             total = tuple(moved_m + (before + after) / 2 * silent_s for moved_m, before, after in ends)
-        self._doubt = _Doubt((east_mps, north_mps))
+        self._doubt = _Doubt(reported_mps)
         self._displacement.begin(stamp_ns, total or (0.0, 0.0, 0.0), east_mps, north_mps, 0.0)
         self._legs, self._is_leg_over = self._legs + 1, False
 

@@ -40,9 +40,8 @@ place."""
 ERRORS = np.linspace(-3.0, 3.0, 7)
 ERROR_PRIORS = np.exp(-(ERRORS**2) / 2)
 """Where it is more: the errors, in standard deviations, at which the rows are compared, and how likely each is."""
-NEWEST_ROWS = 20
-"""Rows of a line that are compared. With 12, 20, 30 and 40, positions on 20 simulated drives home had median errors of
-1.7, 1.5, 1.6 and 1.6 m; where wheels spin, what is older is of another odometer."""
+ROWS_IN_DOUBT = 20
+"""Newest rows that are compared where the odometer was in doubt meanwhile, since older ones are of another odometer."""
 STRAIGHT = 2
 """The newest frames by which a vehicle goes on."""
 
@@ -163,7 +162,8 @@ class Sightings:
         if parallax is None or not self._rig.parallax:
             return None
         spacing_m = self._route.drive(match.place_index).spacing_m
-        rows = parallax.ages[:NEWEST_ROWS]
+        in_doubt = self._since(float(parallax.ages.max()))[2] != 0
+        rows = parallax.ages[: ROWS_IN_DOUBT if in_doubt else None]
         ages = np.append(rows, rows.mean())
         passed = self._passed_at(match, line, ages)
         seen = self._passed_at(match, line, ages - self._sees_m / (match.step * spacing_m))
@@ -180,7 +180,7 @@ class Sightings:
         driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
         further_m, priors = _further(driven_m, passed.since_m[:, 2], scale_sigma, doubt_sigma)
         found = []
-        for costs, side in zip(parallax.costs[:, :NEWEST_ROWS], SIDES, strict=True):
+        for costs, side in zip(parallax.costs[:, : len(rows)], SIDES, strict=True):
             lies_m = along_m + side * self._rig.parallax * left_m
             moved_m = lies_m - further_m
             found.append(region_line(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))

@@ -302,7 +302,8 @@ class Vehicle:
             return
         self._add_speed(stamp_ns, signed_speed(now.east_mps, now.north_mps, heading_deg), source=1)
         before, self._position = self._position, now
-        self._add_velocity(stamp_ns, *self._east_north_mps(before, now), heading_deg)
+        found_mps = self._east_north_mps(before, now)
+        self._add_velocity(stamp_ns, *found_mps, heading_deg, (now.east_mps, now.north_mps))
 
     def _east_north_mps(self, before: VehiclePosition | None, now: VehiclePosition) -> tuple[float, float]:
         """Velocity by two positions, while no position of ours has moved them; else, and over jumps, as reported.
@@ -352,7 +353,14 @@ class Vehicle:
         if self.is_aided:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
-    def _add_velocity(self, stamp_ns: int, east_mps: float, north_mps: float, heading_deg: float | None) -> None:
+    def _add_velocity(
+        self,
+        stamp_ns: int,
+        east_mps: float,
+        north_mps: float,
+        heading_deg: float | None,
+        reported_mps: tuple[float, float] | None = None,
+    ) -> None:
         """A velocity by the autopilot's estimate; where nothing aids that, only what is known of it ahead counts."""
         self._velocity_mps = east_mps, north_mps
         if heading_deg is not None:
@@ -368,7 +376,8 @@ class Vehicle:
             if speed_mps is None or heading_deg is None:
                 return
             east_mps, north_mps = speed_mps * sin, speed_mps * cos
-        self._motion.add_velocity(stamp_ns, east_mps, north_mps)
+            reported_mps = None
+        self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
         self.gps.read_filter(message.flags, self.autopilot, now_ns)

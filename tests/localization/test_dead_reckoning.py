@@ -176,3 +176,16 @@ def test_a_velocity_that_stays_changed_is_doubtful_for_60_m() -> None:
     moved = motion.displacement(299 * S // 10)
     assert moved is not None
     assert moved.doubtful_m == pytest.approx(DOUBTED_M / 3, abs=1.0), "4 of 12 m/s"
+
+
+def test_a_velocity_by_rounded_positions_is_not_in_doubt() -> None:
+    """Positions of a real autopilot, 16 ms apart and rounded to a centimeter; the velocity that it reports is even."""
+    doubtful_m = []
+    for reported in (True, False):
+        motion = DeadReckoning()
+        for number in range(50):
+            motion.add_velocity(number * 16_000_000, 8.0 + 0.7 * (number % 2), 0.0, (8.0, 0.0) if reported else None)
+        found = motion.displacement(49 * 16_000_000)
+        assert found is not None
+        doubtful_m.append(found.doubtful_m)
+    assert doubtful_m[0] == 0 != doubtful_m[1]
