@@ -2,7 +2,7 @@
 
 `consensus` believes a place or not; `position_estimator` is what follows from a match. `place_fix` makes positions of
 matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
-`route_filter` follows the vehicle with them, by one `track` or two, and `route_estimate` is the Kalman filter of each;
+`route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
 `gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
 autopilot reports of its motion, and `velocity_error` finds what is wrong with that where nothing measures it;
 `integrity` decides what may be published, by what was observed (`claims`), and `protection_level` says how far off that

@@ -5,10 +5,10 @@ regions say, where [rig] parallax is measured; else the road's width is all that
 moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by how
 much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without it
 correct a position that is known. A match is used only if its line moved over the ground as the autopilot's velocity
-did, and if it agrees with the estimate. Where matches keep disagreeing with the estimate but agree with each other, a
-second estimate follows them and replaces the first one after a correlation length without a match for that. An estimate
-that is lost, since there was no match for long, goes on by reckoning alone, and the next one begins where it is if it
-agrees with the match. If it does not, the positions of the next one are disputed for a correlation length.
+did, and if it agrees with the estimate, whose positions are disputed where several in a row do not. An estimate that is
+lost, since no match agreed with it for [tracking] lost_after_m, goes on by reckoning alone, and the next one begins
+where it is if it agrees with the match. If it does not, the positions of the next one are disputed for a correlation
+length.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.place_fix import EVEN_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors
+from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import Track
 from edge.reference_map import Route
@@ -39,8 +39,8 @@ ODD_SIGMAS = 1.5
 """Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
 SHOWN = 3.0
 """What `RouteEstimate.support` must be of a match that is not believed."""
-RIVAL_MATCHES = 3
-"""Matches in a row that disagree with the estimate before its positions are disputed."""
+DISAGREE = 3
+"""Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
 
 
 class RouteFilter:
@@ -59,7 +59,7 @@ class RouteFilter:
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
-        self._rival: Track | None = None
+        self._disagreeing = 0  # matches since one agreed
         self._since_gps: RouteEstimate | None = None
         self._since_lost: RouteEstimate | None = None
         """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
@@ -81,11 +81,10 @@ class RouteFilter:
 
     def reject_gps(self) -> None:
         """GPS was wrong when it bounded the estimates: only places count from now on."""
-        self._exposure = self._track = self._rival = self._since_gps = self._since_lost = None
+        self._exposure = self._track = self._since_gps = self._since_lost = None
 
     def _estimates(self) -> list[RouteEstimate]:
-        tracks = (self._track, self._rival)
-        return [*(track.estimate for track in tracks if track is not None), *self._reckoned]
+        return [*([] if self._track is None else [self._track.estimate]), *self._reckoned]
 
     @property
     def _reckoned(self) -> list[RouteEstimate]:
@@ -143,7 +142,7 @@ class RouteFilter:
     @property
     def _is_disputed(self) -> bool:
         """Whether reckoning or matches disagree with the estimate, or agree only with an odometer that is too wrong."""
-        track, rival = self._track, self._rival
+        track = self._track
         if track is None:
             return False
         # What the last track found of the odometer holds until this one knows it as well.
@@ -151,7 +150,7 @@ class RouteFilter:
         scale = min(estimates, key=lambda one: one.scale_sigma).scale
         drift = max(self._config.drift_percent / 100, 0.0 if self._at is None else self._at.drift)
         is_odd = abs(scale) > ODD_SIGMAS * drift
-        return is_odd or not track.is_confirmed or (rival is not None and rival.matches >= RIVAL_MATCHES)
+        return is_odd or not track.is_confirmed or self._disagreeing >= DISAGREE
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
@@ -175,9 +174,8 @@ class RouteFilter:
         self._sightings.add(now_m)
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
-            for track in (self._track, self._rival):
-                if track is not None:
-                    track.move(moved_m, displacement.drift)
+            if self._track is not None:
+                self._track.move(moved_m, displacement.drift)
             for estimate in self._reckoned:
                 estimate.predict(moved_m, displacement.drift)
         self._at = displacement
@@ -188,23 +186,11 @@ class RouteFilter:
             track = self._track = self._begin(sighting, stamp_ns)
         elif track.agrees(sighting, self._rig.sigma_across_m):
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
-            self._rival = None
         else:
-            track = self._dispute(sighting, stamp_ns)
-        if track is not None:
-            self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
-
-    def _dispute(self, sighting: Sighting, stamp_ns: int) -> Track | None:
-        """A match that disagrees with the estimate; returns the one that replaces it, if it is time for that."""
-        rival = self._rival
-        if rival is None or not rival.agrees(sighting, self._rig.sigma_across_m):
-            self._rival = self._begin(sighting, stamp_ns)
-            return None
-        rival.add(sighting, self._rig.sigma_across_m, stamp_ns)
-        if rival.driven_m < CORRELATION_M:
-            return None
-        self._track, self._rival = rival, None
-        return rival
+            self._disagreeing += 1
+            return
+        self._disagreeing = 0
+        self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
 
     def _begin(self, sighting: Sighting, stamp_ns: int) -> Track:
         road_sigma_m = self._rig.sigma_across_m

@@ -1,4 +1,4 @@
-"""Positions that are lost, disputed, or replaced: which matches the route filter uses, and what it begins from."""
+"""Positions that are lost or disputed: which matches the route filter uses, and what it begins from."""
 
 from __future__ import annotations
 
@@ -135,21 +135,16 @@ def test_one_false_match_changes_nothing(open_filter: Callable[..., RouteFilter]
     assert fix.matches == 32
 
 
-def test_matches_that_agree_with_each_other_dispute_the_position_and_replace_it(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
-    """The position that they replace it by counts its matches anew, and is not disputed any more."""
-    drive = warm(open_filter(lost_after_m=1000.0, lost_after_s=60.0))
-    disputed = []
-    for _ in range(40):
+def test_matches_that_disagree_in_a_row_dispute_the_position(open_filter: Callable[..., RouteFilter]) -> None:
+    """By [tracking] lost_after_m another one begins where they are, and is disputed for a correlation length."""
+    drive, disputed = warm(open_filter(lost_after_m=20.0)), []
+    for _ in range(44):
         drive.go(1, lambda place: match(place + 200 + 20))
         fix = drive.filter.at_exposure()
         assert fix is not None
         disputed.append(fix.disputed)
     assert disputed.index(True) == 2
-    replaced = len(disputed) - disputed[::-1].index(True)
-    assert not any(disputed[replaced:])
-    assert replaced * SPACING_M <= 70.0
+    assert disputed.index(False, 2) * SPACING_M == pytest.approx(20.0 + 60.0, abs=4.0)
     assert drive.north_m(fix) == pytest.approx(1000.0 + (drive.place + 20) * SPACING_M, abs=0.1)
     assert fix.matches < 45
 
