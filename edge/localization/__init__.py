@@ -5,8 +5,8 @@ matches; `sighting` puts a match on the ground, and `region_lines` what its two 
 `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
 `gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
 autopilot reports of its motion, and `velocity_error` finds what is wrong with that where nothing measures it;
-`integrity` decides what may be published, by what was observed (`claims`), and `protection_level` says how far off that
-may be.
+`integrity` decides what may be published, by the rules of `refusals` and by what was observed (`claims`), and
+`protection_level` says how far off that may be.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from edge.localization.integrity import (
     GPS_SIGMA_M,
     GpsState,
     Integrity,
-    Refusal,
+    Limits,
     Situation,
     Uncertainty,
     distance_from,
     offset_m,
 )
-from edge.localization.position_estimator import Limits, PositionEstimator, Report
+from edge.localization.position_estimator import PositionEstimator, Report
 from edge.localization.protection_level import ProtectionLevel
+from edge.localization.refusals import Refusal
 from edge.localization.route_estimate import CORRELATION_M
 from edge.localization.velocity_error import PULLED_NS
 

@@ -16,6 +16,7 @@ could refute it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -25,30 +26,21 @@ from edge.journal.records import PlaceFix
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims, alike_m
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Reckoned, Unnoticed, Wrong, protection_level
+from edge.localization.refusals import Reason, Refusal
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
-Reason: TypeAlias = Literal[
-    "no position in the map",
-    "too old",
-    "GPS is healthy",
-    "GPS is unknown",
-    "the speed is not known",
-    "standing",
-    "too soon",
-    "the newest matches disagree",
-    "the displacement is not known",
-    "impossibly far",
-    "less accurate than the autopilot",
-    "not confirmed by another place yet",
-    "its protection level is above the alert limit",
-]
 GPS_SIGMA_M = 3.0
 BOUND_WRONG, ONE_MORE = 0.1, 20.0
 """Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 SHIFT_SIGMAS = 3.0
+GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
+"""A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
+another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
+BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
+measures its velocity, none is sent. Messages that are weighed need none of this."""
 UNNOTICED = Unnoticed(STRETCH_WRONG, alike_m(CORRELATION_M, 0.0))
 """Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
 velocity's error besides, that error needs itself."""
@@ -61,7 +53,8 @@ class Situation:
     position: the autopilot's own, None if it has none. uncertainty_m: its standard deviation, None if unbounded.
     bound_by_gps: whether GPS bounded it last. speed_mps: None if unknown. last_sent_ns: of the last fix, None if there
     was none. displacement: by the autopilot's velocity at the fix's moment, None if unknown. reckoned: where the
-    vehicle is at that moment without any place, None if unknown.
+    vehicle is at that moment without any place, None if unknown. is_aided: whether anything besides our positions
+    measures the autopilot's velocity.
     """
 
     now_ns: int
@@ -73,14 +66,19 @@ class Situation:
     last_sent_ns: int | None
     displacement: Displacement | None
     reckoned: Reckoned | None = None
+    is_aided: bool = True
 
 
 @dataclass(frozen=True)
-class Refusal:
-    """Why a fix is withheld. distance_m: from the autopilot's own position, None if unknown."""
+class Limits:
+    """Of the message that would carry a position: seconds between two, and of the oldest exposure.
 
-    reason: Reason
-    distance_m: float | None = None
+    is_reset: whether the autopilot takes it as it is instead of weighing it.
+    """
+
+    period_s: float
+    oldest_s: float
+    is_reset: bool = False
 
 
 class Integrity:
@@ -110,47 +108,44 @@ class Integrity:
             is_shift = situation.bound_by_gps and distance_m > SHIFT_SIGMAS * fix.sigma_m
         return self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
 
-    def refusal(self, fix: PlaceFix, situation: Situation, period_s: float, oldest_s: float) -> Refusal | None:
-        """Why the fix may not be published; None if it may."""
+    def refusal(self, fix: PlaceFix, situation: Situation, limits: Limits) -> Refusal | None:
+        """Why the fix may not be published, the first of `refusals.RULES` that holds; None if it may."""
         self.protection_level, claim = None, self.observe(fix, situation)
-        gates, age_s = self._gates, (situation.now_ns - fix.stamp_ns) / 1e9
-        since_s = math.inf if situation.last_sent_ns is None else (situation.now_ns - situation.last_sent_ns) / 1e9
-        speed_mps = situation.speed_mps
-        rules: tuple[tuple[bool, Reason], ...] = (
-            (not fix.is_position, "no position in the map"),
-            (not 0 <= age_s <= oldest_s, "too old"),
-            (situation.gps == "healthy" and not gates.with_gps, "GPS is healthy"),
-            (situation.gps == "unknown" and not gates.with_gps, "GPS is unknown"),
-            (speed_mps is None or not math.isfinite(speed_mps), "the speed is not known"),
-            (speed_mps is not None and speed_mps < gates.min_speed_mps, "standing"),
-            (since_s < period_s, "too soon"),
-            (fix.disputed, "the newest matches disagree"),
-            (situation.displacement is None, "the displacement is not known"),
-        )
-        for against, reason in rules:
-            if against:
-                return Refusal(reason)
-        assert claim is not None
-        return self._too_uncertain(fix, claim, situation)
-
-    def _too_uncertain(self, fix: PlaceFix, claim: Claim, situation: Situation) -> Refusal | None:
-        gates = self._gates
-        distance_m = distance_from(situation.position, fix) if situation.position is not None else None
-        # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
-        if distance_m is not None and situation.uncertainty_m is not None and distance_m > gates.max_move_m:
-            return Refusal("impossibly far", distance_m)
-        place_wrong = self._claims.wrong(claim)
-        # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it.
-        # A position that is not known says nothing against a place, and nothing for it.
-        is_known = situation.position is not None and situation.uncertainty_m is not None
-        likelihood = claim.likelihood if is_known else min(claim.likelihood, 1 / SPREAD_M)
-        if wrong_probability(place_wrong, likelihood, may_be_shifted=claim.may_be_shifted) > gates.risk:
-            return Refusal("not confirmed by another place yet", distance_m)
-        self.protection_level = self._protection_level(fix, claim, situation)
-        if gates.alert_limit_m and not self.protection_level.is_within(gates.alert_limit_m):
-            return Refusal("its protection level is above the alert limit", distance_m)
-        self._published_wrong = place_wrong
+        for reason, holds in self.rules(fix, situation, limits, claim):
+            if holds:
+                return Refusal(reason, _distance_m(situation, fix))
         return None
+
+    def rules(
+        self, fix: PlaceFix, now: Situation, limits: Limits, claim: Claim | None
+    ) -> Iterator[tuple[Reason, bool]]:
+        """Each reason, and whether it holds. One may rest on those before, so none is asked after one that holds."""
+        gates, age_s = self._gates, (now.now_ns - fix.stamp_ns) / 1e9
+        since_s = math.inf if now.last_sent_ns is None else (now.now_ns - now.last_sent_ns) / 1e9
+        yield "no position in the map", not fix.is_position
+        yield "too old", not 0 <= age_s <= limits.oldest_s
+        yield "GPS is healthy", now.gps == "healthy" and not gates.with_gps
+        yield "GPS is unknown", now.gps == "unknown" and not gates.with_gps
+        yield "the speed is not known", now.speed_mps is None or not math.isfinite(now.speed_mps)
+        yield "standing", now.speed_mps is not None and now.speed_mps < gates.min_speed_mps
+        yield "too soon", since_s < limits.period_s
+        yield "the newest matches disagree", fix.disputed
+        yield "the displacement is not known", now.displacement is None or claim is None
+        assert claim is not None
+        # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
+        distance_m = _distance_m(now, fix) if now.uncertainty_m is not None else None
+        is_bounded = distance_m is not None
+        yield "impossibly far", distance_m is not None and distance_m > gates.max_move_m
+        place_wrong = self._claims.wrong(claim)
+        # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that
+        # is not known says nothing against a place, and nothing for it.
+        likelihood = claim.likelihood if is_bounded else min(claim.likelihood, 1 / SPREAD_M)
+        wrong = wrong_probability(place_wrong, likelihood, may_be_shifted=claim.may_be_shifted)
+        yield "not confirmed by another place yet", wrong > gates.risk
+        level = self.protection_level = self._protection_level(fix, claim, now)
+        yield "its protection level is above the alert limit", not level.is_within(gates.alert_limit_m or math.inf)
+        yield "less accurate than the autopilot", fix.sigma_m > _most_sigma_m(now, limits)
+        self._published_wrong = place_wrong
 
     def _protection_level(self, fix: PlaceFix, claim: Claim, situation: Situation) -> ProtectionLevel:
         """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
@@ -176,6 +171,19 @@ class Integrity:
         gates, speed_mps = self._gates, situation.speed_mps or 0.0
         stretch_m = SAME_RECORDING * gates.confirm_m
         return protection_level(fix, wrong, UNNOTICED, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
+
+
+def _distance_m(now: Situation, fix: PlaceFix) -> float | None:
+    return None if now.position is None or not fix.is_position else distance_from(now.position, fix)
+
+
+def _most_sigma_m(now: Situation, limits: Limits) -> float:
+    """The largest standard deviation of a position that makes the autopilot's no worse."""
+    if not now.is_aided:
+        return ACCURATE_M
+    if not limits.is_reset or now.uncertainty_m is None:
+        return math.inf
+    return max(min(GROWS * now.uncertainty_m, ACCURATE_M), now.uncertainty_m / BOUND)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:

@@ -23,7 +23,7 @@ from edge.geodesy import VehiclePosition, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
-from edge.localization.integrity import GpsState, Integrity, Refusal, Situation, Uncertainty
+from edge.localization.integrity import GpsState, Integrity, Limits, Situation, Uncertainty
 from edge.localization.place_fix import (
     EVEN_SHARPNESS,
     frame_used,
@@ -33,6 +33,7 @@ from edge.localization.place_fix import (
     untracked_fix,
 )
 from edge.localization.protection_level import ProtectionLevel, Reckoning
+from edge.localization.refusals import Refusal
 from edge.localization.route_filter import RouteFilter
 from edge.localization.unseen_road import UnseenRoad, along_and_left_m
 from edge.localization.velocity_error import VelocityError
@@ -42,11 +43,6 @@ from edge.sequence import PlaceMatch
 MOST_ASIDE_RAD = math.radians(60)
 """Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
 the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
-GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
-"""A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
-another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
-BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
-measures its velocity, none is sent. Messages that are weighed need none of this."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
@@ -70,18 +66,6 @@ class Report:
     speed_mps: float | None = None
     driven_m: float | None = None
     is_aided: bool = True
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Of the message that would carry a position: seconds between two, and of the oldest exposure.
-
-    is_reset: whether the autopilot takes it as it is instead of weighing it.
-    """
-
-    period_s: float
-    oldest_s: float
-    is_reset: bool
 
 
 class PositionEstimator:
@@ -265,16 +249,7 @@ class PositionEstimator:
 
         last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
         """
-        situation = self._situation(fix, displacement, report, last_sent_ns)
-        refused = self._integrity.refusal(fix, situation, limits.period_s, limits.oldest_s)
-        if refused is not None:
-            return refused
-        most_m, known_m = math.inf, situation.uncertainty_m
-        if not report.is_aided:
-            most_m = ACCURATE_M
-        elif limits.is_reset and known_m is not None:
-            most_m = max(min(GROWS * known_m, ACCURATE_M), known_m / BOUND)
-        return Refusal("less accurate than the autopilot") if fix.sigma_m > most_m else None
+        return self._integrity.refusal(fix, self._situation(fix, displacement, report, last_sent_ns), limits)
 
     @property
     def protection_level(self) -> ProtectionLevel | None:
@@ -291,9 +266,17 @@ class PositionEstimator:
             own = None
         if sigma_m is None and reckoned is not None:  # as after a reboot too
             own, sigma_m, is_by_gps = reckoned.position(fix), reckoned.sigma_m, True
-        speed_mps = report.speed_mps
         return Situation(
-            report.now_ns, report.gps, speed_mps, own, sigma_m, is_by_gps, last_sent_ns, displacement, reckoned
+            report.now_ns,
+            report.gps,
+            report.speed_mps,
+            own,
+            sigma_m,
+            is_by_gps,
+            last_sent_ns,
+            displacement,
+            reckoned,
+            report.is_aided,
         )
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:

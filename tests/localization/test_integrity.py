@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import msgspec
 import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import Displacement, Integrity, PlaceFix, Situation, Uncertainty
+from edge.localization import Displacement, Integrity, Limits, PlaceFix, Situation, Uncertainty
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
 from edge.localization.protection_level import Reckoned
+from edge.localization.refusals import RULES, Reason, as_table
 
 S = 1_000_000_000
 NOW_NS = 100 * S
@@ -24,7 +26,7 @@ MOVING = Situation(NOW_NS, "not healthy", 10.0, OWN, 4.0, True, None, Displaceme
 
 
 def reason(fix: PlaceFix = FIX, one: Integrity | None = None, gates: GatesConfig | None = None, **now: Any) -> Any:
-    refused = (one or Integrity(gates or GatesConfig())).refusal(fix, replace(MOVING, **now), 1.0, 5.0)
+    refused = (one or Integrity(gates or GatesConfig())).refusal(fix, replace(MOVING, **now), Limits(1.0, 5.0))
     return refused.reason if refused else None
 
 
@@ -257,3 +259,16 @@ def test_what_is_not_published_has_no_protection_level() -> None:
     assert one.protection_level is not None
     assert reason(one=one, gps="healthy") == "GPS is healthy"
     assert one.protection_level is None
+
+
+def test_the_rules_are_checked_in_the_order_of_the_page_and_each_has_its_test() -> None:
+    one = Integrity(GatesConfig())
+    claim = one.observe(FIX, MOVING)
+    assert tuple(reason for reason, _ in one.rules(FIX, MOVING, Limits(1.0, 5.0), claim)) == tuple(
+        r.reason for r in RULES
+    )
+    assert {rule.reason for rule in RULES} == set(get_args(Reason))
+    tests = "".join(path.read_text() for path in Path(__file__).parents[1].glob("*/test_*.py"))
+    assert [rule.test for rule in RULES if f"def {rule.test}(" not in tests] == []
+    page = (Path(__file__).parents[2] / "docs/positions.md").read_text(encoding="utf-8")
+    assert as_table() in page, "write it anew: python -m tests.docs.refusals_table"

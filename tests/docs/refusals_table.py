@@ -1,0 +1,14 @@
+"""The table of docs/positions.md, made from the rules: `python -m tests.docs.refusals_table` writes it anew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from edge.localization.refusals import as_table
+from sim.trial.table import put_between
+
+PAGE = Path(__file__).parents[2] / "docs/positions.md"
+MARKS = "<!-- refusals: begin -->", "<!-- refusals: end -->"
+
+if __name__ == "__main__":
+    put_between(MARKS, PAGE, as_table())
