@@ -102,16 +102,16 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
 installed_extras() { # prints those of the installed version whose packages are all there, with commas
     # By the new Python: after an upgrade of the system, the old environment's own finds none of its packages.
     PYTHONPATH=$(echo "$root$prefix"/lib/python3*/site-packages) "$python" - <<'PYTHON'
-from importlib.metadata import Distribution, PackageNotFoundError, distribution
+import os
+from importlib.metadata import Distribution, DistributionFinder, MetadataPathFinder
 
 from pip._vendor.packaging.requirements import Requirement
 
+INSTALLED = [os.environ["PYTHONPATH"]]  # and not what the new Python itself has
+
 
 def find(name: str) -> "Distribution | None":
-    try:
-        return distribution(name)
-    except PackageNotFoundError:
-        return None
+    return next(iter(MetadataPathFinder.find_distributions(DistributionFinder.Context(name=name, path=INSTALLED))), None)
 
 
 def has(lookback: Distribution, extra: str) -> bool:
