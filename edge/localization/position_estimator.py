@@ -148,9 +148,9 @@ class PositionEstimator:
             is_unseen = self._unseen_road.update(match, gps)
         verdict = self._referee.verdict
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
-        is_bound = report.position is not None and verdict.state not in ("doubtful", "wrong")
-        if is_bound and report.position is not None and report.gps_sigma_m is not None:
-            self._filter.bind(report.position, report.gps_sigma_m)
+        own, sigma_m = report.position, report.gps_sigma_m
+        if own is not None and sigma_m is not None and verdict.state not in ("doubtful", "wrong"):
+            self._filter.bind(own, sigma_m)
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == stamp_ns:
             self._integrity.observe(fix, self._situation(fix, displacement, report, None))
