@@ -12,6 +12,7 @@ import zlib
 from collections import deque
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -114,7 +115,7 @@ class PictureAge:
     """Compares starts and stops of the pictures with those of the vehicle."""
 
     def __init__(self) -> None:
-        self._means: NDArray[np.float64] | None = None
+        self._means: NDArray[np.float32] | None = None
         self._changes: deque[tuple[int, float]] = deque()
         """Of the pictures since BEFORE_NS + AFTER_NS ago: stamp, and logarithm of the gray levels of the change."""
         self._newest: tuple[bool | None, int] = None, 0
@@ -127,12 +128,13 @@ class PictureAge:
 
     def add(self, image: NDArray[np.uint8], stamp_ns: int, moves: bool | None) -> None:
         """A picture (H, W, 3) of a moment; moves: whether the vehicle did then, None if unknown."""
-        height, width = (size // BLOCK_PX for size in image.shape[:2])
-        green = image[: height * BLOCK_PX, : width * BLOCK_PX, 1]
-        squares = green.reshape(height, BLOCK_PX, width, BLOCK_PX)
-        before, self._means = self._means, squares.mean(axis=(1, 3))
-        if before is not None and before.shape == self._means.shape:
-            change = max(LEAST_CHANGE, float(np.abs(self._means - before).mean()))
+        height, width = (max(1, size // BLOCK_PX) for size in image.shape[:2])
+        green = cv2.extractChannel(image[: height * BLOCK_PX, : width * BLOCK_PX], 1).astype(np.float32)
+        # Each picture passes here, used or not: this takes a quarter of the time of NumPy's mean.
+        means = np.asarray(cv2.resize(green, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+        before, self._means = self._means, means
+        if before is not None and before.shape == means.shape:
+            change = max(LEAST_CHANGE, float(np.abs(means - before).mean()))
             self._changes.append((stamp_ns, math.log(change)))
         while self._changes and stamp_ns - self._changes[0][0] > BEFORE_NS + AFTER_NS:
             self._changes.popleft()

@@ -19,7 +19,7 @@ from edge.localization import GpsState
 from edge.telemetry import stream_check
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link_protocol import LinkProtocol
-from edge.telemetry.position_messages import NAMES, suitable_message
+from edge.telemetry.position_messages import autopilot_name, suitable_message
 from edge.telemetry.vehicle import DOUBLED, Vehicle
 from edge.telemetry.velocity_aid import NO_AID, PARAMETERS, velocity_aid
 
@@ -212,7 +212,7 @@ def requirements(config: TelemetryConfig, autopilot: int | None, version: tuple[
 
 def _judge(config: TelemetryConfig, probe: Probe) -> Iterator[Diagnostic]:
     vehicle = probe.vehicle
-    name = NAMES.get(vehicle.autopilot or 0, f"autopilot {vehicle.autopilot}")
+    name = autopilot_name(vehicle.autopilot)
     version = "{}.{}".format(*vehicle.version) if vehicle.version else "(version not reported)"
     yield good("autopilot", f"{config.connection}: {name} {version}, system {vehicle.system_id}")
     if config.emit == "auto":

@@ -286,7 +286,8 @@ class AutopilotConnection:
                 self._port.codec.system_id = self.vehicle.system_id or self._port.codec.system_id
                 self._set_state("up")
                 self._answer(message)
-                self._keep_position(now_ns)
+                if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                    self._keep_position(now_ns)
             self._send(self._home.read(message, now_ns))
         self.vehicle.expire(now_ns)
         if self._port.is_open and not self.vehicle.connected:

@@ -74,9 +74,14 @@ SUITABLE = (
 NAMES = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 
 
+def autopilot_name(autopilot: int | None) -> str:
+    """Of a MAV_AUTOPILOT, for people."""
+    return NAMES.get(autopilot or 0, f"autopilot {autopilot}")
+
+
 def suitable_message(autopilot: int | None, version: tuple[int, int] | None) -> tuple[PositionMessage | None, str]:
     """What `auto` chooses, and why; None while the version is not known, and for firmware that accepts no position."""
-    name = NAMES.get(autopilot, f"autopilot {autopilot}") if autopilot is not None else "no autopilot"
+    name = autopilot_name(autopilot) if autopilot is not None else "no autopilot"
     if version is None:
         return None, f"{name} has not reported its version"
     spelled = f"{name} {version[0]}.{version[1]}"

@@ -21,6 +21,7 @@ from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.confirmation import JUMP_MS, AnotherClock, Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
+from edge.telemetry.position_messages import autopilot_name
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -42,7 +43,6 @@ PULLS_KEPT = 16
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
 DOUBLED = "two autopilots have the same ids"
-AUTOPILOTS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 HEADING_UNKNOWN = 65535
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
@@ -237,9 +237,7 @@ class Vehicle:
             self.autopilot, self.kind = message.autopilot, message.type
             self._modes = Modes()
             self._start_session(is_same_vehicle=is_same_vehicle)
-            log.info(
-                "link up: system %d, %s", sender, AUTOPILOTS.get(message.autopilot, f"autopilot {message.autopilot}")
-            )
+            log.info("link up: system %d, %s", sender, autopilot_name(message.autopilot))
         if self.connected:
             self._modes.add(message.base_mode, now_ns)
         return self.connected
