@@ -9,30 +9,57 @@ import argparse
 import contextlib
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import msgspec
 
-from edge.camera import check_kind
-from edge.commands.diagnostic import Diagnostic, bad, good, note
-from edge.commands.doctor_autopilot import check_autopilot
-from edge.commands.doctor_computer import (
-    check_camera,
-    check_cameras,
-    check_clock,
-    check_computer,
-    check_disk,
-    check_page,
-    check_ports,
-)
-from edge.commands.doctor_service import act_as_service, check_home_folders
-from edge.commands.doctor_setup import check_links, check_mapping, check_model_and_map
-from edge.config import DEFAULT_TOML, Config, brought_up_to_date, load_config
+from edge.commands import doctor_autopilot, doctor_computer, doctor_setup
+from edge.commands.doctor_findings import Examined, Finding, Found
+from edge.config import DEFAULT_TOML
 from edge.errors import EXIT_SETUP, LookbackError
-from edge.toml_file import read_text, toml_values
 
 MARKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
+Need: TypeAlias = Literal["devices", "config", "network", "maps", "autopilot"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """look: finds something out; an error that it raises is bad, and `remedy` says what to do ({map}: [map] path).
+
+    needs: without one of these there is nothing to check. "devices": it does more than read files.
+    """
+
+    what: str
+    needs: tuple[Need, ...]
+    look: Callable[[Examined], Iterable[Found]]
+    remedy: str = ""
+
+
+CHECKS = (
+    Check("user", (), doctor_computer.act_as_service),
+    Check("computer", ("devices",), doctor_computer.check_computer),
+    Check("config", (), doctor_setup.check_config),
+    Check("camera", ("devices",), doctor_computer.list_cameras),
+    Check("serial port", ("devices",), doctor_computer.list_ports),
+    Check("clock", ("devices",), doctor_computer.check_clock),
+    Check("page", ("devices",), doctor_computer.check_page),
+    Check("service", ("config",), doctor_computer.check_home_folders),
+    Check("model", ("config",), doctor_setup.check_model, 'set [descriptor] model = "" for the shipped model'),
+    Check("map", ("network",), doctor_setup.check_map, "record a drive, then: lookback map build FEED -o {map}"),
+    Check("map accuracy", ("maps",), doctor_setup.check_accuracy),
+    Check("sampling", ("maps",), doctor_setup.check_sampling),
+    Check("way home", ("maps",), doctor_setup.check_way_home),
+    Check("mapping", ("config",), doctor_computer.check_mapping),
+    Check("link", ("config",), doctor_setup.check_links, "correct [telemetry]"),
+    Check("camera", ("config", "devices"), doctor_computer.check_camera),
+    Check("disk", ("config", "devices"), doctor_computer.check_disk),
+    Check("autopilot", ("config", "devices"), doctor_autopilot.check_autopilot),
+    Check("parameter", ("autopilot",), doctor_autopilot.check_parameters),
+)
+"""In this order, since some find what those after them need."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,66 +81,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_run, error=parser.error)
 
 
-def _run(args: argparse.Namespace) -> int:
-    if not args.default:
-        return diagnose(args)
-    print(DEFAULT_TOML.read_text(encoding="utf-8"), end="")
-    return 0
-
-
-def examine(
-    path: Path | None, seconds: float, dev: Path = Path("/dev"), *, offline: bool = False
-) -> Iterator[Diagnostic]:
+def examine(path: Path | None, seconds: float, dev: Path = Path("/dev"), *, offline: bool = False) -> Iterator[Finding]:
     """All findings, as they come; without a config only those about this computer.
 
     dev: where its devices are. offline: only what the config file and the files that it names say.
     """
-    acting = list(act_as_service(path)) if path else []
-    yield from acting
-    config, findings = _config(path)
-    if not offline:
-        yield check_computer()
-    yield from findings
-    if not offline:
-        yield from check_cameras(dev, config.camera if config else None)
-        yield from check_ports(dev)
-        yield from check_clock()
-        yield from check_page(config or Config())
-    if config is None:
-        return
-    if acting:
-        yield from check_home_folders(config)
-    yield from check_model_and_map(config)
-    yield from check_mapping(config)
-    yield from check_links(config.telemetry)
-    if not offline:
-        yield from check_camera(config.camera)
-        yield from check_disk(config)
-        yield from check_autopilot(config.telemetry, config.gates, seconds)
+    examined = Examined(path, dev, seconds)
+    for check in CHECKS:
+        there = {name for name in ("config", "network", "maps", "autopilot") if getattr(examined, name) is not None}
+        if set(check.needs) <= (there if offline else there | {"devices"}):
+            try:
+                for found in check.look(examined):
+                    yield Finding(found[0], check.what, *found[1:])
+            except LookbackError as error:
+                yield Finding("bad", check.what, str(error), check.remedy.format(map=examined.settings.map.path))
 
 
-def _config(path: Path | None) -> tuple[Config | None, list[Diagnostic]]:
-    """The config, None where there is none or a wrong one, and the findings about it."""
-    if path is None:
-        words = "no config file was named, so no camera, map or autopilot is checked"
-        remedy = "lookback doctor CONFIG; `lookback doctor --default > lookback.toml` writes one to start from"
-        return None, [note("config", words, remedy)]
-    try:
-        config = load_config(path)
-        check_kind(config.camera)
-        _, outdated = brought_up_to_date(toml_values(read_text(path), path))
-    except LookbackError as error:
-        remedy = "`lookback doctor --default` prints every key with its range"
-        remedy = remedy if path.exists() else "name the config file of `lookback run`"
-        return None, [bad("config", mistake, remedy) for mistake in str(error).splitlines()]
-    return config, [
-        good("config", f"{path}: every key is valid"),
-        *(note("config", one, f"edit {path}") for one in outdated),
-    ]
-
-
-def diagnose(args: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace) -> int:
     """Print the findings; 1 where something is wrong, 78 (EXIT_SETUP) where only files were checked."""
+    if args.default:
+        print(DEFAULT_TOML.read_text(encoding="utf-8"), end="")
+        return 0
     if args.offline and args.config is None:
         args.error("name a config file")
     findings = []
@@ -126,17 +114,12 @@ def diagnose(args: argparse.Namespace) -> int:
         print(msgspec.json.format(msgspec.json.encode(findings), indent=1).decode())
     count = sum(finding.level == "bad" for finding in findings)
     if args.config and not args.json:
-        print(f"\n{_summary(count)}")
+        fix = f"{count} thing{'s' * (count > 1)} to fix, marked BAD, before `lookback run` can do all of its work"
+        print(f"\n{fix if count else 'nothing to fix'}")
     return (EXIT_SETUP if args.offline else 1) if count else 0
 
 
-def _summary(count: int) -> str:
-    if count == 0:
-        return "nothing to fix"
-    return f"{count} thing{'s' * (count > 1)} to fix, marked BAD, before `lookback run` can do all of its work"
-
-
-def _print(finding: Diagnostic) -> None:
+def _print(finding: Finding) -> None:
     print(f"{MARKS[finding.level]}  {finding.what:<12}  {finding.words}")
     if finding.remedy:
         print(f"{'':20}-> {finding.remedy}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -199,6 +199,10 @@ class AutopilotConnection:
             self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
         for link in self._report_links:
             link.publish_place(fix)
+
+    def request_parameters(self, names: Iterable[str]) -> None:
+        """Request these as well, once each in a session and again while one is missing."""
+        self._protocol.parameters.add(names)
 
     def plan_home_by(self, plan: Plan) -> None:
         """Plan the way home, when it is requested, by this function."""

@@ -14,8 +14,8 @@ import tomli_w
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.__main__ import main
-from edge.commands.diagnostic import Diagnostic
 from edge.commands.doctor import examine
+from edge.commands.doctor_findings import Finding
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -67,7 +67,7 @@ def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
     return write
 
 
-def told(findings: list[Diagnostic], what: str, level: str) -> str:
+def told(findings: list[Finding], what: str, level: str) -> str:
     """The words of all findings of that kind, with what to do."""
     return " | ".join(f"{one.words} -> {one.remedy}" for one in findings if (one.what, one.level) == (what, level))
 

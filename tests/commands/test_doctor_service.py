@@ -10,14 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from edge.commands.doctor_service import check_home_folders
+from edge.commands.doctor_computer import check_home_folders
+from edge.commands.doctor_findings import Examined
 from edge.config import Config, MapConfig, TelemetryConfig
 
 ACT = """
 import os, sys
 from pathlib import Path
-from edge.commands.doctor_service import act_as_service
-words = [finding.words for finding in act_as_service(Path(sys.argv[1]))]
+from edge.commands.doctor_computer import act_as_service
+from edge.commands.doctor_findings import Examined
+words = [words for _, words, _ in act_as_service(Examined(Path(sys.argv[1]), Path("/dev"), 0.0))]
 print(os.getuid(), sorted(os.getgroups()), words)
 """
 
@@ -50,6 +52,7 @@ def test_others_stay_who_they_are(tmp_path: Path) -> None:
 
 def test_home_folders_are_found() -> None:
     config = Config(map=MapConfig(path="/home/pi/street.map"), telemetry=TelemetryConfig(journal="/var/lib/x.jsonl"))
-    (finding,) = check_home_folders(config)
-    assert finding.level == "bad"
-    assert finding.words.startswith("[map] path: /home/pi/street.map: ")
+    assert check_home_folders(Examined(None, Path("/dev"), 0.0, config=config)) == []
+    ((level, words, _),) = check_home_folders(Examined(None, Path("/dev"), 0.0, as_service=True, config=config))
+    assert level == "bad"
+    assert words.startswith("[map] path: /home/pi/street.map: ")

@@ -10,10 +10,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
+from edge.commands.doctor_findings import Examined
 from edge.commands.doctor_setup import check_links
-from edge.config import TelemetryConfig
+from edge.config import Config, TelemetryConfig
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
@@ -82,16 +84,20 @@ def test_connections_that_are_well_formed() -> None:
 def test_doctor_warns_of_a_link_that_a_stranger_may_reach_unsigned(
     connection: str, warned: bool, tmp_path: Path
 ) -> None:
-    (found,) = check_links(TelemetryConfig(connection=connection))
-    assert found.level == ("note" if warned else "good")
-    assert ("can speak in the autopilot's name" in found.words) == warned
+    ((level, words, _),) = check_links(examined(connection=connection))
+    assert level == ("note" if warned else "good")
+    assert ("can speak in the autopilot's name" in words) == warned
     key = tmp_path / "key"
     key.write_bytes(bytes(32))
     key.chmod(0o600)
-    (found,) = check_links(
-        TelemetryConfig(connection=connection, signing_key=str(key), signing_clock=str(tmp_path / "c"))
-    )
-    assert "signed" in found.words and found.level == "good"
+    keys = {"signing_key": str(key), "signing_clock": str(tmp_path / "c")}
+    ((level, words, _),) = check_links(examined(connection=connection, **keys))
+    assert "signed" in words and level == "good"
+
+
+def examined(**telemetry: str) -> Examined:
+    config = Config(telemetry=msgspec.convert(telemetry, TelemetryConfig))
+    return Examined(None, Path("/dev"), 0.0, config=config)
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
