@@ -34,7 +34,7 @@ class Times:
 
     def __str__(self) -> str:
         """Least, median and most."""
-        return f"{_digits(self.least_ms)} / {_digits(self.median_ms)} / {_digits(max(self.runs_ms))}"
+        return f"{digits(self.least_ms)} / {digits(self.median_ms)} / {digits(max(self.runs_ms))}"
 
     def ratio(self, to: Times) -> float:
         """Median of the ratios of consecutive runs."""
@@ -59,6 +59,6 @@ def race(racers: Mapping[str, Callable[[], object]], rounds: int, clock: Clock =
     return {name: Times(tuple(times)) for name, times in runs.items()}
 
 
-def _digits(value_ms: float) -> str:
+def digits(value_ms: float) -> str:
     """Three significant digits."""
     return f"{value_ms:.0f}" if value_ms >= 100 else f"{value_ms:#.3g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any, get_args
 
@@ -26,43 +27,53 @@ from edge.journal.records import SCHEMA, Record
 
 PAGE = Path(__file__).parents[2] / "docs/journal.md"
 NAMES = {IntType: "integer", FloatType: "number", StrType: "string", BoolType: "boolean", DictType: "object"}
+TABLE_HEAD = "\n| key | type, unit | meaning |\n|---|---|---|\n"
 HEAD = f"""# The journal
 
-`[telemetry] journal` names a file to which the daemon appends one JSON object per line. Read it with any JSON tool, or
-in Python with `edge.journal.journal.read_journal`, which skips lines that a crash has torn and passes on what it does
-not know. `lookback export` makes maps and tracks of it.
+`[telemetry] journal` names a file to which the daemon appends one JSON object per line: version {SCHEMA} of the
+records. `lookback export` makes maps and tracks of it. In Python, `edge.journal.journal.read_journal` skips lines that
+a crash has torn.
 
-Each line begins with `unix_s`, the time at which it was written (seconds since 1970, UTC), and `event`, the kind of the
-record. This page describes version {SCHEMA} of the records. A new record or key does not change the version, so readers
-should ignore what they do not know; the version grows when a key is removed or changes its meaning.
+- Each line begins with `unix_s`, the time of writing (seconds since 1970, UTC), and `event`, the kind of the record.
+  `lookback replay` writes records of kind `frame` without both.
+- Readers should ignore keys and records that they do not know: new ones do not change the version.
+- Stamps are on CLOCK_MONOTONIC of the vehicle's computer: they only increase, and start anew with each boot.
 
-`place` is the row of a place in its map. Where `[map] path` is a folder of maps, `map` is the name of that map. Stamps
-are on CLOCK_MONOTONIC of the vehicle's computer: they only increase, and start anew with each boot.
+`python -m tests.docs.journal_page` makes this page from [edge/journal/records.py](../edge/journal/records.py).
 
-`lookback replay` writes records of kind `frame` without `unix_s` and `event`.
-
-This page is made from [edge/journal/records.py](../edge/journal/records.py) by `python -m tests.docs.journal_page`.
+## Keys of several records
 """
 
 
 def journal_page() -> str:
-    """The whole page."""
-    return HEAD + "".join(_section(kind) for kind in get_args(Record))
+    """The whole page: rows that several records share stand once, before the records."""
+    kinds = {kind: _rows(kind) for kind in get_args(Record)}
+    uses = Counter(row for rows in kinds.values() for row in rows.values())
+    shared = [row for row, count in uses.items() if count > 1]
+    return HEAD + TABLE_HEAD + "".join(shared) + "".join(_section(kind, rows, shared) for kind, rows in kinds.items())
 
 
-def _section(kind: type[msgspec.Struct]) -> str:
+def _section(kind: type[msgspec.Struct], rows: dict[str, str], shared: list[str]) -> str:
+    text = " ".join((kind.__doc__ or "").split())
+    own = [row for row in rows.values() if row not in shared]
+    also = ", ".join(f"`{name}`" for name, row in rows.items() if row in shared)
+    about = f"{text} Also: {also}." if also else text
+    return f"\n## {kind.__struct_config__.tag}\n\n{about}\n" + (TABLE_HEAD + "".join(own) if own else "")
+
+
+def _rows(kind: type[msgspec.Struct]) -> dict[str, str]:
+    """Key to its row of the table."""
     info = type_info(kind)
     assert isinstance(info, StructType)
-    text = " ".join((kind.__doc__ or "").split())
-    rows = [_row(field) for field in info.fields]
-    return f"\n## {info.tag}\n\n{text}\n\n| key | type | unit | meaning |\n| --- | --- | --- | --- |\n" + "".join(rows)
+    return {field.encode_name: _row(field) for field in info.fields}
 
 
 def _row(field: Field) -> str:
     meta = _meta(field.type)
     is_left_away = field.default is NODEFAULT and not field.required
     kind = _spell(field.type) + (", or absent" if is_left_away else "")
-    return f"| `{field.encode_name}` | {kind} | {meta['unit']} | {meta['about']} |\n"
+    kind = ", ".join(filter(None, [kind, meta["unit"]]))
+    return f"| `{field.encode_name}` | {kind} | {meta['about']} |\n"
 
 
 def _meta(kind: Any) -> dict[str, str]:

@@ -48,12 +48,13 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
     if places <= LARGEST_FLOAT:
         racers |= _float_rivals(descriptors, both)
     times = race(racers, rounds)
-    what = f"{places:,} places x {REGIONS * dimensions}"
-    rows = [against(f"{what}: {OURS}", OURS, times, READING)]
-    rows += [against(f"{what}: {name}", name, times, OURS) for name in list(racers)[1:]]
+    size = f"{places:,} places x {REGIONS * dimensions}"
+    rows = [against(OURS, OURS, times, READING, size)]
+    rows += [against(name, name, times, OURS, size) for name in list(racers)[1:]]
     macs = machine.floor_ms(descriptors.size, descriptors.size * len(ring))
     whole = race({"ring": lambda: matcher.costs(ring)}, max(2, rounds // 3))["ring"]
-    rows.append(Row(f"{what}: 40 rows, when the ring is normalized again", whole, "its floor", whole.median_ms / macs))
+    ratio = whole.median_ms / macs
+    rows.append(Row("40 rows, when the ring is normalized again", whole, "its floor", ratio, size=size))
     if places < 10_000:
         return rows, []
     over = times[OURS].ratio(times[READING])

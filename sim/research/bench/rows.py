@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim.bench.timing import Times
+from sim.bench.timing import Times, digits
 from sim.research.bench.machine import Machine
 
 
 @dataclass(frozen=True)
 class Row:
-    """One measured stage. against: name of the rival or the floor; ratio: time of this row over the time of that."""
+    """One measured stage. against: name of the rival or the floor; ratio: time of this row over the time of that.
+
+    size: rows of a section that differ in it alone are one line of its table, with a column for each size.
+    """
 
     what: str
     times: Times | None = None
     against: str = ""
     ratio: float | None = None
     note: str = ""
+    size: str = ""
 
 
 @dataclass(frozen=True)
@@ -39,10 +43,17 @@ class Section:
     targets: list[Target]
 
 
-def against(what: str, name: str, times: dict[str, Times], rival: str) -> Row:
+def against(what: str, name: str, times: dict[str, Times], rival: str, size: str = "") -> Row:
     """The row of one racer against another."""
-    return Row(what, times[name], rival, times[name].ratio(times[rival]))
+    return Row(what, times[name], rival, times[name].ratio(times[rival]), size=size)
 
+
+OTHER_PROCESSORS = (
+    "On x86-64 the int8 times need VNNI (AVX-512 VNNI or AVX-VNNI). With AVX2 only, the int8 network is 1.44 times as"
+    " fast as in float32, and nothing else was measured there. No time on aarch64 has been measured: see"
+    " [boards.md](boards.md)."
+)
+"""Which times hold where; the network's without VNNI was measured once, on an x86-64 with AVX2 only."""
 
 MET = {True: "met", False: "**not met**", None: "not measured"}
 
@@ -62,7 +73,10 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         "",
         "Each row was run alternately with the one it is compared with, in one process and on one thread. Times are"
         " least / median / most, in milliseconds of that thread's CPU time unless a row says otherwise. A ratio is the"
-        " median of the ratios of consecutive runs; over 1 means slower than the row that stands beside it.",
+        " median of the ratios of consecutive runs; over 1 means slower than the row that stands beside it. Tables with"
+        " a column for each size have the median, and the ratio in brackets.",
+        "",
+        OTHER_PROCESSORS,
         "",
         "## Targets",
         "",
@@ -71,8 +85,8 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         *(_target(target) for section in sections for target in section.targets),
     ]
     for section in sections:
-        lines += ["", f"## {section.title}", "", "| what | ms | ratio | against | |", "|---|---|---|---|---|"]
-        lines += [_row(row) for row in section.rows]
+        lines += ["", f"## {section.title}", ""]
+        lines += _table_of_sizes(section.rows) if any(row.size for row in section.rows) else _table(section.rows)
     return "\n".join(lines) + "\n"
 
 
@@ -80,6 +94,23 @@ def _target(target: Target) -> str:
     return f"| {target.what} | {target.wanted} | {target.value} | {MET[target.met]} |"
 
 
-def _row(row: Row) -> str:
-    ratio = "" if row.ratio is None else f"{row.ratio:#.3g}".rstrip(".")
-    return f"| {row.what} | {row.times or ''} | {ratio} | {row.against} | {row.note} |"
+def _table(rows: Sequence[Row]) -> list[str]:
+    lines = [f"| {row.what} | {row.times or ''} | {_ratio(row)} | {row.against} | {row.note} |" for row in rows]
+    return ["| what | ms | ratio | against | |", "|---|---|---|---|---|", *lines]
+
+
+def _table_of_sizes(rows: Sequence[Row]) -> list[str]:
+    sizes = list(dict.fromkeys(row.size for row in rows))
+    lines = ["| ms (ratio) | " + " | ".join(sizes) + " | against |", "|---" * (len(sizes) + 2) + "|"]
+    for what, rival in dict.fromkeys((row.what, row.against) for row in rows):
+        cells = {row.size: _cell(row) for row in rows if row.what == what}
+        lines.append(f"| {what} | " + " | ".join(cells.get(size, "") for size in sizes) + f" | {rival} |")
+    return lines
+
+
+def _cell(row: Row) -> str:
+    return f"{digits(row.times.median_ms)} ({_ratio(row)})" if row.times else ""
+
+
+def _ratio(row: Row) -> str:
+    return "" if row.ratio is None else f"{row.ratio:#.3g}".rstrip(".")

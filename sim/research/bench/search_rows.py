@@ -31,11 +31,12 @@ def measure(places: list[int], rounds: int) -> Section:
             if count <= LARGEST_SEQSLAM:
                 rivals["SeqSLAM's search, one direction"] = _seqslam(count, length)
             times = race(rivals, max(2, rounds // 5))
-            what = f"{count:,} places, L = {length}"
-            rows.append(Row(f"{what}: ours", steady[str(length)], "L = 10", steady[str(length)].ratio(steady["10"])))
-            rows += [against(f"{what}: {rival}", rival, times, "ours") for rival in list(rivals)[1:]]
+            size, line = f"{count:,} places", f"L = {length}"
+            ratio = steady[str(length)].ratio(steady["10"])
+            rows.append(Row(f"{line}: ours", steady[str(length)], "L = 10", ratio, size=size))
+            rows += [against(f"{line}: {rival}", rival, times, "ours", size) for rival in list(rivals)[1:]]
             if count == max(places) and length == 40:
-                targets.append(_gather_target(what, times))
+                targets.append(_gather_target(f"{size}, {line}", times))
         targets += [_length_target(count, steady)] if count == max(places) else []
     return Section("Sequence search, one frame", rows, targets)
 
