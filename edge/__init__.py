@@ -31,9 +31,8 @@ The files beside them:
     errors            everything that can go wrong, in three kinds
     geodesy           degrees and local meters
     toml_file         a TOML file as a typed record
-    atomic_file       a file that is replaced as a whole
+    files             files and folders that are replaced whole; whether the paths of a config can be reached
     backoff           delays that double while attempts fail
-    path_access       whether the paths of a config can be reached
     extras            how to add the packages that only some users need
 
 The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.

@@ -17,7 +17,7 @@ import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from edge.errors import ConfigError
-from edge.path_access import check_access
+from edge.files import check_access
 from edge.toml_file import convert_toml, read_text, toml_values
 
 log = logging.getLogger(__name__)

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.atomic_file import replacing
 from edge.config import Config
 from edge.descriptor import RunningStatistics
+from edge.files import replacing
 from edge.recognizer import PlaceRecognizer
 from edge.sequence import PlaceMatch
 

@@ -33,11 +33,10 @@ SHARED_TOOLS = (
     "errors",
     "config",
     "geodesy",
-    "atomic_file",
+    "files",
     "backoff",
     "toml_file",
     "extras",
-    "path_access",
     "journal",
 )
 """Below everything."""

@@ -1,7 +1,7 @@
 """Cameras: V4L2, OAK, stream, recorded feed, or an installed plug-in (the simulator); all hand on a `Frame`.
 
-`v4l2` and `oak` are devices; `settings` lists what a device did not accept. `stream` is a video stream from the
-network or from a command (`command_output`), with its own clock (`stream_clock`). `recorded` plays a feed.
+`v4l2` and `oak` are devices; `frame` lists what a device did not accept. `stream` is a video stream from the network
+or from a command (`command_output`), with its own clock. `recorded` plays a feed.
 `preprocessing` flips, crops and masks the images of all of them. `newest` is the one thread, which keeps only the
 newest frame of any of them and opens a lost camera again; `picture_check` finds pictures that show nothing, or are old.
 A further camera is a module with a class like `Camera`, and a line in `open_camera`; or, outside this package, an entry

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from edge.camera.settings import Setting, differences
+from edge.camera.frame import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
 from edge.extras import install_command

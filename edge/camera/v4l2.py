@@ -21,7 +21,7 @@ from typing import Final, Protocol, TypeAlias
 import cv2
 import numpy as np
 
-from edge.camera.settings import Setting, differences
+from edge.camera.frame import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
 from edge.feed import Frame

@@ -27,8 +27,8 @@ from edge.commands.doctor_findings import Examined, Found, bad, good, note
 from edge.config import change_paths
 from edge.errors import LookbackError
 from edge.extras import install_command
+from edge.files import HOME_FOLDERS
 from edge.mapping.quota import CLOCK_SET_UNIX_S
-from edge.path_access import HOME_FOLDERS
 
 LEAST_FREE_MB = 500
 OAK_VENDOR = "03e7"

@@ -10,7 +10,7 @@ from pathlib import Path
 from edge.config import HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
 from edge.errors import ConfigError, LinkLost
 from edge.mission import Start, WayHome, plan_way_home
-from edge.mission.files import encoder_of, write_way_home
+from edge.mission.items import encoder_of, write_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.home_requests import Answer, Plan

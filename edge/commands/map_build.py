@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 import edge
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands import map_coverage, map_files, map_list, map_sign
+from edge.commands import map_coverage, map_files
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
@@ -20,8 +20,7 @@ from edge.errors import ConfigError
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.feed.traverse import TraverseFrame, driven_m, traverse
 from edge.recognizer import model_key
-from edge.reference_map.builder import NAN, MapBuilder, Place
-from edge.reference_map.place_picture import thumbnail
+from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
 from edge.reference_map.store import MapHeader, RegionsKey, open_map
 
 
@@ -60,8 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
-    map_list.add_actions(actions)
-    map_sign.add_actions(actions)
     map_coverage.add_action(actions)
 
 

@@ -1,37 +1,58 @@
-"""`lookback map info | verify | split`: maps as they lie on the disk, one or a folder of them."""
+"""`lookback map info | verify | split | list | keep | sign | keygen`: maps as they lie on the disk.
+
+Signing is so that a vehicle takes only the maps that its owner has made.
+"""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from datetime import datetime, timezone
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from edge.errors import MapError
 from edge.map_agreement import disagreements
+from edge.mapping.completion import logs_in, map_of
+from edge.mapping.quota import KEEP_FILE, StoredMap, stored_maps
 from edge.reference_map import ReferenceMap, open_map, open_map_set
 from edge.reference_map.place_records import spell_accuracy
-from edge.reference_map.store import MapHeader
+from edge.reference_map.signature import make_key, sign_map
+from edge.reference_map.store import HEADER, MapHeader
 from edge.reference_map.tiles import split_map
+
+SAMPLED_PICTURES = 16
+LIGHTS = ((40.0, "dark"), (80.0, "dim"), (256.0, "bright"))
+"""Mean gray level, of 255, below which a map's pictures are called that."""
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add them to `lookback map`."""
-    info = actions.add_parser("info", help="print the properties of a map, or of the maps of a folder")
-    info.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    info.set_defaults(run=_info)
 
-    verify = actions.add_parser(
-        "verify", help="check every byte of a map or a folder of maps, and whether its drives agree about the road"
-    )
-    verify.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    verify.set_defaults(run=_verify)
+    def add(
+        name: str, run: Callable[[argparse.Namespace], int], about: str, what: str = "a map, or a folder of maps"
+    ) -> argparse.ArgumentParser:
+        parser: argparse.ArgumentParser = actions.add_parser(name, help=about)
+        parser.add_argument("map", type=Path, metavar="MAP", help=what)
+        parser.set_defaults(run=run)
+        return parser
 
-    split = actions.add_parser("split", help="cut a large map into tiles")
-    split.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
+    add("info", _info, "print the properties of a map, or of the maps of a folder")
+    agree = "check every byte of a map or a folder of maps, and whether its drives agree about the road"
+    add("verify", _verify, agree)
+    split = add("split", _split, "cut a large map into tiles", "the map's folder")
     split.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for the tiles")
     split.add_argument("--places", type=int, required=True, metavar="N", help="places per tile (at most N + 63)")
-    split.set_defaults(run=_split)
+    add("list", _list, "list the maps of a folder, and how often each was recognized", "a folder of maps")
+    keep = add("keep", _keep, "mark a map so that live mapping never deletes it", "the map's folder")
+    keep.add_argument("--undo", action="store_true", help="remove the mark")
+    sign = add("sign", _sign, "check every byte of a map, or of each map of a folder, and sign it")
+    sign.add_argument("--key", type=Path, required=True, metavar="NAME", help="the secret key that `map keygen` made")
+    keygen = actions.add_parser("keygen", help="make a key pair to sign maps with: NAME and NAME.pub")
+    keygen.add_argument("key", type=Path, metavar="NAME", help="file for the secret key")
+    keygen.set_defaults(run=_keygen)
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -105,4 +126,71 @@ def _verify(args: argparse.Namespace) -> int:
 def _split(args: argparse.Namespace) -> int:
     headers = split_map(open_map(args.map, every_file=True), args.output, args.places)
     print(f"{args.output}: {len(headers)} tiles of {min(header.places for header in headers)} places or more")
+    return 0
+
+
+def _keygen(args: argparse.Namespace) -> int:
+    public = make_key(args.key)
+    print(
+        f"{args.key}: keep this file secret; copy {public} to the vehicle and set"
+        f' [map] require_signature_by = "{public.name}"'
+    )
+    return 0
+
+
+def _sign(args: argparse.Namespace) -> int:
+    maps = open_map_set(args.map)
+    if maps.excluded:
+        raise MapError(maps.excluded[0].why)
+    for one in maps.maps:
+        sign_map(one.path, args.key)
+    print(f"{args.map}: signed")
+    return 0
+
+
+def _list(args: argparse.Namespace) -> int:
+    maps = stored_maps(args.map)
+    width = max((len(one.path.name) for one in maps), default=0)
+    for one in maps:
+        print(f"{one.path.name:{width}}  {_spell(one)}")
+    for file in logs_in(args.map):
+        print(f"{map_of(file).name}: being mapped, or to be completed at the next start of `lookback run`")
+    total_mb = sum(one.size_bytes for one in maps) / 1e6
+    print(f"{args.map}: {len(maps)} map{'s' * (len(maps) != 1)}, {total_mb:.1f} MB")
+    return 0
+
+
+def _spell(one: StoredMap) -> str:
+    made = datetime.fromtimestamp(one.made_unix_s, tz=timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    used = f"recognized {one.used.recognized} times" if one.used.recognized else "not recognized yet"
+    stays = "kept" if one.is_kept else "may be deleted" if one.is_from_drive else "not from live mapping"
+    return f"{made}  {one.header.places:6} places  {one.size_bytes / 1e6:8.1f} MB  {_light(one.path)}  {used}  {stays}"
+
+
+def _light(path: Path) -> str:
+    """How bright the pictures of a map are, by some of them."""
+    levels = []
+    try:
+        reference_map = open_map(path)
+        for place in np.linspace(0, len(reference_map.places) - 1, SAMPLED_PICTURES).astype(int):
+            data = np.frombuffer(reference_map.thumbnail(int(place)), np.uint8)
+            picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+            levels += [] if picture is None else [float(picture.mean())]
+    except (MapError, OSError):
+        return "damaged"
+    level = float(np.median(levels)) if levels else float("nan")
+    return next((name for limit, name in LIGHTS if level < limit), "light unknown")
+
+
+def _keep(args: argparse.Namespace) -> int:
+    if not (args.map / HEADER).is_file():
+        raise MapError(f"{args.map}: not a map; name the folder of one")
+    try:
+        if args.undo:
+            (args.map / KEEP_FILE).unlink(missing_ok=True)
+        else:
+            (args.map / KEEP_FILE).touch()
+    except OSError as error:
+        raise MapError(f"{args.map}: cannot mark it: {error.strerror}") from None
+    print(f"{args.map}: {'may be deleted' if args.undo else 'kept'}")
     return 0

@@ -6,6 +6,7 @@ compared with the CPU's at each start: a provider that describes the same pictur
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
-from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import CPU, Network, provider_name
+from edge.descriptor.normalize import normalize
 from edge.errors import ModelError
 
 PICTURES = 24
@@ -54,3 +55,38 @@ def check_pictures(size: tuple[int, int]) -> NDArray[np.uint8]:
             coarse = random.random((cells, cells, 3), np.float32)
             pictures[index] += 85 * cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     return np.clip(pictures, 0, 255).astype(np.uint8)
+
+
+NSD_COSINE_MIN = 0.995
+"""Descriptors whose mean cosine to the exact ones after NSD is below this are not good enough to use."""
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """Cosines of rounded to exact descriptors over the frames and regions of one feed.
+
+    NSD takes out what all images share, so it amplifies every error of rounding: the cosine that counts is that after.
+    """
+
+    raw_mean: float
+    nsd_mean: float
+    nsd_least: float
+
+
+def compare(exact: NDArray[np.float32], rounded: NDArray[np.float32]) -> Fidelity:
+    """Compare descriptors (N, R, D) of the same images, each set normalized with its own statistics (eq. 1)."""
+    raw = _cosines(exact, rounded)
+    after = _cosines(normalized_set(exact), normalized_set(rounded))
+    return Fidelity(float(raw.mean()), float(after.mean()), float(after.min()))
+
+
+def normalized_set(raw: NDArray[np.float32]) -> NDArray[np.float32]:
+    """NSD of a whole set (N, R, D), over its first axis."""
+    return normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
+
+
+def _cosines(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Cosine of each region of each frame, (N, R)."""
+    products = np.einsum("nrd,nrd->nr", first, second, dtype=np.float64)
+    norms = np.linalg.norm(first, axis=2).astype(np.float64) * np.linalg.norm(second, axis=2)
+    return np.asarray(np.divide(products, norms, out=np.zeros_like(products), where=norms > 0))

@@ -1,13 +1,12 @@
 """The feed: a recorded traverse that every tool reads and writes.
 
 `format` is the two text files, `reader` and `writer` the folder with its images, `sampling` chooses the frames that are
-places, `traverse` goes through a feed by it, and `recorder` writes a feed while frames come from a camera. `frame` is
+places, `traverse` goes through a feed by it, and `recorder` writes a feed while frames come from a camera. `Frame` is
 the record that feeds and live cameras hand on.
 """
 
 from edge.feed.format import FeedHeader, FeedRow, View
-from edge.feed.frame import Frame
-from edge.feed.reader import Feed, FeedImages, FeedOptions, Pictures, read_feed, read_picture
+from edge.feed.reader import Feed, FeedImages, FeedOptions, Frame, Pictures, read_feed, read_picture
 from edge.feed.writer import FeedWriter
 
 __all__ = [

@@ -26,6 +26,21 @@ from numpy.typing import NDArray
 from edge.errors import FeedError, FrameError
 from edge.feed.format import FeedHeader, FeedRow, View, read_header, read_rows
 
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture.
+
+    image: (H, W, 3) uint8, BGR as OpenCV has it; the camera's own buffer, not to be written to.
+    stamp_ns: exposure on CLOCK_MONOTONIC for live cameras, the feed's own time for feeds read as files.
+    index: the camera's frame counter, or the row of the feed; gaps are frames that were never read.
+    """
+
+    image: NDArray[np.uint8]
+    stamp_ns: int
+    index: int
+
+
 # FFmpeg prints lines of its own about a video that it cannot read; here that is one error. Read at its first use.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 

@@ -23,7 +23,7 @@ from typing import Protocol
 from edge.config import CameraConfig
 from edge.errors import FeedError
 from edge.feed.format import FeedHeader
-from edge.feed.frame import Frame
+from edge.feed.reader import Frame
 from edge.feed.writer import FeedWriter
 from edge.geodesy import VehiclePosition
 

@@ -12,8 +12,7 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed.format import FeedRow
-from edge.feed.frame import Frame
-from edge.feed.reader import Feed, FeedImages
+from edge.feed.reader import Feed, FeedImages, Frame
 from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
 

@@ -4,14 +4,12 @@
 `live_map`   which frames become places; the file and the map in memory together
 `missed_places` places that were passed without a frame
 `completion` the file of an earlier drive becomes an ordinary map
-`way_home`   what to expect if GPS were lost now
-`status`     what people are shown of all this
+`status`     what people are shown of all this, and what to expect if GPS were lost now
 `quota`      which maps are kept, and which are deleted for want of disk space
 """
 
 from edge.mapping.live_map import LiveMap, header_of
 from edge.mapping.quota import Usage
-from edge.mapping.status import MappingStatus, MappingView
-from edge.mapping.way_home import WayHome
+from edge.mapping.status import MappingStatus, MappingView, WayHome
 
 __all__ = ["LiveMap", "MappingStatus", "MappingView", "Usage", "WayHome", "header_of"]

@@ -22,8 +22,7 @@ from edge.mapping.missed_places import MappedPlace, missed_places
 from edge.mapping.place_log import OpenLog, PlaceLog, create_log
 from edge.mapping.place_log_records import DriveBegun, LogHeader
 from edge.mapping.quota import retire
-from edge.mapping.status import MappingStatus, MappingView
-from edge.mapping.way_home import SelfComparison
+from edge.mapping.status import MappingStatus, MappingView, SelfComparison
 from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
 
 STEP_PLACES = 16

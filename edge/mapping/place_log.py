@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.atomic_file import replacing
 from edge.errors import MapError
+from edge.files import replacing
 from edge.mapping.place_log_records import (
     FORMAT,
     HEAD,

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import msgspec
 
-from edge.atomic_file import replacing
 from edge.errors import MapError
+from edge.files import replacing
 from edge.mapping.completion import source_of
 from edge.reference_map import MapHeader, is_signed, read_header
 

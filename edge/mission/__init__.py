@@ -1,12 +1,11 @@
 """The way home: a drive of a reference map, reversed into a mission that an autopilot can follow. Pure.
 
-`drive_line`  the positions of one drive of a map, as a line on the ground
+`drive_line`  the positions of one drive of a map, as a line on the ground, and fewer points of it
 `passes`      which pass of that drive the vehicle is on
 `way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome
 `checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
-`simplify`    fewer points of a line within a stated distance of it (Douglas-Peucker)
-`items`       WayHome -> items of a MAVLink mission, as ArduPilot or PX4 number them
-`files`       the same as QGC WPL 110, QGroundControl plan or GeoJSON
+`items`       WayHome -> items of a MAVLink mission, as ArduPilot or PX4 number them; or a file: QGC WPL 110,
+              QGroundControl plan or GeoJSON
 
 Nothing in here communicates with an autopilot: `edge.telemetry` uploads missions.
 """

@@ -1,10 +1,18 @@
-"""A way home as the items of a MAVLink mission, numbered as each firmware does."""
+"""A way home as the items of a MAVLink mission, numbered as each firmware does, and as a file for a ground station."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import msgspec
+
+from edge.config import HomeConfig
+from edge.errors import ConfigError
+from edge.files import replacing
 from edge.mission.way_home import WayHome
 
 NAV_WAYPOINT, DO_CHANGE_SPEED = 16, 178  # MAV_CMD
@@ -47,3 +55,96 @@ def mission_items(
 def _waypoint(position_deg: tuple[float, float], altitude_m: float, frame: int = FRAME_RELATIVE_ALT) -> MissionItem:
     """Pass it without a stop; the heading is the autopilot's choice (NaN)."""
     return MissionItem(NAV_WAYPOINT, frame, (0.0, 0.0, 0.0, math.nan), *position_deg, altitude_m)
+
+
+ARDUPILOT, GROUND_ROVER = 3, 10  # MAV_AUTOPILOT, MAV_TYPE
+
+
+def write_way_home(path: Path, way: WayHome, config: HomeConfig) -> None:
+    """Write the file that its suffix names, whole or not at all; ConfigError for another suffix, or if it cannot be."""
+    content = encoder_of(path)(way, config)
+    try:
+        with replacing(path) as stream:
+            stream.write(content)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write it: {error.strerror}") from None
+
+
+def encoder_of(path: Path) -> Callable[[WayHome, HomeConfig], bytes]:
+    """What makes the file of that name; ConfigError for a suffix that is no format."""
+    encoders = {".waypoints": _waypoints, ".plan": _plan, ".geojson": _geojson}
+    if path.suffix not in encoders:
+        raise ConfigError(f"{path}: not a name that ends in {', '.join(encoders)}")
+    return encoders[path.suffix]
+
+
+def _waypoints(way: WayHome, config: HomeConfig) -> bytes:
+    """QGC WPL 110, which Mission Planner, MAVProxy and QGroundControl read; item 0 is the home position."""
+    items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m)
+    rows = ["QGC WPL 110", *(_row(number, item) for number, item in enumerate(items))]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _row(number: int, item: MissionItem) -> str:
+    params = (0.0 if math.isnan(param) else param for param in item.params)
+    position = f"{item.lat_deg:.8f}\t{item.lon_deg:.8f}\t{item.altitude_m:.6f}"
+    fields = [number, int(number == 0), item.frame, item.command, *(f"{param:.8f}" for param in params), position, 1]
+    return "\t".join(map(str, fields))
+
+
+def _plan(way: WayHome, config: HomeConfig) -> bytes:
+    items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=False)
+    home_lat_deg, home_lon_deg = way.positions_deg[-1]
+    speed_mps = config.speed_mps or 5.0  # for QGroundControl's estimate of the time only
+    plan = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": ARDUPILOT,
+            "vehicleType": GROUND_ROVER,
+            "cruiseSpeed": speed_mps,
+            "hoverSpeed": speed_mps,
+            "globalPlanAltitudeMode": 1,
+            "plannedHomePosition": [home_lat_deg, home_lon_deg, 0.0],
+            "items": [_plan_item(number, item) for number, item in enumerate(items, start=1)],
+        },
+    }
+    return msgspec.json.format(msgspec.json.encode(plan), indent=1)
+
+
+def _plan_item(number: int, item: MissionItem) -> dict[str, Any]:
+    """A SimpleItem; null stands for NaN."""
+    params = [None if math.isnan(param) else param for param in item.params]
+    return {
+        "type": "SimpleItem",
+        "doJumpId": number,
+        "autoContinue": True,
+        "command": item.command,
+        "frame": item.frame,
+        "params": [*params, item.lat_deg, item.lon_deg, item.altitude_m],
+        **({"Altitude": item.altitude_m, "AltitudeMode": 1} if item.frame == FRAME_RELATIVE_ALT else {}),
+    }
+
+
+def _geojson(way: WayHome, config: HomeConfig) -> bytes:
+    """The line and each waypoint, with what the checks found."""
+    coordinates = [[lon_deg, lat_deg] for lat_deg, lon_deg in way.positions_deg]
+    properties = {
+        "name": f"way home, {way.drive}",
+        "length_m": round(way.length_m, 1),
+        "speed_mps": config.speed_mps or None,
+        "findings": [str(finding) for finding in way.findings],
+    }
+    features = [_feature("LineString", coordinates, properties)]
+    for number, (position, along_m) in enumerate(zip(coordinates, way.along_m, strict=True)):
+        features.append(_feature("Point", position, {"waypoint": number, "along_m": round(along_m, 1)}))
+    collection = {"type": "FeatureCollection", "features": features}
+    return msgspec.json.format(msgspec.json.encode(collection), indent=1)
+
+
+def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}

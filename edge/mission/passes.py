@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.mission.drive_line import DriveLine
-from edge.mission.simplify import nearest_on
+from edge.mission.drive_line import DriveLine, nearest_on
 
 SAME_PASS_M, SIGMAS = 5.0, 3.0
 """The vehicle may be on any pass that is no further away than the nearest by the greater of both: a lane, and so many

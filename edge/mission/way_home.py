@@ -12,9 +12,8 @@ from edge.config import HomeConfig
 from edge.geodesy import east_north_of, moved, wrapped
 from edge.mission import checks
 from edge.mission.checks import Finding
-from edge.mission.drive_line import DriveLine, along, drive_line
+from edge.mission.drive_line import DriveLine, along, drive_line, simplified
 from edge.mission.passes import SAME_PASS_M, SIGMAS, chosen, passes_by
-from edge.mission.simplify import simplified
 from edge.reference_map import MapSet
 
 MIN_LEG_M = 0.5

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from edge.config import PageConfig
 from edge.extras import install_command
-from edge.page.map_view import MapView, map_view
-from edge.page.snapshot import LiveStatus, Snapshot, Sources
+from edge.page.snapshot import LiveStatus, MapView, Snapshot, Sources, map_view
 
 if TYPE_CHECKING:
     from edge.page.server import StatusPage

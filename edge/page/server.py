@@ -41,9 +41,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 import edge
 from edge.config import PageConfig
 from edge.page.coverage_job import CoverageJob
-from edge.page.map_view import MapView
 from edge.page.metrics import as_metrics
-from edge.page.snapshot import Snapshot
+from edge.page.snapshot import MapView, Snapshot
 
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2

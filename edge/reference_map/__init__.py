@@ -3,23 +3,21 @@
 `map_set`  a map, or a folder of them, as plain arrays; `map_folder` opens it, `place_index` counts its places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
-`closure`  which drives are closed laps; `spatial_index` which places a known position allows; `route` positions along
-           the drives
-`self_similarity`  which places of a map resemble each other
+`self_similarity`  which drives are closed laps, and which places resemble each other
+`spatial_index`  which places a known position allows; `route` positions along the drives
 `checksums`  a piece at a time, between frames; `signature` who made a map
 `gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
-`builder`  adds place after place, then normalizes and writes the whole set, atomically (`atomic_folder`)
+`builder`  adds place after place, then normalizes and writes the whole set, atomically
 `tiles`    one map cut into several; `pca` descriptors of fewer dimensions
 """
 
-from edge.reference_map.builder import MapBuilder, Normalize, Place
+from edge.reference_map.builder import MapBuilder, Normalize, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
-from edge.reference_map.place_picture import thumbnail
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival

@@ -15,15 +15,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
+from edge.files import AtomicFolder
 from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.reference_map import store
-from edge.reference_map.atomic_folder import AtomicFolder
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import encode, squared_norms
 from edge.reference_map.pca import principal_directions, project
@@ -232,3 +233,15 @@ def _unusable(place: Place) -> str:
     if place.position_source == "dead_reckoning" and math.isnan(place.position_sigma_m):
         return "are dead reckoning of unknown accuracy"
     return f"are less accurate than {USABLE_SIGMA_M:g} m" if place.position_sigma_m > USABLE_SIGMA_M else ""
+
+
+WIDTH_PX = 120
+
+
+def thumbnail(image: NDArray[np.uint8]) -> bytes:
+    """A JPEG of a frame (H, W, 3) BGR, WIDTH_PX wide or up to twice that: a whole factor is reduced by far faster."""
+    factor = max(1, image.shape[1] // WIDTH_PX)
+    height, width = (max(1, size // factor) for size in image.shape[:2])
+    whole = image[: height * factor, : width * factor]
+    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()

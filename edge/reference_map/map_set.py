@@ -22,10 +22,10 @@ from edge.config import DescriptorConfig
 from edge.errors import MapError
 from edge.geodesy import east_north, first_known
 from edge.reference_map.checksums import Checksums, ChecksumSchedule
-from edge.reference_map.closure import lap_places
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.place_index import PlaceIndex
+from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
     PLACES,

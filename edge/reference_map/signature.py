@@ -13,9 +13,9 @@ from types import ModuleType
 
 import msgspec
 
-from edge.atomic_file import replacing
 from edge.errors import ConfigError, MapError
 from edge.extras import install_command
+from edge.files import replacing
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from edge.errors import ConfigError, MapError
+from edge.files import AtomicFolder
 from edge.geodesy import first_known
 from edge.reference_map import store
-from edge.reference_map.atomic_folder import AtomicFolder
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.spatial_index import BLOCK, bounds_of
 from edge.reference_map.store import MapHeader, ReferenceMap, Segment, TileOf

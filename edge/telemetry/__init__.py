@@ -1,6 +1,6 @@
 """Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
-`link` is the serial port or the socket, `codec` (with `signing` and `replay_guard`) turns its bytes into messages, and
+`link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and
 `port` opens it again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `gps`
 for its receivers and `velocity_aid` for what measures its velocity without them; `link_protocol` has the heartbeats,
 requests and lines of text that are due. `position_messages` says which message carries a position to which firmware,

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import msgspec
 from msgspec.structs import replace
 
-from edge.atomic_file import replacing
+from edge.files import replacing
 from edge.mission import MissionItem
 from edge.telemetry.mission_transfer import is_same
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from edge.atomic_file import replacing
 from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
@@ -22,6 +21,7 @@ from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, LookbackError
 from edge.extras import install_command
 from edge.feed import Feed, read_feed
+from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.offset import (
     BESIDE_M,

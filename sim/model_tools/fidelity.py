@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.fidelity import normalized_set
+from edge.descriptor.open_network import normalized_set
 
 
 def matching_accuracy(query: NDArray[np.float32], reference: NDArray[np.float32], correct: NDArray[np.bool_]) -> float:

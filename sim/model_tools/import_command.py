@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.atomic_file import replacing
-from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import HEAD_FILE, NETWORK_FILE, ModelFile, ModelInfo, read_model_file
 from edge.descriptor.network import Network
+from edge.descriptor.open_network import NSD_COSINE_MIN, compare
 from edge.descriptor.regions import REGION_COUNT
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
+from edge.files import replacing
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.frames import regions_of
 from sim.model_tools.torch_file import export_onnx

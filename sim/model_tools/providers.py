@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.descriptor.fidelity import NSD_COSINE_MIN, compare
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import CPU, Network, installed_providers, provider_name
-from edge.descriptor.open_network import check_pictures
+from edge.descriptor.open_network import NSD_COSINE_MIN, check_pictures, compare
 from edge.errors import ModelError
 from sim.bench.timing import race
 

@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.atomic_file import replacing
 from edge.config import DescriptorConfig
 from edge.descriptor.network import Network
 from edge.descriptor.regions import cut_regions
+from edge.files import replacing
 from sim import Pose
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive

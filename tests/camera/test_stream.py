@@ -24,8 +24,7 @@ import pytest
 from edge.camera import Frame, open_camera
 from edge.camera.command_output import CommandOutput
 from edge.camera.newest import NewestFrame
-from edge.camera.stream import StreamCamera, open_source, size_difference
-from edge.camera.stream_clock import StreamClock
+from edge.camera.stream import StreamCamera, StreamClock, open_source, size_difference
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
 from tests.camera.conftest import index_of

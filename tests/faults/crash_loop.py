@@ -29,8 +29,7 @@ from edge.journal.records import StateChanged
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.replay_guard import TICKS_PER_S
-from edge.telemetry.signing import EPOCH_S, Signer, SigningClock
+from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
 
 NOW = Moment(1000.0, "boot", 10.0)

@@ -18,8 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.replay_guard import TICKS_PER_S
-from edge.telemetry.signing import EPOCH_S, Signer
+from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer
 from sim.vehicle.pty_link import open_pty
 
 KINDS = {number: kind for number, kind in mavlink.mavlink_map.items() if 0 <= number < 2**24}

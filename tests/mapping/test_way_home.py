@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
-from edge.mapping.way_home import SelfComparison, WayHome
+from edge.mapping.status import SelfComparison, WayHome
 from edge.reference_map import GrowingMap, ModelKey, Place, RegionsKey
 
 SPACING_M = 2.0

@@ -21,7 +21,7 @@ from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.mission import Start, WayHome, mission_items, plan_way_home
 from edge.mission.checks import BRIEF
-from edge.mission.simplify import simplified
+from edge.mission.drive_line import simplified
 from edge.reference_map import open_map_set
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 

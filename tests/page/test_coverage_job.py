@@ -16,8 +16,8 @@ pytest.importorskip("starlette")
 
 from edge.config import PageConfig
 from edge.page import map_view
-from edge.page.map_view import MapView
 from edge.page.server import StatusPage
+from edge.page.snapshot import MapView
 from tests.coverage.roads import road, walk
 
 LONGEST_S = 300.0

@@ -25,9 +25,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from edge.camera import CameraHealth
 from edge.config import PageConfig
 from edge.journal.records import FrameUsed
-from edge.page.map_view import MapView
 from edge.page.server import CONNECTIONS, StatusPage
-from edge.page.snapshot import HistoryFrame, Snapshot, Status
+from edge.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from edge.telemetry.replay_guard import MINUTE_TICKS, TICKS_PER_S, ReplayGuard, Stream
+from edge.telemetry.signing import MINUTE_TICKS, TICKS_PER_S, ReplayGuard, Stream
 
 NOW = 10**13
 AUTOPILOT: Stream = (0, 1, 1)

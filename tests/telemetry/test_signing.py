@@ -14,8 +14,7 @@ from edge.errors import ConfigError
 from edge.journal.records import FixAnswered
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.replay_guard import TICKS_PER_S
-from edge.telemetry.signing import EPOCH_S, STORED_AHEAD, Signer, load_key
+from edge.telemetry.signing import EPOCH_S, STORED_AHEAD, TICKS_PER_S, Signer, load_key
 
 KEY = hashlib.sha256(b"a passphrase").digest()
 OTHER = hashlib.sha256(b"another one").digest()

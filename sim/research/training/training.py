@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-from edge.atomic_file import replacing
 from edge.errors import ConfigError
+from edge.files import replacing
 from sim.research.training.alexnet import alexnet
 from sim.research.training.images import LabeledImages
 from sim.research.training.recipe import Recipe

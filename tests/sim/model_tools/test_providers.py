@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.__main__ import main
-from edge.descriptor.fidelity import NSD_COSINE_MIN
+from edge.descriptor.open_network import NSD_COSINE_MIN
 from sim.model_tools import providers
 
 

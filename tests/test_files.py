@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edge.atomic_file import replacing
+from edge.files import replacing
 
 
 def test_the_new_content_is_in_place_only_after_the_block(tmp_path: Path) -> None:

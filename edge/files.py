@@ -1,4 +1,7 @@
-"""A folder that is put in its place whole: after a crash there is the old one or the new one, and never a half."""
+"""Files and folders that are replaced whole, and whether this user, in its sandbox, can reach the paths of a config.
+
+After a crash or a power cut there is the old file or folder, or the new one, and never a part.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,43 @@ import glob
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
-from edge.atomic_file import flush_to_disk
-from edge.errors import MapError
+from edge.errors import ConfigError, MapError
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A stream for the new content of the file `path`, which is put in place by one rename when the block ends.
+
+    Both the file and its folder are flushed to the disk. An exception in the block, or an OSError of the disk, leaves
+    the old file as it was and is raised.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with new.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        new.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            new.unlink(missing_ok=True)
+        raise
+    flush_to_disk(path.parent)
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have a file, or the names in a folder, written to the disk. OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
@@ -81,3 +116,30 @@ def _exchange(new: Path, old: Path) -> None:
     if libc.renameat2(at_fdcwd, os.fsencode(new), at_fdcwd, os.fsencode(old), rename_exchange) != 0:
         reason = os.strerror(ctypes.get_errno())
         raise MapError(f"{old}: this file system cannot replace a map atomically ({reason}); remove the old map first")
+
+
+HOME_FOLDERS = ("/home", "/root", "/run/user")
+"""What ProtectHome=yes in the service's unit closes."""
+
+
+def check_access(where: str, path: str) -> str:
+    """The path. ConfigError if this user may not enter a folder on the way to it, where nothing can be seen at all.
+
+    Nor may it lead to what is neither file nor folder: a named pipe would be read without end.
+    """
+    real = Path(os.path.realpath(path))  # Path.resolve raises at a loop of links
+    for folder in (*reversed(real.parents), real):
+        if os.path.isdir(folder) and not os.access(folder, os.X_OK):  # noqa: PTH112  # Path.is_dir raises
+            raise ConfigError(f"{where}: {path}: this user may not enter {folder}; {_what_to_do(folder)}")
+    if real.exists() and not os.access(real, os.R_OK):
+        raise ConfigError(f"{where}: {path}: this user may not read it; {_what_to_do(real)}")
+    is_expected = where == "[telemetry] journal" or (where == "[home] socket" and real.is_socket())
+    if real.exists() and not (real.is_file() or real.is_dir() or is_expected):
+        raise ConfigError(f"{where}: {path}: neither a file nor a folder")
+    return path
+
+
+def _what_to_do(closed: Path) -> str:
+    if str(closed) not in HOME_FOLDERS:
+        return "change its owner or its mode"
+    return "the service sees no home folders (ProtectHome=): put data in /var/lib/lookback and keys in /etc/lookback"
