@@ -85,7 +85,7 @@ class Daemon:
         if not (frame is not None and is_usable and self._process_if_place(frame)):
             if self._mapper is not None:
                 self._mapper.map_next(waited_s, self._process_second)
-            if not (is_usable or self._verification.is_done):
+            if not (is_usable or self._verification.checksums.is_done):
                 self._check_maps(self._recognizer.matcher.search.folders_in_use)
         if self._recording is not None:
             self._recording.record()
@@ -125,7 +125,7 @@ class Daemon:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self._times.start()
         began_ns, missed, distance_m = self._clock_ns(), self._sampler.missed, motion.measured_m
-        displacement = self._autopilot.displacement(frame.stamp_ns)
+        displacement = self._autopilot.vehicle.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
@@ -164,8 +164,8 @@ class Daemon:
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
-        if self._distance_gaps != self._autopilot.distance_gaps:
-            self._distance_gaps = self._autopilot.distance_gaps
+        if self._distance_gaps != self._autopilot.vehicle.distance_gaps:
+            self._distance_gaps = self._autopilot.vehicle.distance_gaps
             self._recognizer.restart_odometer()
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
         if self._recognizer.was_carried:
@@ -184,7 +184,7 @@ class Daemon:
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
         behind = self._recognizer.map_set.folders_behind(match.place_index, self._config.sequence.length)
-        while not self._verification.is_verified(behind):
+        while not self._verification.checksums.is_verified(behind):
             if not self._check_maps(behind):
                 return False
             self._feed_watchdog()
@@ -266,7 +266,7 @@ class Daemon:
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
         if self.monitor.health.able != "on the map":
-            self._autopilot.withdraw_position()
+            self._autopilot.positions.withdraw()
             return
         time_base = self._autopilot.position_due()
         if time_base is None or self._pictures.fault is not None:
@@ -275,7 +275,7 @@ class Daemon:
             fix = self._estimator.position_at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._estimator.position(now_ns, self._autopilot.displacement(now_ns))
+            fix = self._estimator.position(now_ns, self._autopilot.vehicle.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
 

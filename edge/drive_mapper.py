@@ -70,7 +70,7 @@ class DriveMapper:
         regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
         view = config.camera.view if camera is UNSET else camera.view
         header = header_of(model, regions, config.sampling)
-        self._live = parts.enter_context(
+        self.live = parts.enter_context(
             closing(LiveMap(config.mapping, header, view, normalize, before_long=_ask_for_time))
         )
         self._usage = Usage(Path(config.mapping.folder))
@@ -87,7 +87,7 @@ class DriveMapper:
         self._takes_s = 0.0  # what the second camera's last frame took
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
-        self._gaps = autopilot.distance_gaps
+        self._gaps = autopilot.vehicle.distance_gaps
         self._told: tuple[str, str] = (self.status.state, self.status.why)
 
     @property
@@ -95,25 +95,17 @@ class DriveMapper:
         """What is mapped now, for people."""
         camera = self._frames.health if self._frames is not None else None
         if camera is not None and camera.state == "lost":
-            return replace(self._live.status, state="waiting", why=f"camera: {camera.reason}")
-        return self._live.status
+            return replace(self.live.status, state="waiting", why=f"camera: {camera.reason}")
+        return self.live.status
 
     def view(self) -> MappingView:
         """The map of this drive, and what to expect of it, for people."""
-        return replace(self._live.view(self._line_m, self._drift), status=self.status)
-
-    def so_far(self) -> MapSoFar:
-        """The part of the map of this drive that is searched."""
-        return self._live.so_far()
-
-    def whole(self) -> MapSoFar:
-        """The map of this drive up to the vehicle."""
-        return self._live.whole()
+        return replace(self.live.view(self._line_m, self._drift), status=self.status)
 
     def driven_m(self) -> float | None:
         """How far the vehicle has driven by the odometer of the map of this drive; None where that is not known."""
         self._notice_gap()
-        return self._live.driven_m(self._autopilot.distance_m(self._clock_ns()))
+        return self.live.driven_m(self._autopilot.vehicle.distance_m(self._clock_ns()))
 
     def map_recognized(
         self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int
@@ -127,7 +119,7 @@ class DriveMapper:
         if self._frames is None:
             self._waiting.append(DescribedFrame(frame, raw, distance_m, missed))
         self.add_placed()
-        return self._live.newly_searchable(self._autopilot.distance_m(self._clock_ns()))
+        return self.live.newly_searchable(self._autopilot.vehicle.distance_m(self._clock_ns()))
 
     def map_next(self, waited_s: float, process: Callable[[Frame, float, int], NDArray[np.float32]]) -> None:
         """Map the newest frame of the second camera, if it shows a new place and the first camera left time for it.
@@ -140,7 +132,7 @@ class DriveMapper:
         self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
         frame = self._frames.take(0.0) if self._frames is not None and self._spare_s >= self._takes_s else None
         if frame is not None and self._pictures.is_usable(frame, self._autopilot.speed_mps()):
-            distance_m = self._autopilot.distance_m(frame.stamp_ns)
+            distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
                 missed = self._sampler.missed
                 raw = process(frame, distance_m, missed)
@@ -152,13 +144,13 @@ class DriveMapper:
     def add_placed(self, *, all_of_them: bool = False) -> None:
         """Add the frames to the map whose position is known by now, since it is interpolated; or all, at the end."""
         waiting, autopilot = self._waiting, self._autopilot
-        while waiting and (all_of_them or not autopilot.awaits_position(waiting[0].frame.stamp_ns)):
+        while waiting and (all_of_them or not autopilot.history.is_awaited(waiting[0].frame.stamp_ns)):
             described = waiting.popleft()
             frame = described.frame
-            position = autopilot.position_at(frame.stamp_ns)
+            position = autopilot.history.at(frame.stamp_ns)
             known = position, described.distance_m, autopilot.gps_fault, described.missed
             self._notice_gap()
-            self._live.add(described.raw, frame.image, *known)
+            self.live.add(described.raw, frame.image, *known)
         self._publish_change()
 
     def count(self, match: PlaceMatch) -> None:
@@ -167,9 +159,9 @@ class DriveMapper:
             self._usage.count(match.map, time.time(), self._clock_ns())
 
     def _notice_gap(self) -> None:
-        if self._gaps != self._autopilot.distance_gaps:
-            self._gaps = self._autopilot.distance_gaps
-            self._live.interrupt()
+        if self._gaps != self._autopilot.vehicle.distance_gaps:
+            self._gaps = self._autopilot.vehicle.distance_gaps
+            self.live.interrupt()
 
     def _publish_change(self) -> None:
         status = self.status

@@ -7,7 +7,7 @@ turns out to be damaged is excluded. Drives that disagree about where a road is 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -36,20 +36,11 @@ class MapVerification:
             record(DrivesDisagree(str(one), round(one.apart_m, 1)))
             text = f"Lookback: drives of the map are {one.apart_m:.0f} m apart"
             status_text(text, mavlink.MAV_SEVERITY_WARNING)
-        self._checksums = maps.checksum_schedule()
-
-    @property
-    def is_done(self) -> bool:
-        """Whether no checksum is left to check."""
-        return self._checksums.is_done
-
-    def is_verified(self, folders: Collection[Path]) -> bool:
-        """Whether every checksum of the maps in these folders holds."""
-        return self._checksums.is_verified(folders)
+        self.checksums = maps.checksum_schedule()
 
     def check_next(self, maps: MapSet, first: Sequence[Path]) -> MapSet | None:
         """Check a further piece, of the maps in `first` before others; the maps that are left if one is damaged."""
-        damage = self._checksums.step(CHECK_BYTES, first)
+        damage = self.checksums.step(CHECK_BYTES, first)
         if damage is None:
             return None
         maps = maps.without({damage.path: damage.why})

@@ -79,7 +79,7 @@ class OpenedParts:
         if config.mapping.folder:
             others = parts, self.autopilot, self.record, self._clock_ns
             self.mapper = DriveMapper(config, model_key(network), *others, frames=mapping_frames)
-        newest = self.mapper.so_far() if self.mapper else None
+        newest = self.mapper.live.so_far() if self.mapper else None
         self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
@@ -97,7 +97,7 @@ class OpenedParts:
         if config.recording.folder:
             folder = Path(config.recording.folder)
             recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
-            self.recording = FramesAwaitingPosition(parts.enter_context(closing(recorder)), self.autopilot)
+            self.recording = FramesAwaitingPosition(parts.enter_context(closing(recorder)), self.autopilot.history)
 
     def _open_page(self, parts: ExitStack) -> None:
         config, maps = self._config, self.recognizer.map_set
@@ -131,4 +131,4 @@ class OpenedParts:
     def _maps_to_here(self) -> MapSet:
         """The maps, with that of this drive up to the vehicle."""
         maps = self.recognizer.map_set
-        return maps.with_newest(self.mapper.whole()) if self.mapper is not None else maps
+        return maps.with_newest(self.mapper.live.whole()) if self.mapper is not None else maps

@@ -130,7 +130,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         while True:
             link.poll()
             status, wanted = link.status(), _wanted_parameters(config, vehicle)
-            link.request_parameters(wanted)
+            link.protocol.parameters.add(wanted)
             is_known = vehicle.version is not None and None not in (status.speed_mps, status.lat_deg)
             is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.parameters)
             if is_complete or time.monotonic() >= until_s:

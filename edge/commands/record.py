@@ -118,7 +118,7 @@ def _fill(
     clock_ns: Callable[[], int],
 ) -> Why:
     """Move frames from the camera to the recorder until `ended` says why to stop."""
-    camera_state, waiting = "", FramesAwaitingPosition(recorder, autopilot)
+    camera_state, waiting = "", FramesAwaitingPosition(recorder, autopilot.history)
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:

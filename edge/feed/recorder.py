@@ -46,12 +46,12 @@ def free_bytes_at(path: Path) -> int:
 
 
 class Positions(Protocol):
-    """Where the vehicle was at an exposure: `AutopilotConnection`."""
+    """Where the vehicle was at an exposure: `AutopilotConnection.history`."""
 
-    def position_at(self, stamp_ns: int) -> VehiclePosition | None:
+    def at(self, stamp_ns: int) -> VehiclePosition | None:
         """Its position at that moment, None where it is not known."""
 
-    def awaits_position(self, stamp_ns: int) -> bool:
+    def is_awaited(self, stamp_ns: int) -> bool:
         """Whether the position after that moment has not come yet, and still may."""
 
 
@@ -68,9 +68,9 @@ class FramesAwaitingPosition:
 
     def record(self, *, all_of_them: bool = False) -> None:
         """Record what is ready, or all at the end."""
-        while self._frames and (all_of_them or not self._positions.awaits_position(self._frames[0][0].stamp_ns)):
+        while self._frames and (all_of_them or not self._positions.is_awaited(self._frames[0][0].stamp_ns)):
             frame, distance_m = self._frames.popleft()
-            self._recorder.record(frame, self._positions.position_at(frame.stamp_ns), distance_m)
+            self._recorder.record(frame, self._positions.at(frame.stamp_ns), distance_m)
 
 
 class Recorder:

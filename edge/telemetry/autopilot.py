@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource, VehiclePosition
 from edge.journal.records import LinkChanged, Record
-from edge.localization import Displacement, GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report, ReportedMotion
+from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report, ReportedMotion
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests, Plan
@@ -60,10 +60,10 @@ class AutopilotConnection:
         self.vehicle = Vehicle(config.system_id)
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
-        self._protocol = LinkProtocol(config, self.vehicle)
+        self.protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
         estimator = estimator or PositionEstimator(Config(gates=gates))
-        self._positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
+        self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
         self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
         self._home.position = lambda: (self.position(), self.uncertainty_m)
@@ -71,7 +71,8 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
-        self._history = PositionHistory()
+        self.history = PositionHistory(clock_ns)
+        """Its own positions at exposures, each with its accuracy and source."""
         self._session = 0
         self._was_doubled = False
         self._has_warned = False  # in this session, that nothing measures velocity
@@ -85,7 +86,7 @@ class AutopilotConnection:
     @property
     def uncertainty_m(self) -> float | None:
         """One standard deviation of the autopilot's own position, None where it is not known."""
-        return self._positions.uncertainty_m(self._clock_ns())
+        return self.positions.uncertainty_m(self._clock_ns())
 
     def position(self) -> VehiclePosition | None:
         """The autopilot's own newest position, None where it has none."""
@@ -93,15 +94,7 @@ class AutopilotConnection:
 
     def report(self) -> Report:
         """What the autopilot reports now, for the estimator."""
-        return self._positions.report(self._clock_ns())
-
-    def position_at(self, stamp_ns: int) -> VehiclePosition | None:
-        """The autopilot's own position at an exposure, with its accuracy and source; None where it is not known."""
-        return self._history.at(stamp_ns)
-
-    def awaits_position(self, stamp_ns: int) -> bool:
-        """Whether the position after an exposure has not come yet, and still may."""
-        return self._history.is_awaited(stamp_ns, self._clock_ns())
+        return self.positions.report(self._clock_ns())
 
     def gps_fix(self, stamp_ns: int) -> GpsFix | None:
         """Where GPS puts the vehicle at a moment, None without GPS."""
@@ -110,20 +103,16 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        self._positions.judge_gps(verdict, self._clock_ns(), is_aided=self._velocity_aid not in (None, NO_AID))
+        self.positions.judge_gps(verdict, self._clock_ns(), is_aided=self._velocity_aid not in (None, NO_AID))
 
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self._positions.doubted_gps.is_wrong else ""
+        return "GPS is wrong" if self.positions.doubted_gps.is_wrong else ""
 
     def speed_mps(self) -> float | None:
         """How fast the vehicle moves, None where nobody knows."""
         return self.vehicle.speed_mps(self._clock_ns())
-
-    def distance_m(self, stamp_ns: int) -> float | None:
-        """Meters driven up to a moment, None where nothing measures them."""
-        return self.motion(stamp_ns).measured_m
 
     def motion(self, stamp_ns: int) -> ReportedMotion:
         """What the autopilot reports of its motion at a moment."""
@@ -133,20 +122,11 @@ class AutopilotConnection:
         """What its velocity is wrong by, and the standard deviation of that ahead; of use while nothing measures it."""
         self.vehicle.use_velocity_error(error_mps, sigma_mps, self._clock_ns())
 
-    @property
-    def distance_gaps(self) -> int:
-        """How often the distance driven was unknown for a while; what lies before cannot be compared."""
-        return self.vehicle.distance_gaps
-
-    def displacement(self, stamp_ns: int) -> Displacement | None:
-        """Meters east and north by the autopilot's velocity at a moment, None where it is not known."""
-        return self.vehicle.displacement(stamp_ns)
-
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
         now_ns = self._clock_ns()
         position = self.vehicle.position(now_ns)
-        verdict = self._positions.doubted_gps.verdict or GpsVerdict()
+        verdict = self.positions.doubted_gps.verdict or GpsVerdict()
         return LinkStatus(
             state=self.state,
             connection=self._connection,
@@ -158,17 +138,12 @@ class AutopilotConnection:
             gps=self.vehicle.gps.state(now_ns),
             gps_why=self.vehicle.gps.why(now_ns),
             velocity_aid=self._velocity_aid,
-            gps_verdict="wrong" if self._positions.doubted_gps.is_wrong else verdict.state,
+            gps_verdict="wrong" if self.positions.doubted_gps.is_wrong else verdict.state,
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
-            **self._positions.sent_status,
+            **self.positions.sent_status,
         )
-
-    @property
-    def positions_enabled(self) -> bool:
-        """Whether positions are sent at all: a message suits the autopilot, and it has not refused it for good."""
-        return self._positions.enabled
 
     def set_system_status(self, status: int) -> None:
         """MAV_STATE of our heartbeats from now on, on every link."""
@@ -182,7 +157,7 @@ class AutopilotConnection:
         was_open = self._port.is_open
         if self._port.open_if_due(now_ns):
             if not was_open:
-                self._protocol.opened(now_ns)
+                self.protocol.opened(now_ns)
                 self._set_state("waiting", str(self._port.connection))
             self._receive(now_ns)
             self.vehicle.is_aided = self._is_velocity_aided(now_ns)
@@ -199,10 +174,6 @@ class AutopilotConnection:
             self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
         for link in self._report_links:
             link.publish_place(fix)
-
-    def request_parameters(self, names: Iterable[str]) -> None:
-        """Request these as well, once each in a session and again while one is missing."""
-        self._protocol.parameters.add(names)
 
     def plan_home_by(self, plan: Plan) -> None:
         """Plan the way home, when it is requested, by this function."""
@@ -224,7 +195,7 @@ class AutopilotConnection:
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
         is_known = self.state == "up" and not self.vehicle.is_doubled
-        return self._positions.due(self._clock_ns()) if is_known else None
+        return self.positions.due(self._clock_ns()) if is_known else None
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Send the autopilot a position, by the message of [telemetry] emit and if [gates] allow; True if it was sent.
@@ -233,7 +204,7 @@ class AutopilotConnection:
         """
         if self.position_due() is None:
             return False
-        messages = self._positions.send(fix, self._clock_ns())
+        messages = self.positions.send(fix, self._clock_ns())
         self._send(messages)
         return bool(messages)
 
@@ -251,19 +222,15 @@ class AutopilotConnection:
                     port.send(message)
         time.sleep(DRAIN_S)
 
-    def withdraw_position(self) -> None:
-        """Send no position again that the autopilot has not answered: the vehicle is not on the map any more."""
-        self._positions.withdraw()
-
     def restore_sources(self) -> None:
         """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer.
 
         Not while GPS is ignored: the vehicle would follow it as soon as this program ends.
         """
-        if self._positions.doubted_gps.is_ignored:
+        if self.positions.doubted_gps.is_ignored:
             return
         for _ in range(RESTORE_TRIES):
-            messages = self._positions.sources.restore(self._clock_ns()) if self.state == "up" else []
+            messages = self.positions.sources.restore(self._clock_ns()) if self.state == "up" else []
             if not messages:
                 break
             self._send(messages)
@@ -299,7 +266,7 @@ class AutopilotConnection:
 
     def _keep_position(self, now_ns: int) -> None:
         """With its accuracy: of the receiver behind it, else of the filter."""
-        own, sender = self.vehicle.position(now_ns), self._positions
+        own, sender = self.vehicle.position(now_ns), self.positions
         if own is None:
             return
         receiver = self.vehicle.gps.behind(own, now_ns)
@@ -309,63 +276,63 @@ class AutopilotConnection:
             source = "place_fixes"
         elif receiver is not None:
             source, sigma_m = receiver.source, receiver.accuracy_m or self.vehicle.accuracy_m(now_ns)
-        self._history.add(replace(own, sigma_m=sigma_m, source=source))
+        self.history.add(replace(own, sigma_m=sigma_m, source=source))
 
     def _answer(self, message: Message) -> None:
         now_ns = self._clock_ns()
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
         if is_answer and message.target_component not in (0, self._component_id):
             return
-        self._send(self._protocol.answer(message, now_ns))
+        self._send(self.protocol.answer(message, now_ns))
         if is_answer:
-            self._positions.read_acknowledgement(message.command, message.result, now_ns)
+            self.positions.read_acknowledgement(message.command, message.result, now_ns)
 
     @property
     def _velocity_aid(self) -> str | None:
-        return velocity_aid(self.vehicle, self._positions.set_without_gps)
+        return velocity_aid(self.vehicle, self.positions.set_without_gps)
 
     def _is_velocity_aided(self, now_ns: int) -> bool:
         """Whether something besides our positions is known to measure the autopilot's velocity.
 
         Where no positions are sent its parameters are not requested, and nothing of ours can come back.
         """
-        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._positions.doubted_gps.is_ignored
-        return is_by_gps or not self._positions.enabled or self._velocity_aid not in (None, NO_AID)
+        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self.positions.doubted_gps.is_ignored
+        return is_by_gps or not self.positions.enabled or self._velocity_aid not in (None, NO_AID)
 
     def _warn_without_velocity_aid(self, now_ns: int) -> None:
         """Once in a session, where none is known."""
-        if self._has_warned or not self._positions.enabled:
+        if self._has_warned or not self.positions.enabled:
             return
         aid = self._velocity_aid
         if aid == NO_AID:
             self._warn("Lookback: the autopilot has no velocity aid")
-        elif aid is None and self._protocol.parameters.are_over(self.vehicle, now_ns):
+        elif aid is None and self.protocol.parameters.are_over(self.vehicle, now_ns):
             self._warn("Lookback: velocity aid not known, assuming none")
         else:
             return
         self._has_warned = True
 
     def _send_due(self, now_ns: int) -> None:
-        self._send(self._protocol.heartbeat(self._system_status, now_ns))
+        self._send(self.protocol.heartbeat(self._system_status, now_ns))
         self._send(self._home.due(now_ns))
         if self.state != "up":
             return
         if self._session != self.vehicle.session:
             self._session = self.vehicle.session
-            self._protocol.new_session()
+            self.protocol.new_session()
             self._has_warned = False
-            self._positions.new_session()
-            self._history.clear()
+            self.positions.new_session()
+            self.history.clear()
         if self.vehicle.is_doubled != self._was_doubled:
             self._was_doubled = self.vehicle.is_doubled
             why = DOUBLED if self._was_doubled else ""
             self._record(LinkChanged(self.state, why))
             if why:
                 self._warn(f"Lookback: {why}")
-        self._send(self._protocol.requests(self._clock_ns()))
+        self._send(self.protocol.requests(self._clock_ns()))
         self._warn_without_velocity_aid(now_ns)
-        self._send(self._positions.follow_up(now_ns))
-        self._send(self._positions.doubted_gps.due(now_ns))
+        self._send(self.positions.follow_up(now_ns))
+        self._send(self.positions.doubted_gps.due(now_ns))
         self._send(self._texts.due(now_ns))
 
     def _send(self, messages: list[Message]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
 from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
@@ -26,7 +27,8 @@ once in that time, its filters (EKF lanes) take turns less often, and resets are
 class PositionHistory:
     """The newest positions, each with `sigma_m` and `source`."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock_ns: Callable[[], int]) -> None:
+        self._clock_ns = clock_ns
         self._positions: deque[VehiclePosition] = deque(maxlen=KEPT)
 
     def add(self, position: VehiclePosition) -> None:
@@ -38,10 +40,10 @@ class PositionHistory:
         """The positions before cannot be compared with what follows: the autopilot has rebooted, or is another one."""
         self._positions.clear()
 
-    def is_awaited(self, stamp_ns: int, now_ns: int) -> bool:
+    def is_awaited(self, stamp_ns: int) -> bool:
         """Whether a position after that moment has not come yet, and still may."""
         newest_ns = self._positions[-1].stamp_ns if self._positions else None
-        return newest_ns is not None and newest_ns < stamp_ns and now_ns - stamp_ns < AWAITED_NS
+        return newest_ns is not None and newest_ns < stamp_ns and self._clock_ns() - stamp_ns < AWAITED_NS
 
     def at(self, stamp_ns: int) -> VehiclePosition | None:
         """The position at a moment; None where it is not known, also within a jump."""

@@ -68,11 +68,11 @@ class SlowAutopilot:
 
     newest_ns = 1500
 
-    def position_at(self, stamp_ns: int) -> VehiclePosition | None:
+    def at(self, stamp_ns: int) -> VehiclePosition | None:
         known = VehiclePosition(stamp_ns, stamp_ns / 1e4, 2.0, 3.0, None, 4.0, sigma_m=1.5, source="dgps")
         return known if stamp_ns <= self.newest_ns else None
 
-    def awaits_position(self, stamp_ns: int) -> bool:
+    def is_awaited(self, stamp_ns: int) -> bool:
         return stamp_ns > self.newest_ns
 
 

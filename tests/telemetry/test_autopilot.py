@@ -167,7 +167,7 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
     assert rig.connection.send_position(rig.fix())
     rig.run(3.0)
     assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
-    assert rig.connection.positions_enabled
+    assert rig.connection.positions.enabled
 
 
 @external
@@ -179,7 +179,7 @@ def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     assert rig.pty is not None
     rig.pty.send(MavlinkCodec(1, 1).encode(denied))
     rig.run(0.5)
-    assert rig.connection.positions_enabled
+    assert rig.connection.positions.enabled
     assert not rig.journalled(FixAnswered)
 
 

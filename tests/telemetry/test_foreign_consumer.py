@@ -219,7 +219,7 @@ def test_a_request_for_the_time_and_an_answer_to_a_fix_are_understood(setting: S
     foreigner.say(
         "COMMAND_ACK", command=43003, result=3, progress=0, result_param2=0, target_system=1, target_component=191
     )
-    setting.until(lambda: not ours.positions_enabled)
+    setting.until(lambda: not ours.positions.enabled)
     setting.until(lambda: any("UNSUPPORTED" in message["text"] for message in foreigner.read("STATUSTEXT")))
 
 

@@ -118,7 +118,7 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
     assert position.lat_deg == pytest.approx(-27.477, abs=0.01)
     assert rig.connection.send_position(rig.fix())
     rig.run(2.0, talk)
-    assert rig.connection.positions_enabled
+    assert rig.connection.positions.enabled
     assert [record.result for record in rig.journalled(FixAnswered)] == ["ACCEPTED"]
     assert not [message for message in rig.received("TIMESYNC") if message.ts1 == 5], "asked by another, not for us"
 

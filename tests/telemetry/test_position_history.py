@@ -25,8 +25,8 @@ def north(stamp_s: float, north_m: float, **changes: Any) -> VehiclePosition:
     return VehiclePosition(round(stamp_s * S), north_m / 110_574.0, 10.0, **known)
 
 
-def history(*positions: VehiclePosition) -> PositionHistory:
-    kept = PositionHistory()
+def history(*positions: VehiclePosition, now_s: float = 1.2) -> PositionHistory:
+    kept = PositionHistory(lambda: round(now_s * S))
     for position in positions:
         kept.add(position)
     return kept
@@ -56,11 +56,10 @@ def test_where_none_follows_the_newest_is_moved_on_for_half_a_second() -> None:
 
 
 def test_a_frame_waits_for_the_position_after_it_and_not_for_ever() -> None:
-    kept = history(north(1.0, 10.0))
-    assert kept.is_awaited(round(1.1 * S), round(1.2 * S))
-    assert not kept.is_awaited(round(1.1 * S), round(2.2 * S))
-    assert not kept.is_awaited(S, round(1.2 * S))
-    assert not history().is_awaited(S, S), "there is no autopilot"
+    assert history(north(1.0, 10.0)).is_awaited(round(1.1 * S))
+    assert not history(north(1.0, 10.0)).is_awaited(S)
+    assert not history(north(1.0, 10.0), now_s=2.2).is_awaited(round(1.1 * S))
+    assert not history().is_awaited(S), "there is no autopilot"
 
 
 def test_across_a_jump_and_a_long_gap_it_is_not_known() -> None:
@@ -100,7 +99,7 @@ def test_positions_by_gps_have_its_accuracy_and_kind_of_fix(
     rig = open_rig(gps_at=lambda now_s: GpsReport(fix_type=fix_type, accuracy_m=0.7))
     rig.run(12.0)
     exposed_ns = rig.now_ns - S - 37_000_000
-    found = rig.connection.position_at(exposed_ns)
+    found = rig.connection.history.at(exposed_ns)
     assert found is not None
     assert (found.source, found.sigma_m) == (source, pytest.approx(0.7))
     true = straight_line(SPEED_MPS, 60.0, 1000.0)(exposed_ns / 1e9)
@@ -111,7 +110,7 @@ def test_positions_by_gps_have_its_accuracy_and_kind_of_fix(
 def test_without_gps_it_is_dead_reckoning_of_unknown_accuracy(open_rig: Callable[..., Rig]) -> None:
     rig = open_rig(gps=False)
     rig.run(12.0)
-    found = rig.connection.position_at(rig.now_ns - S)
+    found = rig.connection.history.at(rig.now_ns - S)
     assert found is not None
     assert (found.source, found.sigma_m) == ("dead_reckoning", None)
 
@@ -121,7 +120,7 @@ def test_after_a_fix_positions_rest_on_it_until_gps_is_used_again(open_rig: Call
     rig.run(12.0)
     assert rig.connection.send_position(rig.fix())
     rig.run(2.0)
-    found = rig.connection.position_at(rig.now_ns - S // 2)
+    found = rig.connection.history.at(rig.now_ns - S // 2)
     assert found is not None
     assert found.source == "place_fixes"
     rig.autopilot.gps = True
@@ -141,5 +140,5 @@ def test_a_restart_of_ours_does_not_forget_what_the_position_rests_on(open_rig: 
 
 
 def source_now(rig: Rig) -> str:
-    found = rig.connection.position_at(rig.now_ns - S // 2)
+    found = rig.connection.history.at(rig.now_ns - S // 2)
     return "" if found is None else str(found.source)
