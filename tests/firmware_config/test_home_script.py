@@ -24,7 +24,7 @@ from edge.mission import plan_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.codec import MavlinkCodec
 from tests.mission.test_way_home import straight
-from tests.telemetry.conftest import Rig
+from tests.telemetry.rig import Rig
 
 SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
 CHANNEL, MANUAL, HOLD, AUTO = 2, 0, 4, 10

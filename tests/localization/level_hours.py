@@ -60,7 +60,8 @@ def stretches(rng: np.random.Generator, shifted_m: tuple[float, float] | None) -
     count = len(begins_m)
     is_shifted = np.zeros(count, bool) if shifted_m is None else rng.random(count) < STRETCH_WRONG
     weight = (1 - STRETCH_WRONG) ** count
-    far_m = np.exp(rng.uniform(*np.log(SHIFTED_M), count))
+    least, most = np.log(SHIFTED_M)
+    far_m = np.exp(rng.uniform(least, most, count))
     if shifted_m is not None:
         one = int(rng.integers(count))
         is_shifted[one], far_m[one] = True, math.exp(rng.uniform(*np.log(shifted_m)))

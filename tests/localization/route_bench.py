@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, PlaceFix, ReportedMotion
-from edge.localization.position_estimator import Limits, PositionEstimator, Report
+from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ReportedMotion
+from edge.localization.position_estimator import PositionEstimator, Report
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
@@ -129,7 +129,8 @@ def build_maps(
 ) -> tuple[MapSet, list[tuple[int, float, float, int]]]:
     """A map whose segments are those stretches; for each its first place, its first and last meter of the road."""
     raw = np.zeros((2, 4), np.float32)
-    found, index = [], 0
+    found: list[tuple[int, float, float, int]] = []
+    index = 0
     key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set")
     with MapBuilder(path, *key, SamplingConfig(), replace=True) as builder:
         for number, stretch in enumerate(stretches):
@@ -245,7 +246,8 @@ class Bench:
         share = s - at
         point = self.line[at] + share * (self.line[at + 1] - self.line[at])
         heading = self._heading(s)
-        return point + right_m * np.array([math.cos(heading), -math.sin(heading)])
+        found: Points = point + right_m * np.array([math.cos(heading), -math.sin(heading)])
+        return found
 
     def _heading(self, s: float) -> float:
         return float(self.heading[min(int(s), len(self.heading) - 1)])

@@ -43,9 +43,11 @@ class Drive:
         self.sign = 1 if direction == "forward" else -1
         self.place, self.frames, self.stamp_ns = start_place, 0, 100 * S
         self.drift = 0.0  # see `Displacement`
+        self.scale, self.east_m = 1.0, 0.0  # what the odometer reads of a meter; how far it has the vehicle to the side
 
     def displacement(self, further_m: float = 0.0, leg: int = 1) -> Displacement:
-        return Displacement(leg, 0.0, self.sign * (self.frames * SPACING_M + further_m), self.drift)
+        north_m = self.sign * (self.scale * self.frames * SPACING_M + further_m)
+        return Displacement(leg, self.east_m, north_m, self.drift)
 
     def go(self, frames: int, sees: Callable[[int], PlaceMatch | None] | None = None, missed: int = 0) -> None:
         for _ in range(frames):
@@ -56,7 +58,7 @@ class Drive:
             self.filter.update(seen, self.stamp_ns, self.displacement(), missed)
 
     def north_m(self, tracked: PlaceFix | None) -> float:
-        assert tracked is not None
+        assert tracked is not None and tracked.lat_deg is not None
         return (tracked.lat_deg - LAT_DEG) / METRE_DEG
 
 

@@ -125,7 +125,9 @@ def test_going_back_is_no_distance() -> None:
     at_m = []
     for second, speed_mps in enumerate([10.0] * 5 + [-2.0] * 5 + [10.0] * 5 + [-10.0] * 20 + [10.0] * 6):
         motion.add_speed(second * 1_000_000_000, speed_mps, source=0)
-        at_m.append(motion.distance_m(second * 1_000_000_000))
+        distance_m = motion.distance_m(second * 1_000_000_000)
+        assert distance_m is not None
+        at_m.append(distance_m)
     assert at_m[4:10] == [at_m[4], *[pytest.approx(44.0)] * 5]
     assert at_m[14] == pytest.approx(44.0 - 8.0 - 4.0 + 4.0 + 40.0, abs=5.0)
     assert at_m[-1] - at_m[14] == pytest.approx(20.0, abs=10.0)

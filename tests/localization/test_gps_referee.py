@@ -175,6 +175,7 @@ def test_after_a_gap_the_vehicle_s_own_motion_says_whether_gps_or_the_map_is_wro
         off = error + ((off_m, 0.0) if is_after and not is_map else (0.0, 0.0))
         one = comparison(at_m, tuple(off), recording=recording if is_after else "out", moved_m=0.97 * at_m)
         if is_after and is_map:
+            assert one.off_left_m is not None
             lat_deg, lon_deg = moved(one.lat_deg, one.lon_deg, off_m, 0.0)
             one = replace(one, lat_deg=lat_deg, lon_deg=lon_deg, off_left_m=one.off_left_m + off_m)
         states.append(referee.update(one).state)

@@ -91,9 +91,13 @@ def test_where_nothing_is_known_of_the_autopilot_one_stretch_is_never_enough(unk
 
 def test_far_from_an_origin_that_bounds_nothing_two_stretches_confirm_each_other() -> None:
     """After a reboot without GPS the autopilot's position is its origin: 300 m off here, beyond `max_move_m`."""
-    one, origin = Integrity(GatesConfig()), {"off_m": 300.0, "uncertainty_m": None, "bound_by_gps": False}
-    assert set(drive(one, range(0, 490), **origin)) == {"not confirmed by another place yet"}
-    assert drive(one, range(600, 620), recording="second", **origin)[-1] is None
+    one = Integrity(GatesConfig())
+    found = [
+        drive(one, meters, off_m=300.0, recording=recording, uncertainty_m=None, bound_by_gps=False)
+        for meters, recording in ((range(0, 490), ""), (range(600, 620), "second"))
+    ]
+    assert set(found[0]) == {"not confirmed by another place yet"}
+    assert found[1][-1] is None
     assert reason(msgspec.structs.replace(FIX, lat_deg=300 * METRE_DEG)) == "impossibly far", "it is held to a bound"
 
 
@@ -143,10 +147,10 @@ def test_matches_count_as_evidence_while_gps_is_healthy() -> None:
     one = Integrity(GatesConfig())
     for driven_m in range(0, 3000, 10):
         fix = msgspec.structs.replace(FIX, lat_deg=driven_m * METRE_DEG)
-        now = {"position": replace(OWN, lat_deg=fix.lat_deg), "displacement": Displacement(1, 0.0, float(driven_m))}
-        one.observe(fix, replace(MOVING, gps="healthy", **now))
+        position, moved = replace(OWN, lat_deg=driven_m * METRE_DEG), Displacement(1, 0.0, float(driven_m))
+        one.observe(fix, replace(MOVING, gps="healthy", position=position, displacement=moved))
         one.bound(by_gps=True)
-    assert reason(fix, one, **now) is None
+    assert reason(fix, one, position=position, displacement=moved) is None
     assert one.protection_level is not None
     assert one.protection_level.is_within(25.0)
 

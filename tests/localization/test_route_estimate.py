@@ -101,7 +101,8 @@ def lines(*at_m: float, here: float = 0.0, contrast: float = 0.4) -> RegionLines
 
 def _bell(away_m: Vector) -> Vector:
     bell: Vector = np.exp(-(away_m**2) / 2)
-    return bell / bell.sum()
+    bell /= bell.sum()
+    return bell
 
 
 def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> None:
@@ -169,7 +170,8 @@ def test_a_line_that_contradicts_what_is_expected_is_judged_anew_where_that_is_l
 
 def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
     wide = lines(0.0, 0.0)
-    wide = replace(wide, **{side: RegionLine(_bell(wide.beyond_m / 4), 0.4) for side in ("left", "right")})
+    region = RegionLine(_bell(wide.beyond_m / 4), 0.4)
+    wide = replace(wide, left=region, right=region)
     sigmas_m = []
     for apart_m in (2.0, 200.0):
         estimate = RouteEstimate(np.zeros(2), 25.0 * np.eye(2), ERRORS)

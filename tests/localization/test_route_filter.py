@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -45,7 +46,7 @@ def test_places_passed_unseen_are_part_of_the_line(open_filter: Callable[..., Ro
     drive.place += 5
     for frames in range(7):
         passed = (*range(frames + 1), *range(frames + 6, LENGTH + 5))
-        drive.go(1, lambda place, passed=passed: match(place, passed=passed), missed=0 if frames else 5)
+        drive.go(1, partial(match, passed=passed), missed=0 if frames else 5)
         assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
     assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
 
@@ -61,7 +62,7 @@ def test_it_is_moved_on_by_the_velocity_also_backwards_and_to_the_side(
     assert before is not None and ahead is not None and back is not None and east is not None
     assert drive.north_m(ahead) - drive.north_m(before) == pytest.approx(9.0, abs=0.02)
     assert drive.north_m(back) - drive.north_m(before) == pytest.approx(-9.0, abs=0.02)
-    assert (east.lon_deg - 153.0) * 99_255 == pytest.approx(9.0, abs=0.02)
+    assert beside_m(east) == pytest.approx(-9.0, abs=0.02)
     assert ahead.stamp_ns == later_ns
     assert ahead.sigma_m > before.sigma_m
 
@@ -70,8 +71,7 @@ def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_filter: Cal
     drive = warm(open_filter(RigConfig(ahead_forward_swapped_m=26.0, left_forward_m=3.5)))
     fix = drive.filter.at_exposure()
     assert drive.north_m(fix) == pytest.approx(drive.place * SPACING_M - 26.0, abs=0.05)
-    assert fix is not None
-    assert (153.0 - fix.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "left of north is west"
+    assert beside_m(fix) == pytest.approx(3.5, abs=0.01), "left of north is west"
 
 
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
@@ -118,14 +118,14 @@ def test_a_match_that_is_not_believed_corrects_within_what_is_expected_and_confi
         drive.go(LENGTH, lambda _: None)
         drive.go(20, lambda place: match(place, order="same", parallax=regions(0.0, 0.0)))
         last = drive.filter.at_exposure()
-        fields = {"order": "same", "parallax": regions(beyond_m, 1.0), "accepted": False, "uniqueness": uniqueness}
-        drive.go(8, lambda place, fields=fields: match(place, **fields))
+        sees = partial(match, order="same", parallax=regions(beyond_m, 1.0), accepted=False, uniqueness=uniqueness)
+        drive.go(8, sees)
         found = drive.filter.at(drive.stamp_ns, drive.displacement())
         assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
         assert drive.north_m(found) == pytest.approx(drive.place * SPACING_M, abs=0.7)
         assert found is not None and last is not None
         assert found.matches == last.matches
-        drive.go(3, lambda place, fields=fields: match(place, **fields))
+        drive.go(3, sees)
         assert drive.filter.at(drive.stamp_ns, drive.displacement()) is None, "20 m without a believed match"
 
 
@@ -140,7 +140,7 @@ def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
     fix = warm(RouteFilter(route, settings(rig)), 100, direction).filter.at_exposure()
     assert fix is not None
     assert fix.heading_deg == pytest.approx(heading_deg, abs=1e-3)
-    assert (153.0 - fix.lon_deg) * 99_255 == pytest.approx(3.5, abs=0.01), "west, both ways"
+    assert beside_m(fix) == pytest.approx(3.5, abs=0.01), "west, both ways"
 
 
 def test_a_line_too_steep_counts_by_its_middle(open_filter: Callable[..., RouteFilter]) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import Displacement
 from edge.localization.route_filter import RouteFilter
 from edge.sequence import PlaceMatch
 from tests.localization.straight_road import (
@@ -26,6 +26,10 @@ from tests.localization.straight_road import (
 )
 
 
+def match_further(by: int, place: int) -> PlaceMatch:
+    return match(place + by)
+
+
 def test_a_lost_position_goes_on_only_where_the_next_match_agrees(open_filter: Callable[..., RouteFilter]) -> None:
     """A vehicle 2 m beside the map's drive, which only its regions have shown; then 60 m without a match."""
     for further, expected_m in ((0, 2.0), (40, 0.0)):
@@ -34,7 +38,7 @@ def test_a_lost_position_goes_on_only_where_the_next_match_agrees(open_filter: C
         drive.go(30, lambda place: match(place, order="same", parallax=regions(0.0, 2.0)))
         drive.go(30, lambda _: None)
         assert drive.filter.at_exposure() is None
-        drive.go(1, lambda place, further=further: match(place + further))
+        drive.go(1, partial(match_further, further))
         found = drive.filter.at_exposure()
         assert drive.north_m(found) == pytest.approx((drive.place + further) * SPACING_M, abs=1.0)
         assert beside_m(found) == pytest.approx(expected_m, abs=0.5)
@@ -66,14 +70,12 @@ def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_fo
 def test_far_beside_the_road_no_match_corrects_a_position(open_filter: Callable[..., RouteFilter]) -> None:
     """By its own reckoning the vehicle goes 26 m to the side; its regions would have it at 21 m there."""
     drive = warm(open_filter(RigConfig(parallax=2.4, sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0))
-    aside_m = 0.0
-    drive.displacement = lambda: Displacement(1, aside_m, drive.frames * SPACING_M)  # type: ignore[method-assign]
     for _ in range(20):
-        aside_m += 1.3
+        drive.east_m += 1.3
         drive.go(1, lambda _: None)
     drive.go(LENGTH, lambda _: None)
-    for believed in (True, False):
-        drive.go(4, lambda place, ok=believed: match(place, order="same", parallax=regions(0.0, -21.0), accepted=ok))
+    for accepted in (True, False):
+        drive.go(4, partial(match, order="same", parallax=regions(0.0, -21.0), accepted=accepted))
         later = drive.filter.at(drive.stamp_ns, drive.displacement())
         assert beside_m(later) == pytest.approx(-26.0, abs=1.0)
         assert later is not None
@@ -109,7 +111,7 @@ def test_gps_that_disagrees_with_the_matches_begins_no_track(open_filter: Callab
 def test_a_wrong_scale_is_found_and_remembered(open_filter: Callable[..., RouteFilter]) -> None:
     """The odometer reads 8 % too little."""
     drive = Drive(open_filter(), 10)
-    drive.displacement = lambda: Displacement(1, 0.0, 0.92 * drive.frames * SPACING_M)  # type: ignore[method-assign]
+    drive.scale = 0.92
     drive.go(2 * LENGTH, lambda _: None)
     drive.go(130)
     fix = drive.filter.at_exposure()
@@ -137,16 +139,17 @@ def test_one_false_match_changes_nothing(open_filter: Callable[..., RouteFilter]
 
 def test_matches_that_disagree_in_a_row_dispute_the_position(open_filter: Callable[..., RouteFilter]) -> None:
     """By [tracking] lost_after_m another one begins where they are, and is disputed for a correlation length."""
-    drive, disputed = warm(open_filter(lost_after_m=20.0)), []
+    drive, fixes = warm(open_filter(lost_after_m=20.0)), []
     for _ in range(44):
         drive.go(1, lambda place: match(place + 200 + 20))
         fix = drive.filter.at_exposure()
         assert fix is not None
-        disputed.append(fix.disputed)
+        fixes.append(fix)
+    disputed = [fix.disputed for fix in fixes]
     assert disputed.index(True) == 2
     assert disputed.index(False, 2) * SPACING_M == pytest.approx(20.0 + 60.0, abs=4.0)
-    assert drive.north_m(fix) == pytest.approx(1000.0 + (drive.place + 20) * SPACING_M, abs=0.1)
-    assert fix.matches < 45
+    assert drive.north_m(fixes[-1]) == pytest.approx(1000.0 + (drive.place + 20) * SPACING_M, abs=0.1)
+    assert fixes[-1].matches < 45
 
 
 @pytest.mark.parametrize("unseen", [None, match(5, accepted=False)])

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
+from edge.sequence import PlaceMatch
 from edge.sequence.evidence import HoldOff, Neighborhood, best_match
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
@@ -16,13 +17,26 @@ CONFIG = AcceptanceConfig(window_m=10.0, window_places=3)
 
 
 def match(
-    costs: np.ndarray,
+    costs: NDArray[np.float64],
     neighborhood: Neighborhood,
-    newest: np.ndarray = NOTHING,
+    newest: NDArray[np.float64] = NOTHING,
     *,
     frames: int = 5,
     step: float = 1.0,
-):
+) -> PlaceMatch:
+    found = match_anywhere(costs, neighborhood, newest, frames=frames, step=step)
+    assert found is not None
+    return found
+
+
+def match_anywhere(
+    costs: NDArray[np.float64],
+    neighborhood: Neighborhood,
+    newest: NDArray[np.float64] = NOTHING,
+    *,
+    frames: int = 5,
+    step: float = 1.0,
+) -> PlaceMatch | None:
     search = SequenceSearch([(0, 100)], [("forward", "same")], frames, (1.0,))
     search.refill(np.zeros((frames, 1, 100), dtype=np.int32), [step * frame for frame in range(frames)])
     lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), frames)  # as the search would give them
@@ -31,14 +45,15 @@ def match(
 
 def neighbors_by_route(spacing_m: float) -> Neighborhood:
     none = np.full((100, 2), np.nan)
-    return Neighborhood(none, np.arange(100) * spacing_m, np.zeros(100, dtype=np.int32), CONFIG)
+    return Neighborhood(none, np.arange(100.0) * spacing_m, np.zeros(100, dtype=np.int32), CONFIG)
 
 
 def test_second_best_is_looked_for_outside_the_window() -> None:
     costs = np.full(100, 1500)
     costs[40], costs[45], costs[80] = 1000, 1010, 1300
     found = match(costs, neighbors_by_route(2.0))  # 10 m are 5 places
-    assert (found.place, found.uniqueness) == (40, pytest.approx(1.3))
+    assert found.place == 40
+    assert found.uniqueness == pytest.approx(1.3)
     found = match(costs, neighbors_by_route(3.0))  # 10 m are 3 places: 45 is elsewhere now
     assert found.uniqueness == pytest.approx(1.01)
 
@@ -85,9 +100,9 @@ def test_around_a_closed_lap_the_first_places_are_near_the_last(route: NDArray[n
 def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     everything_near = msgspec.structs.replace(CONFIG, window_m=1e6)
     around = Neighborhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
-    found = match(np.arange(100)[::-1], around)
+    found = match(np.arange(100.0)[::-1], around)
     assert found.uniqueness == 1.0
-    assert match(np.full(100, NO_LINE), around) is None
+    assert match_anywhere(np.full(100, NO_LINE), around) is None
 
 
 def test_hold_off_counts_from_the_last_event_that_passed() -> None:

@@ -33,10 +33,8 @@ def raw() -> NDArray[np.float32]:
 def maps(raw: NDArray[np.float32]) -> Iterator[MapSet]:
     """Driven once with a rear camera, and once with a front one."""
     half = PLACES // 2
-    drives = [
-        MappedDrive(raw[first : first + half], [Place(row, route_m=2.0 * row) for row in range(half)], view)
-        for first, view in ((0, "rear"), (half, "front"))
-    ]
+    places = [Place(row, route_m=2.0 * row) for row in range(half)]
+    drives = [MappedDrive(raw[:half], places, "rear"), MappedDrive(raw[half:], places, "front")]
     with temporary_map(drives, ModelKey("test", "0" * 64, "fc6", DIMENSIONS), DescriptorConfig()) as found:
         yield found
 
@@ -110,12 +108,14 @@ def test_fewer_places_than_half_a_lag_are_matched_as_one_frame(raw: NDArray[np.f
 def test_a_search_uses_the_lane_where_distance_is_measured(raw: NDArray[np.float32], maps: MapSet) -> None:
     def last_match(*, is_measured: bool) -> PlaceMatch | None:
         search = PlaceSearch(maps, Config(rig=RIG, sequence=SequenceConfig(length=LENGTH)))
-        match = None
         rows = way_home(raw, 1)[: 3 * LENGTH]
-        for number, row in enumerate(rows):
+
+        def push(number: int) -> PlaceMatch | None:
+            newest = NormalizedRows(rows[number][np.newaxis])
             ring = rows[max(0, number - LENGTH + 1) : number + 1]
-            match = search.push(NormalizedRows(row[np.newaxis]), lambda ring=ring: ring, None, is_measured=is_measured)
-        return match
+            return search.push(newest, lambda: ring, None, is_measured=is_measured)
+
+        return [push(number) for number in range(len(rows))][-1]
 
     lane, alone = last_match(is_measured=True), last_match(is_measured=False)
     assert lane is not None and alone is not None

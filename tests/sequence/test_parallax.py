@@ -57,7 +57,8 @@ def test_each_region_says_where_its_line_lies_in_the_direction_of_travel(lag: fl
 def test_rows_are_compared_where_the_vehicle_was() -> None:
     """Of a vehicle that leaves its lane, each row lies elsewhere; where that is known, all show the same place."""
     found = line(valleys(3.0, 3.0, 1, depth=0.1, drifts=-0.3), 1)
-    straight, moved = (region_line(found.costs[0], places[np.newaxis]) for places in (np.zeros(ROWS), -0.3 * AGES))
+    aside = -0.3 * AGES.astype(np.float64)
+    straight, moved = (region_line(found.costs[0], places[np.newaxis]) for places in (np.zeros(ROWS), aside))
     assert straight is not None and moved is not None
     assert moved.likely.max() > 2 * straight.likely.max()
     assert moved.contrast > straight.contrast

@@ -41,8 +41,8 @@ def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         for index in range(PLACES):
             if index % 3000 == 0:
                 builder.begin_segment("drive", "front")
-            known = {"lat_deg": index * 2 * DEGREES_A_METRE, "lon_deg": 0.0} if request.param else {}
-            builder.add(raw[index], Place(row=index, route_m=index * 2.0, **known))
+            lat_deg, lon_deg = (index * 2 * DEGREES_A_METRE, 0.0) if request.param else (np.nan, np.nan)
+            builder.add(raw[index], Place(index, lat_deg, lon_deg, route_m=index * 2.0))
         builder.finish(normalize, "test")
     return open_map(path)
 

@@ -16,8 +16,8 @@ from edge.reference_map import COST_ONE
 from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 
-ALL_PLANES = [(direction, order) for direction in ("forward", "reverse") for order in ("same", "swapped")]
-ONE_REGION = [("forward", "same"), ("reverse", "same")]
+ONE_REGION: list[Alignment] = [("forward", "same"), ("reverse", "same")]
+ALL_PLANES: list[Alignment] = [("forward", "same"), ("forward", "swapped"), ("reverse", "same"), ("reverse", "swapped")]
 
 
 def direct_lines(

@@ -42,8 +42,7 @@ def test_places_are_right_whatever_the_spacing(
     """A straight line through places and frames would be four times too steep, or too flat."""
     mapped = road[::map_m]
     places = [Place(row, route_m=float(map_m * row)) for row in range(len(mapped))]
-    by = "frames" if irregular else "distance"
-    config = Config(sampling=SamplingConfig(by=by, spacing_m=frame_m))
+    config = Config(sampling=SamplingConfig(by="frames" if irregular else "distance", spacing_m=frame_m))
     rng = np.random.default_rng(1)
     at_m = frames_at_m(frame_m, irregular)
     with temporary_map(

@@ -6,153 +6,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from edge.config import GatesConfig, HomeConfig, TelemetryConfig
-from edge.journal.journal import Journal, R, records_of
-from edge.localization import PlaceFix
-from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.codec import MavlinkCodec
-from sim.vehicle.autopilot import SimulatedAutopilot
-from sim.vehicle.command import straight_line
-from sim.vehicle.pty_link import PtyLink, open_pty
-
-SPEED_MPS = 8.0
-START_NS = 1_000_000_000_000
-LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
-
-
-class LossyLink:
-    """The autopilot's end of the wire, which loses the messages that `loses` names, in both directions."""
-
-    def __init__(self) -> None:
-        self.link: PtyLink | None = None
-        self.loses: Callable[[Any], bool] = lambda message: False
-        self._in, self._out = MavlinkCodec(1, 1), MavlinkCodec(1, 191)
-
-    def receive(self) -> bytes:
-        return self._kept(self._in, self._link.receive())
-
-    def send(self, data: bytes) -> bool:
-        return self._link.send(self._kept(self._out, data))
-
-    def fileno(self) -> int:
-        return self._link.fileno()
-
-    def close(self) -> None:
-        self._link.close()
-
-    def _kept(self, codec: MavlinkCodec, data: bytes) -> bytes:
-        return b"".join(bytes(one.get_msgbuf()) for one in codec.decode(data) if not self.loses(one))
-
-    @property
-    def _link(self) -> PtyLink:
-        assert self.link is not None
-        return self.link
-
-
-class Rig:
-    """The real connection on a pseudo-terminal that a symbolic link names, as udev would; time is stepped."""
-
-    def __init__(
-        self,
-        folder: Path,
-        emit: Any = "report",
-        gates: GatesConfig = LENIENT,
-        config: Any = None,
-        home: HomeConfig = HomeConfig(),  # noqa: B008  # frozen
-        **autopilot: Any,
-    ) -> None:
-        self.now_ns = START_NS
-        self.port = folder / "autopilot"
-        self.journal = Journal(folder / "events.jsonl")
-        self.options = autopilot
-        self.pty: PtyLink | None = None
-        self.wire = LossyLink()
-        self.plug()
-        options = {
-            "connection": f"serial:{self.port}:921600",
-            "emit": emit,
-            "journal": str(folder / "events.jsonl"),
-            **(config or {}),
-        }
-        self._config, self._gates, self._home = TelemetryConfig(**options), gates, home
-        self.connect()
-
-    def connect(self) -> None:
-        """Start our end; the autopilot goes on as it is."""
-        self.connection = AutopilotConnection(
-            self._config, lambda: self.now_ns, self.journal.write, self._gates, self._home
-        )
-
-    def crash(self) -> None:
-        """Our end is gone without a word, as after kill -9; its port is free again."""
-        self.unplug()
-        self.connection.poll()
-        self.open_port()
-
-    def plug(self) -> None:
-        self.open_port()
-        pose_at = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)
-        self.autopilot = SimulatedAutopilot(self.wire, pose_at, lambda: self.now_ns, **self.options)
-
-    def open_port(self) -> None:
-        """A port under the same name; the autopilot's end of it."""
-        self.pty = self.wire.link = open_pty()
-        self.port.unlink(missing_ok=True)
-        self.port.symlink_to(self.pty.device)
-
-    def unplug(self) -> None:
-        assert self.pty is not None
-        self.pty.close()
-        self.pty = None
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Step both ends 10 ms at a time; whether `until` came true."""
-        for _ in range(round(seconds * 100)):
-            self.now_ns += 10_000_000
-            if self.pty is not None:
-                self.autopilot.step()
-            self.connection.poll()
-            if until():
-                return True
-        return False
-
-    def received(self, name: str) -> list[Any]:
-        return [entry.message for entry in self.autopilot.received if entry.message.get_type() == name]
-
-    def journalled(self, kind: type[R]) -> list[R]:
-        return list(records_of(self.port.with_name("events.jsonl"), kind))
-
-    def fix(self, age_s: float = 0.5, **changes: Any) -> PlaceFix:
-        exposed_ns = self.now_ns - round(age_s * 1e9)
-        lat_deg, lon_deg = straight_line(SPEED_MPS, 60.0, START_NS / 1e9)(exposed_ns / 1e9).geodetic()
-        fields: dict[str, Any] = {
-            "stamp_ns": exposed_ns,
-            "place": 42,
-            "lat_deg": lat_deg,
-            "lon_deg": lon_deg,
-            "heading_deg": 60.0,
-            "sigma_along_m": 2.4,
-            "sigma_across_m": 1.8,
-            "direction": "reverse",
-            "order": "same",
-            "uniqueness": 1.31,
-            "category": "street",
-            "matches": 20,
-            "confidence": 0.9,
-        }
-        return PlaceFix(**{**fields, **changes})
-
-    def close(self) -> None:
-        self.connection.close()
-        self.journal.close()
-        if self.pty is not None:
-            self.pty.close()
+from edge.mission import Start, WayHome, plan_way_home
+from edge.reference_map import open_map_set
+from tests.telemetry.home_requests import ENABLED
+from tests.telemetry.rig import START_NS, OpenRig, Rig
 
 
 @pytest.fixture
-def open_rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
+def open_rig(tmp_path: Path) -> Iterator[OpenRig]:
     """Opens a Rig with other options than `rig`'s."""
     opened: list[Rig] = []
 
@@ -166,6 +30,34 @@ def open_rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
 
 
 @pytest.fixture
-def rig(open_rig: Callable[..., Rig], request: pytest.FixtureRequest) -> Rig:
+def rig(open_rig: OpenRig, request: pytest.FixtureRequest) -> Rig:
     """A connection in `report`, or with the options that an indirect parameter gives."""
     return open_rig(**getattr(request, "param", {}))
+
+
+@pytest.fixture
+def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
+    """A connection whose vehicle drives along the map, with some way behind it and its position known."""
+    along_m = np.arange(-40.0, 400.0, 2.0)[:, None]
+    bend_m = 10 * np.sin(along_m / 60)
+    course = np.array([np.sin(np.radians(60)), np.cos(np.radians(60))])
+    maps = open_map_set(map_along(along_m * course + bend_m * [-course[1], course[0]]))
+
+    def open_one(**options: Any) -> Rig:
+        config = options.setdefault("home", ENABLED)
+        rig = open_rig(**options)
+
+        def plan(start: Start) -> WayHome:
+            # The simulated vehicle drives away from home, which is only a warning.
+            return plan_way_home(maps, start, config)
+
+        rig.connection.plan_home_by(plan)
+        assert rig.run(12.0, lambda: rig.connection.is_ready_for_home and rig.now_ns > START_NS + 9e9)
+        return rig
+
+    return open_one
+
+
+@pytest.fixture(params=["ardupilot", "px4"])
+def home(open_home: OpenRig, request: pytest.FixtureRequest) -> Rig:
+    return open_home(firmware=request.param)

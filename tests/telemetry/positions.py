@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 from edge.config import GatesConfig
+from tests.telemetry.rig import Rig
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
 OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
 
 

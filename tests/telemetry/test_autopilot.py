@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -17,9 +17,9 @@ from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SILENT
+from tests.telemetry.rig import Rig
 from tests.udp_port import free_port
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
 STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193}
@@ -263,14 +263,16 @@ def test_recorded_autopilots_played_into_the_port(
 ) -> None:
     """All of it: link up, streams asked for, time base right, TIMESYNC answered, and no position in `report`."""
     sent, errors_s, codec, theirs, next_fix_ns = [], [], MavlinkCodec(1, 1), MavlinkCodec(1, 191), 0
+    pty = rig.pty
+    assert pty is not None
     for rig.now_ns, frame in read_tlog(recording):
         for message in theirs.decode(frame):
             boot_s = rig.connection.vehicle.boot_time_s(rig.now_ns)
             if message.get_type() == "TIMESYNC" and message.tc1 == 0 and boot_s is not None:
                 errors_s.append(boot_s - message.ts1 / 1e9)  # known before it is read
-        rig.pty.send(frame)
+        pty.send(frame)
         rig.connection.poll()
-        sent += codec.decode(rig.pty.receive())
+        sent += codec.decode(pty.receive())
         if rig.connection.state == "up" and rig.now_ns >= next_fix_ns:
             next_fix_ns = rig.now_ns + 1_000_000_000
             rig.connection.publish_place(rig.fix())

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
@@ -13,9 +12,8 @@ from edge.journal.records import FixSent, FixWithheld, GpsJudged
 from edge.localization import GpsVerdict
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import GpsReport
+from tests.telemetry.rig import OpenRig, Rig
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
 OFF_M = 60.0
 AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
 
@@ -24,7 +22,6 @@ def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
     """GPS has been healthy for 10 s, and is 60 m too far to the east from then on."""
     gates = GatesConfig(doubted_gps=doubted_gps, **options.pop("gates", {}))
     rig = open_rig(gates=gates, **{"emit": "external_position", **options})
-    rig.off_m = 0.0
     rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
     rig.run(8.0)
     rig.connection.judge_gps(AGREES)
@@ -164,6 +161,7 @@ def test_gps_is_that_of_the_filter_or_else_of_the_receiver(open_rig: OpenRig) ->
     for expected in (1, 2):
         assert rig.autopilot.inputs.source_set == expected
         gps = rig.connection.gps_fix(rig.now_ns)
+        assert gps is not None
         at = rig.autopilot._pose.geodetic()
         east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, at)
         assert (east_m, north_m) == pytest.approx((OFF_M, 0.0), abs=5.0)

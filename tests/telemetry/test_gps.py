@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -17,9 +17,8 @@ from edge.telemetry.gps import Gps
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.vehicle import Vehicle
 from sim.vehicle.command import straight_line
+from tests.telemetry.rig import OpenRig, Rig
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
 OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0)
 GPS_EACH_NS = 250_000_000
 FLIGHTS = Path(__file__).parents[3] / "shared" / "flights"
@@ -224,12 +223,12 @@ def test_one_good_message_after_an_outage_bounds_nothing(rig: Rig) -> None:
     sky.run(6.0)
     sky.first, sky.flags = NO_FIX, 0x12F
     sky.run(20.0)
-    before_m = rig.connection.uncertainty_m
+    before_m = rig.uncertainty_m
     sky.first, sky.flags = FIX_3D, 0x33F
     sky.run(0.25)
     sky.first = NO_FIX
     sky.run(1.5)
-    assert before_m is not None and rig.connection.uncertainty_m >= before_m
+    assert rig.uncertainty_m >= before_m
     assert sky.state == "not healthy"
 
 
@@ -269,17 +268,17 @@ def test_gps_that_the_filter_does_not_use_bounds_nothing_and_is_no_permission(ri
 def test_gps_that_is_dragged_off_bounds_no_longer_once_the_filter_does_not_follow(rig: Rig, drag_mps: float) -> None:
     sky = Sky(rig)
     sky.run(6.0)
-    bound_m = rig.connection.uncertainty_m
+    bound_m = rig.uncertainty_m
     off_m = []
 
     def drag() -> None:
         sky.off_m += drag_mps * GPS_EACH_NS / 1e9
-        if rig.connection.uncertainty_m <= bound_m + 0.01:
+        if rig.uncertainty_m <= bound_m + 0.01:
             off_m.append(sky.off_m)
 
     sky.run(60.0, drag)
     assert max(off_m) < 10.0 + 0.3 * 8.0 + drag_mps
-    assert rig.connection.uncertainty_m > bound_m + 1.0
+    assert rig.uncertainty_m > bound_m + 1.0
     assert sky.offer(3.0, drag) == 0, "the receiver is still good"
 
 
@@ -322,7 +321,8 @@ def test_a_late_answer_does_not_give_up_another_stream(rig: Rig) -> None:
     rig.wire.loses = lambda one: one.get_type() == "COMMAND_ACK"
     denied = MavlinkCodec(1, 1).encode(mavlink.MAVLink_command_ack_message(511, 2, 0, 0, 1, 191))
     rig.run(7.0)
-    rig.pty.send(denied)
+    assert rig.pty is not None
+    rig.pty.send(denied)  # not lost
     rig.run(20.0)
     heard = rig.connection.vehicle.heard_ns
     assert all(heard(one) for one in (24, 32, 33, 74))
@@ -370,8 +370,8 @@ def test_gps_that_is_lost_before_the_filter_used_it_is_reported_at_once(open_rig
     sky.first, sky.flags = NO_FIX, 0x12F
     sky.run(3.0)
     warning = "Lookback: GPS lost before the autopilot used it"
-    texts = [(one.text, one.severity) for one in rig.received("STATUSTEXT")]
-    assert ((warning, mavlink.MAV_SEVERITY_WARNING) in texts) == (flags != 0x33F)
+    lines = [(one.text, one.severity) for one in rig.received("STATUSTEXT")]
+    assert ((warning, mavlink.MAV_SEVERITY_WARNING) in lines) == (flags != 0x33F)
     sky.offer(6.0)
     texts = [one.text for one in rig.received("STATUSTEXT")]
     assert texts.count("Lookback: waits for a second place to be sure") == (flags != 0x33F)

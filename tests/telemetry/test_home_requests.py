@@ -1,105 +1,31 @@
-"""Requests for the way home against an autopilot that answers by the mission protocol, on a link that may lose some."""
+"""Requests for the way home against an autopilot that answers by the mission protocol."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import HomeConfig
 from edge.journal.records import HomeAnswered
-from edge.mission import MissionItem, Start, WayHome, plan_way_home
-from edge.reference_map import open_map_set
+from edge.mission import WayHome
 from edge.telemetry.home_requests import Answer
-from edge.telemetry.mission_transfer import MissionTransfer
-from tests.telemetry.conftest import START_NS, Rig
-
-OpenRig = Callable[..., Rig]
-ENABLED = HomeConfig(enabled=True, speed_mps=2.5)
-ACCEPTED, FAILED, IN_PROGRESS = (
-    mavlink.MAV_RESULT_ACCEPTED,
-    mavlink.MAV_RESULT_FAILED,
-    mavlink.MAV_RESULT_IN_PROGRESS,
+from tests.telemetry.home_requests import (
+    ACCEPTED,
+    DENIED,
+    DRIVING_ITSELF,
+    FAILED,
+    IN_PROGRESS,
+    REJECTED,
+    accepted,
+    acknowledgements,
+    command,
+    finished,
+    results,
 )
-REJECTED, DENIED = mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_DENIED
-OLD = [
-    mavlink.MAVLink_mission_item_int_message(1, 1, number, 3, 16, 0, 1, 0, 0, 0, 0, -274000000 + number, 1530000000, 0)
-    for number in range(30)
-]
-DRIVING_ITSELF = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-
-
-def command(
-    component_id: int = 191,
-    params: tuple[float, float] = (1.0, 5665.0),
-    confirmation: int = 0,
-    number: int = mavlink.MAV_CMD_USER_5,
-) -> Any:
-    return mavlink.MAVLink_command_long_message(1, component_id, number, confirmation, *params, 0, 0, 0, 0, 0)
-
-
-def acknowledgements(rig: Rig) -> list[Any]:
-    return [ack for ack in rig.received("COMMAND_ACK") if ack.command == mavlink.MAV_CMD_USER_5]
-
-
-def results(rig: Rig) -> list[int]:
-    return [ack.result for ack in acknowledgements(rig)]
-
-
-def finished(rig: Rig) -> Callable[[], bool]:
-    return lambda: any(result != IN_PROGRESS for result in results(rig))
-
-
-def stop_at_item(rig: Rig, item: int) -> None:
-    """Request the way home on a link that loses one item of the upload, until those before it have arrived."""
-
-    def loses(message: Any) -> bool:
-        return message.get_type() == "MISSION_ITEM_INT" and (message.seq, message.get_srcComponent()) == (item, 191)
-
-    rig.wire.loses = loses
-    rig.autopilot.send(command())
-    rig.run(3.0, lambda: len(rig.received("MISSION_ITEM_INT")) == item)
-
-
-def kill_in_mid_upload(rig: Rig) -> None:
-    """End our side without a word, after some of the items were replaced; then start it again."""
-    stop_at_item(rig, 3)
-    rig.crash()
-    rig.wire.loses = lambda message: False
-    rig.connect()
-
-
-@pytest.fixture
-def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
-    """A connection whose vehicle drives along the map, with some way behind it and its position known."""
-    along_m = np.arange(-40.0, 400.0, 2.0)[:, None]
-    bend_m = 10 * np.sin(along_m / 60)
-    course = np.array([np.sin(np.radians(60)), np.cos(np.radians(60))])
-    maps = open_map_set(map_along(along_m * course + bend_m * [-course[1], course[0]]))
-
-    def open_one(**options: Any) -> Rig:
-        config = options.setdefault("home", ENABLED)
-        rig = open_rig(**options)
-
-        def plan(start: Start) -> WayHome:
-            # The simulated vehicle drives away from home, which is only a warning.
-            return plan_way_home(maps, start, config)
-
-        rig.connection.plan_home_by(plan)
-        assert rig.run(12.0, lambda: rig.connection.is_ready_for_home and rig.now_ns > START_NS + 9e9)
-        return rig
-
-    return open_one
-
-
-@pytest.fixture(params=["ardupilot", "px4"])
-def home(open_home: OpenRig, request: pytest.FixtureRequest) -> Rig:
-    return open_home(firmware=request.param)
+from tests.telemetry.rig import OpenRig, Rig
 
 
 def test_the_mission_is_uploaded_verified_and_acknowledged(home: Rig) -> None:
@@ -152,231 +78,10 @@ def test_the_same_way_home_begins_at_its_first_item_again(home: Rig) -> None:
     home.connection.plan_home_by(lambda start: way)
     for number in (1, 2):
         home.autopilot.send(command())
-        assert home.run(10.0, lambda wanted=number: results(home).count(ACCEPTED) == wanted)
+        assert home.run(10.0, accepted(home, number))
         mission = home.autopilot.mission
         assert mission.ahead_deg == mission.waypoints_deg
         mission.current = len(mission.items) - 1  # it has been driven
-
-
-def test_a_mission_whose_first_item_is_not_known_to_be_next_is_cleared(home: Rig) -> None:
-    home.wire.loses = lambda message: message.get_type() == "MISSION_CURRENT"
-    home.autopilot.send(command())
-    assert home.run(40.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot does not go back to the first item"
-    assert home.autopilot.mission.items == []
-
-
-@pytest.mark.parametrize("lost", [0.05, 0.1, 0.2])
-def test_a_link_that_loses_messages_only_delays_it(home: Rig, lost: float) -> None:
-    """A share of the messages of the protocol is lost, in both directions."""
-    rng = np.random.default_rng(3)
-    home.wire.loses = lambda message: message.get_type().startswith("MISSION") and bool(rng.random() < lost)
-    home.autopilot.send(command())
-    assert home.run(120.0, finished(home))
-    assert results(home)[-1] == ACCEPTED
-    assert len(home.autopilot.mission.items) == acknowledgements(home)[-1].result_param2
-
-
-def test_a_lost_last_acknowledgement_is_no_failure(home: Rig) -> None:
-    """ArduPilot answers a repeated last item with an error, so the download shows that the mission is there."""
-    lost: list[Any] = []
-
-    def loses(message: Any) -> bool:
-        is_lost = not lost and message.get_type() == "MISSION_ACK" and message.get_srcComponent() == 1
-        lost.extend([message] * is_lost)
-        return bool(is_lost)
-
-    home.wire.loses = loses
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert lost
-    assert results(home)[-1] == ACCEPTED
-
-
-def test_a_lost_last_item_is_sent_again(home: Rig) -> None:
-    """Also where its requests are lost, and the autopilot still waits for it when its items are requested."""
-    last, lost = -1, 0
-
-    def loses(message: Any) -> bool:
-        nonlocal last, lost
-        kind = message.get_type()
-        if kind == "MISSION_COUNT" and message.get_srcComponent() == 191:
-            last = message.count - 1
-        if kind == "MISSION_ITEM_INT" and message.seq == last and lost < 2:
-            lost += 1
-            return True
-        return lost == 1 and kind.startswith("MISSION_REQUEST") and kind != "MISSION_REQUEST_LIST"
-
-    home.wire.loses = loses
-    home.autopilot.send(command())
-    assert home.run(20.0, finished(home))
-    assert lost == 2
-    assert len(home.received("MISSION_REQUEST_LIST")) == 3, "that of the mission before, and one that was denied"
-    assert results(home)[-1] == ACCEPTED
-
-
-@pytest.mark.parametrize(
-    ("sender", "doubt"), [(1, ""), (191, "; look at the autopilot's mission before you start it")], ids=["its", "ours"]
-)
-def test_a_silent_autopilot_is_given_up(home: Rig, sender: int, doubt: str) -> None:
-    """Of no doubt is what it has while we have not begun to change it."""
-    home.wire.loses = lambda message: message.get_type() == "MISSION_COUNT" and message.get_srcComponent() == sender
-    home.autopilot.send(command())
-    assert not home.run(8.0, finished(home)), "1.5 s and five repetitions"
-    assert home.run(3.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert len(home.received("MISSION_COUNT")) == 0
-    assert home.journalled(HomeAnswered)[-1].text == f"no way home: the autopilot does not answer{doubt}"
-
-
-def test_a_mission_that_stops_halfway_is_cleared(home: Rig) -> None:
-    home.wire.loses = lambda message: message.get_type() == "MISSION_ITEM_INT" and message.seq == 3
-    home.autopilot.send(command())
-    assert home.run(30.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.autopilot.mission.items == []
-
-
-def test_a_mission_that_cannot_be_cleared_either_is_reported(home: Rig) -> None:
-    home.wire.loses = lambda message: (
-        message.get_type() == "MISSION_CLEAR_ALL" or (message.get_type() == "MISSION_ITEM_INT" and message.seq == 3)
-    )
-    home.autopilot.send(command())
-    assert home.run(60.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert "do not start the autopilot's mission" in home.journalled(HomeAnswered)[-1].text
-
-
-def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
-    """It requests the first item again and again, although it gets it."""
-    transfer = MissionTransfer([MissionItem(16, 3, (0.0, 0.0, 0.0, 0.0))] * 3, 1, first_is_home=False)
-    request, now_s = mavlink.MAVLink_mission_request_int_message(1, 191, 0, 0), 0
-    sent = transfer.start(0) + transfer.read(mavlink.MAVLink_mission_count_message(1, 191, 0, 0), 0)
-    while transfer.outcome is None and now_s < 300:
-        now_s += 1
-        sent += transfer.read(request, now_s * 10**9) + transfer.due(now_s * 10**9)
-    assert transfer.outcome is not None
-    assert transfer.outcome.why.startswith("the upload takes too long; do not start the autopilot's mission")
-    assert sent[-1].get_type() == "MISSION_CLEAR_ALL"
-    assert 150 < now_s < 180
-
-
-@pytest.mark.parametrize(("firmware", "left"), [("ardupilot", 0), ("px4", 30)])
-def test_a_daemon_that_ends_in_mid_upload_leaves_no_mixture(open_home: OpenRig, firmware: str, left: int) -> None:
-    """ArduPilot has replaced some of the 30 old items by then; PX4 has still all of them."""
-    rig = open_home(firmware=firmware)
-    rig.autopilot.mission.items = list(OLD)
-    stop_at_item(rig, 3)
-    rig.connection.close()
-    rig.autopilot.step()
-    assert rig.autopilot.mission.items == OLD[:left]
-    assert rig.journalled(HomeAnswered)[-1].text == "no way home: Lookback ended"
-
-
-@pytest.fixture
-def of_pilot(open_home: OpenRig) -> Rig:
-    """An ArduPilot with a mission of the pilot's."""
-    rig = open_home()
-    rig.autopilot.mission.items = list(OLD)
-    return rig
-
-
-def test_after_a_kill_in_mid_upload_the_mixture_is_cleared_and_the_old_mission_given_back(of_pilot: Rig) -> None:
-    kill_in_mid_upload(of_pilot)
-    assert len(of_pilot.autopilot.mission.items) > 3, "a mixture"
-    assert of_pilot.run(30.0, lambda: of_pilot.autopilot.mission.items == [])
-    of_pilot.run(5.0)
-    texts = "".join(one.text for one in of_pilot.received("STATUSTEXT"))
-    assert "Lookback: upload cut off, do not start the mission" in texts
-    assert of_pilot.journalled(HomeAnswered)[-1].text == (
-        "mission checked: a mission that was cut off is cleared; `lookback home --restore` uploads the one before"
-    )
-    answers: list[Answer] = []
-    of_pilot.connection.request_home(answers.append, restore=True)
-    assert of_pilot.run(20.0, lambda: answers[-1].is_final)
-    assert answers[-1].text == "restored and verified: the mission that was replaced, 30 items"
-    assert [item.x for item in of_pilot.autopilot.mission.items[1:]] == [item.x for item in OLD[1:]]
-    of_pilot.crash()
-    of_pilot.connect()
-    of_pilot.run(5.0)
-    assert "cut off" not in "".join(one.text for one in of_pilot.received("STATUSTEXT")[-2:]), "it is settled"
-
-
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-def test_the_pilot_s_mission_is_given_back_after_two_uploads(open_home: OpenRig, firmware: str) -> None:
-    rig = open_home(firmware=firmware)
-    rig.autopilot.mission.items = list(OLD)
-    answers: list[Answer] = []
-    for restore in (False, False, True):
-        rig.connection.request_home(answers.append, restore=restore)
-        assert rig.run(20.0, lambda: answers[-1].is_final)
-        assert answers[-1].is_accepted, answers[-1].text
-    assert [item.x for item in rig.autopilot.mission.items[1:]] == [item.x for item in OLD[1:]]
-
-
-def test_a_mission_that_the_pilot_wrote_after_the_kill_stays(of_pilot: Rig) -> None:
-    kill_in_mid_upload(of_pilot)
-    other = [mavlink.MAVLink_mission_item_int_message(1, 1, n, 3, 16, 0, 1, 0, 0, 0, 0, 5 * n, 7, 0) for n in range(4)]
-    of_pilot.run(10.0)  # the upload has timed out
-    of_pilot.crash()
-    of_pilot.connect()
-    of_pilot.autopilot.mission.items = list(other)
-    of_pilot.run(20.0)
-    assert of_pilot.autopilot.mission.items == other
-
-
-def test_a_mixture_is_not_cleared_while_the_vehicle_drives_itself(of_pilot: Rig) -> None:
-    before = of_pilot.autopilot.base_mode
-    kill_in_mid_upload(of_pilot)
-    of_pilot.autopilot.base_mode = DRIVING_ITSELF
-    mixture = list(of_pilot.autopilot.mission.items)
-    of_pilot.run(20.0)
-    assert of_pilot.autopilot.mission.items == mixture
-    of_pilot.autopilot.base_mode = before
-    assert of_pilot.run(30.0, lambda: of_pilot.autopilot.mission.items == [])
-
-
-def test_nothing_is_restored_where_nothing_was_replaced(home: Rig) -> None:
-    answers: list[Answer] = []
-    home.connection.request_home(answers.append, restore=True)
-    assert answers[-1].text == "not restored: no mission is known that was replaced"
-
-
-@pytest.mark.parametrize("result", [mavlink.MAV_MISSION_INVALID_PARAM5_X, mavlink.MAV_MISSION_NO_SPACE, 99])
-def test_a_refused_item_ends_it(home: Rig, result: int) -> None:
-    home.autopilot.mission.rejects = {2: result}
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.autopilot.mission.items == []
-    text = home.journalled(HomeAnswered)[-1].text
-    assert text in {
-        f"no way home: the autopilot refuses the mission: {name}" for name in ("INVALID_PARAM5_X", "NO_SPACE", "99")
-    }
-
-
-def test_an_item_that_is_stored_otherwise_is_found(home: Rig) -> None:
-    def alters(item: Any) -> Any:
-        item.x += 5 if item.seq == 3 else 0
-        return item
-
-    home.autopilot.mission.alters = alters
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: item 3 is not the one that was uploaded"
-    assert home.autopilot.mission.items == []
-
-
-def test_what_others_acknowledge_is_not_ours(home: Rig) -> None:
-    """An acknowledgement for another component, or of another type of mission."""
-    home.autopilot.send(command())
-    home.run(0.03)
-    for target, kind in ((190, 0), (191, mavlink.MAV_MISSION_TYPE_FENCE)):
-        home.autopilot.send(mavlink.MAVLink_mission_ack_message(1, target, mavlink.MAV_MISSION_ERROR, kind))
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == ACCEPTED
 
 
 def test_a_vehicle_that_drives_itself_keeps_its_mission(home: Rig) -> None:

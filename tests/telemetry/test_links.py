@@ -151,7 +151,12 @@ def test_a_second_autopilot_with_the_same_ids_stops_positions_and_is_reported(op
     rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0), gps=False)
     pose_at = straight_line(8.0, 60.0, rig.now_ns / 1e9 - 22 / 8)
     ahead = SimulatedAutopilot(Overheard(rig), pose_at, lambda: rig.now_ns, gps=False)
-    rig.run(6.0, lambda: bool(ahead.step()))
+
+    def step() -> bool:
+        ahead.step()
+        return False
+
+    rig.run(6.0, step)
     assert rig.connection.position() is None
     assert rig.connection.position_due() is None
     assert not rig.connection.send_position(rig.fix())

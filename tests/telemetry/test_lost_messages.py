@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
@@ -11,9 +11,8 @@ from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim.vehicle.autopilot import SILENT
+from tests.telemetry.rig import OpenRig, Rig
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
 SELDOM = GatesConfig(min_interval_s=30.0, risk=1.0)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
@@ -12,8 +12,8 @@ from edge.geodesy import VehiclePosition, east_north_of
 from edge.telemetry.position_history import PositionHistory
 from sim.vehicle.command import straight_line
 from sim.vehicle.gps import GpsReport
+from tests.telemetry.rig import Rig
 
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
 S = 1_000_000_000
 SPEED_MPS = 8.0
 
@@ -101,7 +101,8 @@ def test_positions_by_gps_have_its_accuracy_and_kind_of_fix(
     exposed_ns = rig.now_ns - S - 37_000_000
     found = rig.connection.history.at(exposed_ns)
     assert found is not None
-    assert (found.source, found.sigma_m) == (source, pytest.approx(0.7))
+    assert found.source == source
+    assert found.sigma_m == pytest.approx(0.7)
     true = straight_line(SPEED_MPS, 60.0, 1000.0)(exposed_ns / 1e9)
     off_m = east_north_of(found.lat_deg, found.lon_deg, true.geodetic())
     assert off_m == pytest.approx((0.0, 0.0), abs=0.2), "that of the exposure: 0.1 s are 0.8 m"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -16,9 +14,7 @@ from edge.telemetry.encoders import UNBOUNDED_M
 from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.positions import OFTEN, fixes_received, offer_for
-
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
+from tests.telemetry.rig import OpenRig, Rig
 
 
 @pytest.mark.parametrize(
@@ -110,7 +106,7 @@ def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) ->
     assert not fixes_received(rig)
     (withheld,) = rig.journalled(FixWithheld)
     assert withheld.reason == "impossibly far"
-    assert withheld.distance_m > 200
+    assert withheld.distance_m is not None and withheld.distance_m > 200
     texts = [message.text for message in rig.received("STATUSTEXT")]
     assert len([text for text in texts if "not sent" in text]) == 1
     assert offer_for(rig, 2.0) >= 2, "a good one goes at once"
@@ -141,7 +137,8 @@ def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(op
     assert first.level_along_m is not None and first.level_across_m is not None
     assert first.sigma_m < first.level_along_m < 60.0
     status = rig.connection.status()
-    assert (status.level_along_m, status.sent_sigma_m) == (first.level_along_m, pytest.approx(first.sigma_m, abs=0.01))
+    assert status.level_along_m == first.level_along_m
+    assert status.sent_sigma_m == pytest.approx(first.sigma_m, abs=0.01)
     assert protection_sent(rig)["pl_along"] == pytest.approx(first.level_along_m, abs=0.01)
     offer_for(rig, 60.0)
     last = rig.journalled(FixSent)[-1]
@@ -175,9 +172,10 @@ def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
     rig.autopilot.parameters = answers
     rig.run(9.0)
     rig.autopilot.gps = False
-    rig.run(12.0, lambda: correct(rig))
-    own = rig.connection.position()
-    assert distance_from(own, rig.fix()) > 80.0
+    for _ in range(1200):
+        rig.run(0.01)
+        correct(rig)
+    assert distance_from(rig.position, rig.fix()) > 80.0
     return rig
 
 
@@ -198,9 +196,8 @@ def test_a_position_is_not_sent_that_is_far_from_where_the_vehicle_is_without_th
 ) -> None:
     rig = unaided(open_rig)
     correct(rig)
-    assert (
-        offer_for(rig, 3.0, lat_deg=rig.connection.position().lat_deg, lon_deg=rig.connection.position().lon_deg) == 0
-    )
+    own = rig.position
+    assert offer_for(rig, 3.0, lat_deg=own.lat_deg, lon_deg=own.lon_deg) == 0
     assert rig.journalled(FixWithheld)[-1].reason == "not confirmed by another place yet"
 
 
@@ -249,7 +246,8 @@ def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) ->
     offer_for(rig, 2.0, map="tile-3")
     rig.autopilot.gps = False
     offer_for(rig, 8.0, map="tile-3")
-    for kind in (FixWithheld, FixSent, FixAnswered):
+    kinds: tuple[type[FixWithheld | FixSent | FixAnswered], ...] = FixWithheld, FixSent, FixAnswered
+    for kind in kinds:
         assert {record.map for record in rig.journalled(kind)} == {"tile-3"}, kind
 
 
@@ -280,7 +278,7 @@ def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: O
     rig = open_rig(emit="external_position", gates=GatesConfig(), gps=False, drift_percent=3.0)
     rig.run(4.0)
     off_deg = claimed_off_m / 111_000
-    assert not offer_for(rig, 6.0, lat_deg=rig.fix().lat_deg + off_deg)
+    assert not offer_for(rig, 6.0, lat_deg=rig.true_position()[0] + off_deg)
     assert [record.reason for record in rig.journalled(FixWithheld)] == ["not confirmed by another place yet"]
     rig.run(16.0)
     sent = offer_for(rig, 6.0, recording="second")

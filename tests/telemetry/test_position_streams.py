@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -13,9 +11,7 @@ from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
 from edge.telemetry import stream_check
 from tests.telemetry.positions import OFTEN, offer_for
-
-Rig: TypeAlias = Any  # of conftest.py, which is not a module for type checkers
-OpenRig: TypeAlias = Callable[..., Any]
+from tests.telemetry.rig import OpenRig
 
 
 def test_px4_gets_five_positions_a_second_and_follows(open_rig: OpenRig) -> None:
@@ -43,7 +39,7 @@ def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) 
 
     def offer() -> bool:
         if rig.connection.position_due() is not None:
-            rig.connection.send_position(rig.fix(age_s=0.0, lat_deg=rig.fix(age_s=0.0).lat_deg + 25 / 111_000))
+            rig.connection.send_position(rig.fix(age_s=0.0, lat_deg=rig.true_position(0.0)[0] + 25 / 111_000))
         return False
 
     rig.run(15.0, offer)
@@ -82,11 +78,11 @@ def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmwar
     reasons = [record.reason for record in rig.journalled(FixWithheld)]
     assert reasons == ["less accurate than the autopilot"] * (firmware == "ardupilot")
     rig.run(120.0)  # by now it may be uncertain by as much
-    own = rig.connection.position()
+    own = rig.position
     sent = rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
     assert sent == (firmware == "px4")
     rig.run(120.0)
-    own = rig.connection.position()
+    own = rig.position
     assert rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
 
 
