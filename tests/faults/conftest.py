@@ -8,6 +8,8 @@ LOOKBACK_SEED=... and its own name.
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -20,15 +22,16 @@ import tomli_w
 
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
-from edge.feed import FeedImages, FeedWriter, read_feed
+from edge.feed import read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from tests.faults.daemon_process import Process
 from tests.faults.simulated_daemon import Bench, ScriptedFrames
+from tests.memoizing_network import MemoizingNetwork
 
 FIGURE = "fault bench"
 PERIOD_MS = 40
-CALM_FRAMES = 1500
+CALM_FRAMES, CALM_PERIOD_NS = 18_000, 200_000_000
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
@@ -99,13 +102,27 @@ def street(make_street: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def calm_feed(street: Path) -> Path:
-    """The street over and over, five frames a second for five minutes: also a busy machine keeps up, and has time."""
-    feed, path = read_feed(street / "feed"), street / "calm"
-    pictures = FeedImages(feed)
-    with FeedWriter(path, feed.header) as writer:
-        for number in range(CALM_FRAMES):
-            writer.write(pictures.read(number % len(feed.rows)), number * 200_000_000)
+    """The street over and over, five frames a second for an hour: a busy machine keeps up, and no test outlasts it."""
+    files = [row.file for row in read_feed(street / "feed").rows]
+    path = shutil.copytree(street / "feed", street / "calm")
+    rows = [f"{files[number % len(files)]},{number * CALM_PERIOD_NS}" for number in range(CALM_FRAMES)]
+    (path / "frames.csv").write_text("\n".join(["file,stamp_ns", *rows]), encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="session")
+def compile_shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Compiles NAME.c of this folder to a library that LD_PRELOAD puts between a process and its C library."""
+
+    def compile_one(name: str) -> Path:
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        if compiler is None:
+            pytest.skip("needs a C compiler")
+        library, source = tmp_path_factory.mktemp("shim") / f"{name}.so", Path(__file__).with_name(f"{name}.c")
+        subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(source), "-ldl"], check=True)
+        return library
+
+    return compile_one
 
 
 @pytest.fixture
@@ -153,8 +170,8 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Pr
 
 
 @pytest.fixture
-def make_bench() -> Iterator[Callable[..., Bench]]:
+def make_bench(network: MemoizingNetwork) -> Iterator[Callable[..., Bench]]:
     with ExitStack() as parts:
-        yield lambda config, network=None, speed_mps=10.0, frames=ScriptedFrames: Bench(
+        yield lambda config, network=network, speed_mps=10.0, frames=ScriptedFrames: Bench(
             config, parts, network, speed_mps, frames
         )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,22 +12,10 @@ import pytest
 from edge.journal.journal import read_journal, records_of
 from edge.journal.records import FrameUsed, PlaceFix
 
-SHIM = Path(__file__).with_name("clock_shim.c")
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
 HOLD_OFF_S = 0.3
 LATE_S = 30.0
 """A step would show as its own length; a machine that is busy may take a while."""
-
-
-@pytest.fixture(scope="module")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A library that stands between a process and its wall clock."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("needs a C compiler")
-    library = tmp_path_factory.mktemp("shim") / "clock_shim.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(SHIM), "-ldl"], check=True)
-    return library
 
 
 @pytest.mark.parametrize(
@@ -43,7 +29,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_the_wall_clock_is_stepped(
     step_s: int,
-    shim: Path,
+    compile_shim: Callable[[str], Path],
     calm_feed: Path,
     write_config: Callable[..., Path],
     start: Callable[..., Any],
@@ -57,7 +43,8 @@ def test_the_wall_clock_is_stepped(
     )
     steps = tmp_path / "step"
     steps.write_text("0")
-    process = start(config, environment={"LD_PRELOAD": str(shim), "LOOKBACK_CLOCK_STEP": str(steps)})
+    shim = str(compile_shim("clock_shim"))
+    process = start(config, environment={"LD_PRELOAD": shim, "LOOKBACK_CLOCK_STEP": str(steps)})
     process.wait_until_on_the_map()
     before = told(tmp_path)
     steps.write_text(str(step_s))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,27 +16,15 @@ from edge.reference_map import open_map
 from tests.faults.mapping_loop import open_live
 
 LOOP = Path(__file__).with_name("mapping_loop.py")
-SHIM = Path(__file__).with_name("slow_disk_shim.c")
 MOST_LOST = 5
-
-
-@pytest.fixture(scope="module")
-def slow_disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A library that makes writing a record take a while."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("needs a C compiler")
-    library = tmp_path_factory.mktemp("shim") / "slow_disk_shim.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", str(library), str(SHIM), "-ldl"], check=True)
-    return library
 
 
 @pytest.mark.parametrize("kills", [8, pytest.param(200, marks=pytest.mark.soak)])
 def test_killed_while_mapping(
-    kills: int, slow_disk: Path, tmp_path: Path, seed: int, figures: Callable[[str], None]
+    kills: int, compile_shim: Callable[[str], Path], tmp_path: Path, seed: int, figures: Callable[[str], None]
 ) -> None:
     command = [sys.executable, str(LOOP), str(tmp_path), str(kills), str(seed)]
-    environment = {**os.environ, "LD_PRELOAD": str(slow_disk)}
+    environment = {**os.environ, "LD_PRELOAD": str(compile_shim("slow_disk_shim"))}
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     found = json.loads(done.stdout)
     places = found["places"]

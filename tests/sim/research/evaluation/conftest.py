@@ -13,6 +13,16 @@ from numpy.typing import NDArray
 from edge.feed import FeedHeader, FeedWriter
 
 WIDTH, HEIGHT = 64, 48
+THERE_M, HERE_M = [2.0 * step for step in range(16)], [4.0 + 2.0 * step for step in range(12)]
+PAIR = """
+[[pairs]]
+name = "there and here"
+reference = "there"
+query = "here"
+truth = "positions"
+tolerance = 3.0
+length = 4
+"""
 METER_DEG = 1 / 110_574  # of latitude at the equator
 WriteFeed = Callable[..., Path]
 
@@ -53,6 +63,20 @@ def write_feed(tmp_path: Path) -> WriteFeed:
                     distance_m=covered_m,
                     extra={"route_m": str(at_m)},
                 )
+        return path
+
+    return write
+
+
+@pytest.fixture
+def write_plan(tmp_path: Path, write_feed: WriteFeed) -> Callable[[str, str], Path]:
+    """write(first lines of a plan, what follows its one pair) makes the plan `there` and `here`, and their feeds."""
+
+    def write(first: str, rest: str = "") -> Path:
+        write_feed("there", THERE_M)
+        write_feed("here", HERE_M, light=0.5)
+        path = tmp_path / "plan.toml"
+        path.write_text(f"{first}\n{PAIR}\n{rest}")
         return path
 
     return write

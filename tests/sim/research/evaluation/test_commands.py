@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from edge.__main__ import main
+from edge.feed import read_feed
 
 PLAN = """
 title = "Miniature"
@@ -21,13 +22,8 @@ sampling = { by = "frames" }
 [traverses]
 there = { feed = "there", external = { mine = "there.npy" } }
 here = { feed = "here", external = { mine = "here.npy" } }
-[[pairs]]
-name = "there and here"
-reference = "there"
-query = "here"
-truth = "positions"
-tolerance = 3.0
-length = 4
+"""
+EXPERIMENTS = """
 published = { "NSD-CR" = 0.5 }
 [experiments]
 sequence_lengths = [2, 4]
@@ -40,16 +36,13 @@ standing = [{ pair = "there and here", query = "here" }]
 
 
 @pytest.fixture
-def plan_path(tmp_path: Path, write_feed: Any) -> Path:
-    there, here = [2.0 * step for step in range(16)], [4.0 + 2.0 * step for step in range(12)]
-    write_feed("there", there)
-    write_feed("here", here, light=0.5)
+def plan_path(tmp_path: Path, write_plan: Callable[[str, str], Path]) -> Path:
+    plan = write_plan(PLAN, EXPERIMENTS)
     describe = np.random.default_rng(0).normal(size=(40, 16)).cumsum(axis=0)
-    np.save(tmp_path / "there.npy", describe[np.array(there, int)])
-    np.save(tmp_path / "here.npy", describe[np.array(here, int)])
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
+    for name in ("there", "here"):
+        at_m = [float(row.extra["route_m"]) for row in read_feed(tmp_path / name).rows]
+        np.save(tmp_path / f"{name}.npy", describe[np.array(at_m, int)])
+    return plan
 
 
 def test_a_shipped_plan_goes_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +86,7 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
 def test_what_is_wrong_is_one_line(
     plan_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
 ) -> None:
-    plan_path.write_text(PLAN.replace(old, new, 1).partition("[experiments]")[0])
+    plan_path.write_text(plan_path.read_text().replace(old, new, 1).partition("[experiments]")[0])
     assert main(["dev", "paper", "run", str(plan_path), "-o", str(plan_path.parent / "out")]) == 78
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("lookback: ") and says in error

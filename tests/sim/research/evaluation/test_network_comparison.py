@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,23 +19,7 @@ sampling = { by = "frames" }
 [traverses]
 there = { feed = "there" }
 here = { feed = "here" }
-[[pairs]]
-name = "there and here"
-reference = "there"
-query = "here"
-truth = "positions"
-tolerance = 3.0
-length = 4
 """
-
-
-@pytest.fixture
-def plan_path(tmp_path: Path, write_feed: Any) -> Path:
-    write_feed("there", [2.0 * step for step in range(16)])
-    write_feed("here", [4.0 + 2.0 * step for step in range(12)], light=0.5)
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
 
 
 @pytest.fixture
@@ -56,10 +40,10 @@ def small(tmp_path: Path) -> Path:
 
 
 def test_networks_side_by_side(
-    plan_path: Path, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write_plan: Callable[[str], Path], small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["dev", "paper", "networks", str(plan_path), "--model", f"small={small}", "-o", str(out)]) == 0
+    assert main(["dev", "paper", "networks", str(write_plan(PLAN)), "--model", f"small={small}", "-o", str(out)]) == 0
     with (out / "networks.csv").open(encoding="utf-8") as stream:
         rows = {row["network"]: row for row in csv.DictReader(stream)}
     assert list(rows) == ["shipped", "small"]
@@ -87,7 +71,13 @@ def test_networks_side_by_side(
     ],
 )
 def test_a_model_that_cannot_be_used(
-    model: str, reason: str, plan_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    model: str,
+    reason: str,
+    write_plan: Callable[[str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["dev", "paper", "networks", str(plan_path), "--model", model, "-o", str(tmp_path / "out")]) == 78
+    assert (
+        main(["dev", "paper", "networks", str(write_plan(PLAN)), "--model", model, "-o", str(tmp_path / "out")]) == 78
+    )
     assert reason in capsys.readouterr().err
