@@ -99,8 +99,8 @@ def explain(message: str, values: dict[str, Any], kind: type[msgspec.Struct]) ->
     where, unknown = _place(message)
     what = message.partition(" - at `$")[0]
     what = re.sub("`(\\w+)`", lambda word: WORDS.get(word[1], word[1]), what[:1].lower() + what[1:])
-    if missing := re.fullmatch("object missing required field `(.*)`", what):
-        what = f"the key `{missing[1]}` is missing"
+    if what.startswith("object missing required field"):
+        what = _missing(values, kind, where)
     elif unknown:
         is_section = not where and isinstance(values.get(unknown), dict)
         near = _nearest(unknown, list(_fields_of(_type_at(kind, where))))
@@ -116,6 +116,19 @@ def explain(message: str, values: dict[str, Any], kind: type[msgspec.Struct]) ->
     if unknown:
         return f"[{'.'.join(where)}] {what}"
     return f"{'.'.join(where)}: {what}"
+
+
+def _missing(values: dict[str, Any], kind: type[msgspec.Struct], where: list[str]) -> str:
+    """All required keys that are not in the table at a place, in words."""
+    table: Any = values
+    for key in where:
+        name, *items = key.split("[")
+        table = table[name]
+        for item in items:
+            table = table[int(item.rstrip("]"))]
+    needed = [field for field in _type_at(kind, where).fields if field.required]
+    names = [f"`{field.encode_name}`" for field in needed if field.encode_name not in table]
+    return f"the key {names[0]} is missing" if len(names) == 1 else f"the keys {', '.join(names)} are missing"
 
 
 def _place(message: str) -> tuple[list[str], str]:

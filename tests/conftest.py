@@ -23,9 +23,9 @@ from edge.feed import FeedHeader, FeedWriter, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim import geodetic
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.model_tools.onnx_graph import MEAN_RGB, PAD_LEVEL, STD_RGB, alexnet_info
 from sim.model_tools.weights import Weights
-from tests.memoizing_network import MemoizingNetwork
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

@@ -15,10 +15,17 @@ class Item(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     size: int = 0
 
 
+class Named(msgspec.Struct, frozen=True):
+    name: str
+    view: str
+    width: int
+
+
 class Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     count: int = 0
     section: Item = Item()
     items: tuple[Item, ...] = ()
+    named: tuple[Named, ...] = ()
 
 
 @pytest.mark.parametrize(
@@ -31,6 +38,8 @@ class Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ("[section]\nsise = 1", "[section] unknown key `sise`"),
         ("section = 1", "[section] expected a section, got a whole number"),
         ("[[items]]\nsize = 'x'", "items[0].size: expected a whole number, got text in quotes"),
+        ("[[named]]\nname = 'a'\nview = 'b'", "named[0]: the key `width` is missing"),
+        ("[[named]]\nname = 'a'", "named[0]: the keys `view`, `width` are missing"),
         ("count = ", "not TOML: "),
     ],
 )

@@ -37,6 +37,11 @@ class FeedHeader(msgspec.Struct, frozen=True):
 
 def read_header(file: Path) -> FeedHeader:
     """Read and check `feed.toml`; FeedError names it, and the key."""
+    if not file.exists():
+        raise FeedError(
+            f'{file}: no such file; it needs name = "...", view = "front" or "rear", width and height in pixels.'
+            " `lookback import` writes it for pictures with a CSV file or with positions in their EXIF data"
+        )
     header = read_toml(file, FeedHeader, FeedError)
     if header.video and not stays_inside(header.video):
         raise FeedError(f"{file}: video: {header.video!r} is outside the feed's folder")

@@ -45,6 +45,10 @@ class Frame:
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
+MOST_GRABBED = 64
+"""Frames of a video passed over one by one, since a jump decodes from the last key frame, up to 250 frames before."""
+
+
 class Pictures(Protocol):
     """The pictures of a recording, read when they are asked for; quickest in row order."""
 
@@ -177,7 +181,11 @@ class FeedImages:
         return image
 
     def _read_video(self, video: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
-        if index != self._next_video_frame:
+        skipped = index - self._next_video_frame
+        if 0 < skipped <= MOST_GRABBED:
+            for _ in range(skipped):
+                video.grab()
+        elif skipped:
             video.set(cv2.CAP_PROP_POS_FRAMES, index)
         self._next_video_frame = index + 1
         ok, image = video.read()

@@ -105,7 +105,7 @@ def _run(args: argparse.Namespace) -> int:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
         off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
-        lines |= {**_rig_lines(offsets), **_parallax_lines(seen)}
+        lines |= {**rig_lines(offsets), **_parallax_lines(seen)}
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
         print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     else:
@@ -127,7 +127,7 @@ def _run(args: argparse.Namespace) -> int:
         _print_off_map(curve_of_map(reference_map, config), threshold, args.precision)
     if args.curve:
         args.curve.write_text(_curve_as_csv(curve), encoding="utf-8")
-    print(_as_toml(lines))
+    print(as_toml(lines))
     if args.write:
         write_lines(args.write, lines)
         print(f"written to {args.write}")
@@ -140,7 +140,7 @@ def _with_known(rig: RigConfig, offsets: Sequence[Offset]) -> RigConfig:
     return msgspec.structs.replace(rig, **{rig_key(offset): getattr(measured, rig_key(offset)) for offset in offsets})
 
 
-def _rig_lines(offsets: Sequence[Offset]) -> Lines:
+def rig_lines(offsets: Sequence[Offset]) -> Lines:
     """Values of [rig] that were measured."""
     rig = rig_config(offsets)
     keys = [key for one in offsets for key in (rig_key(one), f"left_{one.direction}_m", sigma_key(one))]
@@ -205,7 +205,8 @@ def _curve_as_csv(curve: Curve) -> str:
     return text.getvalue()
 
 
-def _as_toml(lines: Lines) -> str:
+def as_toml(lines: Lines) -> str:
+    """The lines of a config file."""
     sections = dict.fromkeys(section for section, _ in lines)
     return "\n".join(
         "\n".join([f"[{name}]", *(f"{key} = {value:g}" for (section, key), value in lines.items() if section == name)])

@@ -56,6 +56,10 @@ class ReadOptions:
     """Pictures a second, where the layout has no times."""
     start_s: float | None = None
     """Seconds from the log's first position to the video's first frame."""
+    start_time: str | None = None
+    """When the video's first frame was taken: ISO 8601, instead of start_s."""
+    columns: str | None = None
+    """Columns of a CSV file by what they are: time=t,lat=y,lon=x,heading=course,file=name."""
     crop_bottom: int | None = None
     """Rows of pixels to cut off below, where the vehicle itself is seen."""
     view: View | None = None
@@ -109,7 +113,18 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         ),
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "positions", 25.0, "fps"),
         "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "positions", 25.0),
-        "video-log": _kind("video_log", "video, and a .tlog, .bin or .ulg", "positions", 25.0, "positions", "start_s"),
+        "pictures": _kind(
+            "pictures_csv", "folder of pictures and a CSV file", "positions", 25.0, "positions", "columns", "fps"
+        ),
+        "video-log": _kind(
+            "video_log",
+            "video, and a .gpx, .tlog, .bin or .ulg",
+            "positions",
+            25.0,
+            "positions",
+            "start_s",
+            "start_time",
+        ),
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "positions", 25.0, "camera", "positions"),
     }
 )

@@ -1,19 +1,22 @@
-"""`lookback import`: convert a published data set, a ROS bag, or a video and a log to a feed."""
+"""`lookback import`: convert pictures, a video with its track or log, a ROS bag or a published data set to a feed."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
+from dataclasses import fields
 from pathlib import Path
 
 from tqdm import tqdm
 
 from edge.commands.map_build import add_spacing_options, sampling_from
 from edge.config import SamplingConfig
-from edge.errors import ConfigError
+from edge.errors import ConfigError, FeedError
+from edge.feed import read_feed
 from sim.datasets import KINDS, ReadOptions, open_dataset
+from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
+from sim.datasets.summary import summarize
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +24,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Convert a recording in another layout to a feed."
     parser.epilog = _kinds()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help="the layout; see below")
+    parser.add_argument(
+        "kind",
+        metavar="KIND",
+        nargs="?",
+        choices=sorted(KINDS),
+        help="the layout (default: what lies at PATH); see below",
+    )
     parser.add_argument("path", metavar="PATH", type=Path, help="folder or file of the recording")
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     _add_read_options(parser)
@@ -35,12 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_read_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--camera", help="camera or topic, such as stereo/left, mono_left, image_2")
-    parser.add_argument("--positions", help="source of positions: a log, a file, a topic, or ins | gps")
+    parser.add_argument("--positions", help="source of positions: a track, a log, a CSV file, a topic, or ins | gps")
+    parser.add_argument(
+        "--columns", metavar="KIND=COLUMN,...", help="columns of a CSV file: time=t,lat=y,lon=x,file=name"
+    )
     parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures in this list")
     parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, for layouts without times")
-    parser.add_argument(
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument(
         "--start-s", metavar="S", type=float, help="time from the log's first position to the video's first frame"
     )
+    start.add_argument("--start-time", metavar="TIME", help="when the first frame was taken, 2026-05-04T12:30:00Z")
     parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="crop rows that show the vehicle itself")
     parser.add_argument("--view", choices=["front", "rear"], help="direction of the camera")
 
@@ -58,11 +72,13 @@ def _kinds() -> str:
 def import_dataset(args: argparse.Namespace) -> int:
     """Write the feed; SetupError, in one line, for a bad recording, option or folder."""
     _check_ranges(args)
-    traverse = open_dataset(
-        args.kind,
-        args.path,
-        ReadOptions(args.camera, args.positions, args.names, args.fps, args.start_s, args.crop_bottom, args.view),
-    )
+    kind = args.kind or find_kind(args.path, args.positions)
+    if kind is None:
+        raise FeedError(
+            f"{args.path}: needs no conversion: name it to `lookback map build`, `replay` and `try` as it is"
+        )
+    options = {option.name: getattr(args, option.name) for option in fields(ReadOptions)}
+    traverse = open_dataset(kind, args.path, ReadOptions(**options))
     placed = any(row.lat_deg is not None or row.distance_m is not None for row in traverse.rows)
     otherwise = SamplingConfig(by="distance" if placed else "frames")
     chosen = choose_rows(
@@ -80,7 +96,9 @@ def import_dataset(args: argparse.Namespace) -> int:
         skip_unreadable=args.skip_unreadable,
         lossless=args.lossless,
     )
-    print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}", file=sys.stderr)
+    print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}")
+    for word, line in summarize(read_feed(args.output)):
+        print(f"  {word:<12} {line}")
     return 0
 
 

@@ -1,15 +1,17 @@
-"""A video, and the log of the vehicle that carried the camera.
+"""A video, and the log of the vehicle that carried the camera, or a GPX track of the same drive.
 
-    drive.mp4   flight.tlog | flight.bin | flight.ulg
+    drive.mp4   drive.gpx | flight.tlog | flight.bin | flight.ulg
 
-`start_s` is the time from the log's first position to the video's first frame, 0 by default; neither file has it. An
-error of a second displaces all positions by a second of travel.
+`start_s` is the time from the log's first position to the video's first frame, 0 by default; neither file has it.
+`start_time`, instead, is when the video's first frame was taken. An error of a second displaces all positions by a
+second of travel. Without `positions`, the log of the same name beside the video is used.
 
 A log is also accepted in place of a feed (`lookback replay flight.tlog`), with the video of the same name beside it.
 """
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from pathlib import Path
 
 from edge.errors import FeedError
@@ -19,15 +21,21 @@ from sim.datasets.flight_logs import read_log
 from sim.datasets.importing import as_feed
 from sim.datasets.pictures import VIDEO_SUFFIXES, open_video
 
+LOG_SUFFIXES = (".gpx", ".tlog", ".bin", ".ulg")
+
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """The frames of a video at the positions of a log. FeedError if their times do not overlap."""
     feed, pictures = open_video(path)
-    if options.positions is None:
-        raise FeedError(f"--positions: name the log (.tlog, .bin or .ulg) that belongs to {path}")
-    log = Path(options.positions)
+    log = Path(options.positions) if options.positions is not None else log_beside(path)
+    if log is None:
+        raise FeedError(f"--positions: name the log or track ({', '.join(LOG_SUFFIXES)}) that belongs to {path}")
     track = read_log(log)
-    start_ns = track.fixes[0].stamp_ns + round((options.start_s or 0.0) * 1e9)
+    first_ns = track.fixes[0].stamp_ns
+    if options.start_time is not None:
+        start_ns = parse_time_ns(options.start_time)
+    else:
+        start_ns = first_ns + round((options.start_s or 0.0) * 1e9)
     stamps_ns = [start_ns + row.stamp_ns for row in feed.rows]
     return Traverse(
         name=path.stem,
@@ -35,7 +43,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         source=f"{path.name} with {log.name}",
         rows=track.rows(str(path), [str(index) for index in range(len(stamps_ns))], stamps_ns),
         pictures=pictures,
-        notes=f"the video began {options.start_s or 0.0:g} s after the log's first position",
+        notes=f"the video began {(start_ns - first_ns) / 1e9:g} s after the log's first position",
     )
 
 
@@ -44,6 +52,26 @@ def open_feed(log: Path, options: FeedOptions) -> Feed:
     video = options.video or _video_beside(log)
     read = ReadOptions(positions=str(log), start_s=options.video_start_s, view=options.view)
     return as_feed(open_dataset("video-log", video, read), log, lambda: open_video(video)[1])
+
+
+def log_beside(video: Path) -> Path | None:
+    """The log or track of the same name as a video; None if there is none. FeedError if there are several."""
+    logs = [file for file in sorted(video.parent.glob("*")) if file.stem == video.stem]
+    logs = [file for file in logs if file.suffix.lower() in LOG_SUFFIXES]
+    if len(logs) > 1:
+        raise FeedError(f"--positions: name one of {', '.join(file.name for file in logs)} for {video}")
+    return logs[0] if logs else None
+
+
+def parse_time_ns(text: str) -> int:
+    """Nanoseconds since 1970 of an ISO 8601 time, in UTC unless it says otherwise. FeedError."""
+    try:
+        # Python 3.10 does not know the Z.
+        moment = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith(("Z", "z")) else text)
+    except ValueError:
+        raise FeedError(f"--start-time: {text!r} is not a time such as 2026-05-04T12:30:00Z") from None
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)
+    return round(moment.timestamp() * 1e6) * 1000
 
 
 def _video_beside(log: Path) -> Path:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import edge
 from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
@@ -18,15 +15,12 @@ from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.review import Review, stages_ms
 from sim.demo.story import section
-from sim.evaluation import report
-from sim.evaluation.figures import to_png
+from sim.evaluation import figures, report
+from sim.evaluation.figures import BLUE, ORANGE, to_png
 from sim.evaluation.metrics import TOLERANCE_M, precision_recall
 from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.vehicle.protection import LIMIT_M
-
-logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it logs its font cache
-BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
 
 
 def write_report(
@@ -96,18 +90,18 @@ def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
 
 
 def _section(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> report.Section:
-    figures = [
+    drawn = [
         report.Figure(
             f"{live.name}_costs",
             "Cost matrix",
-            to_png(cost_matrix(reference_map, review)),
+            to_png(cost_matrix(review)),
             "The better region order of each cell, with the best match of each frame and the line behind one of them.",
         ),
         report.Figure(
-            f"{live.name}_route", "The route from above, with the fixes", to_png(route(reference_map, live, review))
+            f"{live.name}_route", "The route from above, with the fixes", to_png(route(reference_map, review))
         ),
     ]
-    return report.Section(_name(live), figures=figures, pictures=_pairs(reference_map, review))
+    return report.Section(_name(live), figures=drawn, pictures=_pairs(reference_map, review))
 
 
 def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> report.Figure:
@@ -127,21 +121,15 @@ def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Pict
                 f"matched to place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
                 f" {seen.direction}, {seen.order} order, {seen.category}"
             )
-            here = report.Picture(_jpeg(picture), f"at {review.route_m[row]:.0f} m")
-            pairs.append([here, report.Picture(_jpeg(images.read(seen.map_row)), matched_to)])
+            here = report.Picture.of(picture, f"at {review.route_m[row]:.0f} m")
+            pairs.append([here, report.Picture.of(images.read(seen.map_row), matched_to)])
     return pairs
 
 
-def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
+def cost_matrix(review: Review) -> Figure:
     """The whole matrix, the matches, and the line of one accepted match through it."""
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
-    axes = figure.subplots()
-    shown = axes.imshow(review.costs.T, origin="lower", aspect="auto", cmap="viridis", vmin=0.6, vmax=1.1)
-    figure.colorbar(shown, label="cosine distance")
     places = np.array([np.nan if seen.place is None else seen.place for seen in review.seen], dtype=float)
-    rows = np.arange(len(places))
-    axes.plot(rows[~review.accepted], places[~review.accepted], ".", color="white", ms=3, label="best, not accepted")
-    axes.plot(rows[review.accepted], places[review.accepted], ".", color=ORANGE, ms=4, label="accepted")
+    figure = figures.cost_matrix(review.costs, places, review.accepted)
     chosen = [row for row, match in enumerate(review.matches) if match is not None and match.accepted]
     if chosen:
         row = chosen[len(chosen) // 2]
@@ -149,32 +137,23 @@ def cost_matrix(reference_map: ReferenceMap, review: Review) -> Figure:
         assert match is not None
         ages = np.arange(SequenceConfig().length)
         step = match.slope if match.direction == "forward" else -match.slope
-        axes.plot(row - ages, match.place - step * ages, color=RED, lw=2, label="the line behind one of them")
-    axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, reference_map.header.places))
-    # Below the matrix, which is full; on gray, so that the white dots are visible.
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GRAY, markerscale=2.5)
+        figure.axes[0].plot(row - ages, match.place - step * ages, color=figures.RED, lw=2)
     return figure
 
 
-def route(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> Figure:
+def route(reference_map: ReferenceMap, review: Review) -> Figure:
     """The map's route from above, with the fixes."""
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
-    axes = figure.subplots()
     places = reference_map.places
-    fixed = [seen for seen in review.seen if seen.emitted and seen.lat_deg is not None]
-    lat = np.concatenate([places["lat_deg"], [seen.lat_deg for seen in fixed]]).astype(float)
-    lon = np.concatenate([places["lon_deg"], [seen.lon_deg for seen in fixed]]).astype(float)
-    meters = east_north(lat, lon)
-    count = len(places)
-    axes.plot(*meters[:count].T, color=GRAY, lw=3, label="the map's route")
-    right = np.array(
-        [error <= TOLERANCE_M for seen, error in zip(review.seen, review.error_m, strict=True) if seen in fixed]
-    )
-    axes.plot(*meters[count:][right].T, "o", color=BLUE, ms=5, label="fix")
-    axes.plot(*meters[count:][~right].T, "x", color=RED, ms=7, label=f"fix over {TOLERANCE_M:.0f} m off")
-    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=_name(live))
-    axes.legend(fontsize=8)
-    return figure
+    fixed = [
+        (seen, error_m)
+        for seen, error_m in zip(review.seen, review.error_m, strict=True)
+        if seen.emitted and seen.lat_deg is not None
+    ]
+    lat = np.concatenate([places["lat_deg"], [seen.lat_deg for seen, _ in fixed]]).astype(float)
+    lon = np.concatenate([places["lon_deg"], [seen.lon_deg for seen, _ in fixed]]).astype(float)
+    road_m, fixes_m = np.split(east_north(lat, lon), [len(places)])
+    right = np.array([error_m <= TOLERANCE_M for _, error_m in fixed], dtype=bool)
+    return figures.route_plot(road_m, fixes_m[right], fixes_m[~right], np.zeros((0, 2)), TOLERANCE_M)
 
 
 def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
@@ -188,7 +167,3 @@ def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
     axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.legend(loc="lower left")
     return figure
-
-
-def _jpeg(image: NDArray[np.uint8]) -> bytes:
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()

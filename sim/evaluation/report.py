@@ -9,7 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import jinja2
+import numpy as np
+from numpy.typing import NDArray
 
 from edge.errors import ConfigError
 
@@ -29,13 +32,13 @@ def write_report(folder: Path, title: str, about: Mapping[str, str], sections: S
     return page
 
 
-def render_page(title: str, about: Mapping[str, str], sections: Sequence[Section]) -> str:
-    """The page: `about` is a list of terms (command, versions, hashes), pictures are inside it."""
+def render_page(title: str, about: Mapping[str, str], sections: Sequence[Section], lead: Sequence[str] = ()) -> str:
+    """The page with its pictures inside. lead: lines under the title; about: terms at the end (versions, hashes)."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters.update(data=lambda data: base64.b64encode(data).decode(), cell=format_cell)
     environment.tests["number"] = lambda cell: not isinstance(cell, str)
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(title=title, about=about, sections=sections)
+    return template.render(title=title, about=about, sections=sections, lead=lead)
 
 
 def format_cell(cell: Cell) -> str:
@@ -110,6 +113,11 @@ class Picture:
 
     jpeg: bytes
     caption: str
+
+    @classmethod
+    def of(cls, image: NDArray[np.uint8], caption: str) -> Picture:
+        """Of an image (H, W, 3) uint8 BGR."""
+        return cls(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes(), caption)
 
 
 @dataclass(frozen=True)

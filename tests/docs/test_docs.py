@@ -63,7 +63,7 @@ def script_of(text: str, page: Path, folder: Path) -> str:
 
 
 PRINTS = {
-    "README": r"reverse, same +the place lies +(?:[4-7]\.\d|8\.0) m ahead",  # the simulated camera is 6 m ahead
+    "README": r"the matched place lies (?:[4-7]\.\d|8\.0) m ahead \(reverse, same\)",  # the camera is 6 m ahead
     "first-map": r"on the map",  # a state of the live run
     "extending": r"(?m)^-27\.47\d{4} 153\.03\d{4} reverse 0\.\d\d$",  # the program
 }

@@ -25,9 +25,9 @@ from edge.descriptor.normalize import normalize
 from edge.feed import read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.faults.daemon_process import Process
 from tests.faults.simulated_daemon import Bench, ScriptedFrames
-from tests.memoizing_network import MemoizingNetwork
 
 FIGURE = "fault bench"
 PERIOD_MS = 40

@@ -79,7 +79,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         ("feed.toml", 'view = "front"', 'view = "side"', r'feed\.toml: view: "side" is none of'),
         ("feed.toml", "width = 64", "width = 0", r"feed\.toml: width: .*>= 1"),
         ("feed.toml", "width = 64", "width = ", r"feed\.toml: .*line 3"),
-        ("feed.toml", "width = 64", "", r"feed\.toml: .*missing.*width"),
+        ("feed.toml", "width = 64", "", r"feed\.toml: the key `width` is missing"),
         ("feed.toml", 'video = ""', 'video = "none.mp4"', r"none\.mp4: the video that feed.toml names is missing"),
         ("feed.toml", 'video = ""', 'video = "../x.mp4"', r"feed\.toml: video: '\.\./x\.mp4' is outside"),
         ("feed.toml", 'video = ""', 'video = "/x.mp4"', r"feed\.toml: video: '/x\.mp4' is outside"),
@@ -140,7 +140,10 @@ def test_files_that_are_missing_empty_or_not_text_are_named(feed_path: Path) -> 
     with pytest.raises(FeedError, match=r"feed\.toml: not UTF-8"):
         read_feed(feed_path)
     header.unlink()
-    with pytest.raises(FeedError, match=r"feed\.toml: cannot read it: No such file"):
+    with pytest.raises(FeedError, match=r"feed\.toml: no such file; it needs name = .*view = .*width and height"):
+        read_feed(feed_path)
+    header.write_text('name = "mine"\n')
+    with pytest.raises(FeedError, match=r"feed\.toml: the keys `view`, `width`, `height` are missing"):
         read_feed(feed_path)
     with pytest.raises(FeedError, match="nowhere: no such feed"):
         read_feed(feed_path / "nowhere")

@@ -174,7 +174,18 @@ def write_ulog(file: Path, degrees_at: Degrees, count: int, topic: str = "vehicl
     file.write_bytes(log)
 
 
-LOGS = {".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog}
+def write_gpx(file: Path, degrees_at: Degrees, count: int) -> None:
+    """A phone's track."""
+    points = "".join(
+        f'<trkpt lat="{lat_deg:.8f}" lon="{lon_deg:.8f}"><ele>110.5</ele>'
+        f"<time>2024-05-01T10:00:{after_us / 1e6:09.6f}Z</time></trkpt>"
+        for after_us, lat_deg, lon_deg in positions(degrees_at, count)
+    )
+    begin = '<gpx version="1.1" creator="phone" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+    file.write_text(f"{begin}{points}</trkseg></trk></gpx>")
+
+
+LOGS = {".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog, ".gpx": write_gpx}
 
 
 @pytest.mark.parametrize("suffix", LOGS)
@@ -187,7 +198,9 @@ def test_each_log_gives_the_positions_that_were_driven(tmp_path: Path, degrees_a
         assert fix.stamp_ns - start_ns == pytest.approx(after_us * 1000, abs=1000)
         assert [fix.lat_deg, fix.lon_deg] == pytest.approx(degrees, abs=1e-7)
         assert fix.alt_m == pytest.approx(110.5)
-    assert {fix.source for fix in fixes} == {"gps" if suffix == ".bin" else "unknown"}
+    assert {fix.source for fix in fixes} == {"gps" if suffix in {".bin", ".gpx"} else "unknown"}
+    if suffix == ".gpx":
+        assert start_ns == 1_714_557_600_000_000_000
     if suffix == ".tlog":
         assert (start_ns, fixes[3].heading_deg, fixes[3].speed_mps) == (1_714_557_600_000_000_000, 0.0, 5.0)
 
@@ -215,6 +228,21 @@ def test_a_video_and_a_log_of_other_times_are_one_line(
     options = ReadOptions(positions=str(tmp_path / "flight.tlog"), start_s=60.0)
     message = r"drive\.avi: taken from 1714557660\.000 to 1714557661\.900 s, where .*flight\.tlog has no positions"
     refused("video-log", tmp_path / "drive.avi", message, options)
+    begun = ReadOptions(positions=options.positions, start_time="2024-05-01T10:01:00Z")
+    refused("video-log", tmp_path / "drive.avi", message, begun)
+    begun = ReadOptions(positions=options.positions, start_time="noon")
+    refused("video-log", tmp_path / "drive.avi", "--start-time: 'noon' is not a time such as", begun)
+
+
+def test_the_track_of_the_same_name_is_used_from_when_the_video_began(
+    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, refused: Refused
+) -> None:
+    write_video(tmp_path / "drive.avi", 20, 10.0)
+    write_gpx(tmp_path / "drive.gpx", degrees_at, 12)
+    traverse = open_dataset("video-log", tmp_path / "drive.avi", ReadOptions(start_time="2024-05-01T12:00:01+02:00"))
+    assert (traverse.rows[0].lat_deg, traverse.rows[0].lon_deg) == pytest.approx(degrees_at(0.0, 5.0), abs=2e-7)
+    write_tlog(tmp_path / "drive.tlog", degrees_at, 12)
+    refused("video-log", tmp_path / "drive.avi", r"--positions: name one of drive\.gpx, drive\.tlog for .*drive\.avi")
 
 
 def test_where_a_log_has_a_gap_nobody_knows_the_position(tmp_path: Path, degrees_at: Degrees) -> None:
@@ -249,7 +277,7 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
         assert "\n" not in str(raised.value)
 
     fails("flight.tlog", "cannot read it: No such file or directory")
-    fails("flight.csv", "not a known kind of log; it is one of .tlog, .bin, .ulg")
+    fails("flight.csv", "not a known kind of log; it is one of .tlog, .bin, .ulg, .gpx")
     for suffix in LOGS:
         (tmp_path / f"noise{suffix}").write_bytes(np.random.default_rng(3).bytes(5000))
         (tmp_path / f"empty{suffix}").write_bytes(b"")
@@ -257,6 +285,9 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
     fails("noise.tlog", r"no position\(s\) in it, and two at least are needed")
     fails("noise.bin", "not a DataFlash log")
     fails("noise.ulg", "not a whole ULog: ")
+    fails("noise.gpx", "not a whole GPX file: ")
+    (tmp_path / "plan.gpx").write_text('<gpx><trk><trkseg><trkpt lat="1" lon="2"/></trkseg></trk></gpx>')
+    fails("plan.gpx", "a point of its track has no time; export the recorded track")
     write_dataflash(tmp_path / "parked.bin", degrees_at, 1)
     fails("parked.bin", r"1 position\(s\) in it, and two at least are needed")
     write_ulog(tmp_path / "indoors.ulg", degrees_at, 5, topic="vehicle_local_position")
@@ -265,7 +296,7 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
 
 def test_a_video_without_its_log_is_told_so(tmp_path: Path, write_video: WriteVideo, refused: Refused) -> None:
     write_video(tmp_path / "drive.avi", 3, 10.0)
-    refused("video-log", tmp_path / "drive.avi", r"--positions: name the log \(\.tlog, \.bin or \.ulg\)")
+    refused("video-log", tmp_path / "drive.avi", r"--positions: name the log or track \(\.gpx, \.tlog, \.bin, \.ulg\)")
 
 
 def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(

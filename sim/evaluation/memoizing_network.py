@@ -12,7 +12,7 @@ from edge.descriptor.network import CPU, Network
 
 
 class MemoizingNetwork(Network):
-    """For trials and tests, whose runs share most of their pictures. 32 KB a frame of two regions stay in memory."""
+    """For runs that share most of their pictures: 32 KB a frame of two regions stay in memory."""
 
     _known: dict[bytes, NDArray[np.float32]]
 

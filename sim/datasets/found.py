@@ -1,0 +1,51 @@
+"""Which kind of recording a path is, by what lies there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from edge.errors import FeedError
+from sim.datasets import KINDS
+from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from sim.datasets.video_log import LOG_SUFFIXES, log_beside
+
+LAYOUTS = (
+    ("stereo.timestamps", "robotcar"),
+    ("mono_rear.timestamps", "robotcar"),
+    ("fGPS.txt", "st-lucia"),
+    ("anchors.csv", "campus"),
+    ("times.txt", "kitti"),
+    ("metadata.yaml", "rosbag"),
+    ("*.h5", "nsavp"),
+)
+"""A file that only one layout has, and its kind."""
+
+
+def find_kind(path: Path, positions: str | None = None) -> str | None:
+    """A kind of KINDS; None for a feed, and for what `read_feed` reads without a conversion. FeedError names the path.
+
+    positions: a log or a CSV file that is named for it.
+    """
+    if path.is_file():
+        suffix = path.suffix.lower()
+        if suffix in {".bag", ".db3"}:
+            return "rosbag"
+        return "video-log" if suffix in VIDEO_SUFFIXES and (positions or log_beside(path)) else None
+    if not path.is_dir():
+        raise FeedError(f"{path}: no such file or folder")
+    if (path / "feed.toml").exists() or (path / "frames").is_dir():
+        return None
+    for sign, kind in LAYOUTS:
+        if next(path.glob(sign), None):
+            return kind
+    pictures = [file.name for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
+    if not pictures:
+        raise FeedError(
+            f"{path}: neither a feed (feed.toml), nor pictures, nor a layout of {', '.join(sorted(KINDS))}; of a video,"
+            f" name the file, and put its track ({', '.join(LOG_SUFFIXES)}) of the same name beside it"
+        )
+    if all(re.match(r"@[-\d.]+@[-\d.]+@", name) for name in pictures):
+        return "utm-names"
+    has_table = positions or next(path.glob("*.csv"), None) or path.with_name(f"{path.name}.csv").is_file()
+    return "pictures" if has_table else "geotagged"

@@ -1,0 +1,181 @@
+"""`lookback try`: from two recordings to a verdict: is the place recognized, where not, why, and what to change."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from edge.camera.picture_check import FrozenPictureDetector
+from edge.commands.map_build import add_spacing_options, build_map, sampling_from
+from edge.commands.replay import as_line, config_for_map
+from edge.config import DescriptorConfig, RigConfig, SamplingConfig
+from edge.errors import ConfigError, FeedError, MapError
+from edge.extras import install_command
+from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
+from edge.reference_map import open_map, open_map_set
+from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
+from sim.calibration.offset import rig_config
+from sim.datasets import ReadOptions, open_dataset
+from sim.datasets.found import find_kind
+from sim.datasets.importing import choose_rows, write_feed
+from sim.evaluation.memoizing_network import MemoizingNetwork
+from sim.evaluation.metrics import TOLERANCE_M
+from sim.evaluation.recognition import judge, recognize
+from sim.first_try.verdict import Tried, verdict
+
+MARKER = ".lookback-try"
+ROLES = ("reference", "query")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback try`."""
+    parser.description = (
+        "Build a map of one recording, recognize its places in another, and say how well: one page, and a few lines."
+        " A recording is a feed, a video with its .gpx, .tlog, .bin or .ulg of the same name, a folder of pictures"
+        " with a CSV file or EXIF positions, or another layout that `lookback import` knows. Without positions, frames"
+        " are compared at equal times, and right is not told from wrong."
+    )
+    parser.add_argument("reference", metavar="REFERENCE", type=Path, help="the recording to map")
+    parser.add_argument("query", metavar="QUERY", type=Path, help="the recording to recognize it in")
+    parser.add_argument(
+        "-o", "--output", metavar="FOLDER", type=Path, default=Path("try"),
+        help="folder of the map, the page and all else (default try)",
+    )  # fmt: skip
+    for role in ROLES:
+        parser.add_argument(f"--{role}-view", choices=("front", "rear"), help="where its camera looked (default front)")
+        parser.add_argument(f"--{role}-positions", metavar="FILE", help="its track, log or CSV file, of another name")
+        parser.add_argument(
+            f"--{role}-start-s",
+            metavar="S",
+            type=float,
+            help="time from the track's first position to the video's start",
+        )
+    parser.add_argument(
+        "--tolerance-m", type=float, default=TOLERANCE_M, metavar="M",
+        help="a place within M meters is right (default 40)",
+    )  # fmt: skip
+    add_spacing_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    try:
+        from sim.first_try.page import render
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"try: needs the package {error.name}: {install_command('eval')}") from None
+    if not args.tolerance_m > 0:
+        raise ConfigError(f"--tolerance-m: {args.tolerance_m:g} is not above 0")
+    folder: Path = args.output
+    sampling = sampling_from(args, SamplingConfig())
+    # Both before anything is written: a wrong path or option costs no time.
+    kinds = {role: find_kind(getattr(args, role), getattr(args, f"{role}_positions")) for role in ROLES}
+    make_folder(folder)
+    reference, query = (_feed(args, role, kinds[role], sampling) for role in ROLES)
+    print(f"1. Map of {reference.path}")
+    build_map([reference], folder / "map", DescriptorConfig(), sampling)
+    maps = open_map_set(folder / "map")
+    print(f"2. Recognizing {query.path}")
+    network = MemoizingNetwork.load()  # the frames are recognized twice: for the offset, and with it
+    rig, lines, note = _measure(folder / "map", query, network)
+    config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig)
+    watch = _Watch()
+    seen = recognize(maps, replace(query, pictures=lambda: _Watched(FeedImages(query), watch)), config, network)
+    try:
+        judged = judge(maps, seen, args.tolerance_m)
+    except (FeedError, MapError):
+        judged = None
+    rows = [one.frame for one in seen.used]
+    gray, faults = np.array([watch.gray[row] for row in rows]), tuple(watch.faults.get(row, "") for row in rows)
+    tried = Tried(reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults)
+    found = verdict(tried, note)
+    (folder / "frames.jsonl").write_text("".join(map(as_line, seen.used)), encoding="utf-8")
+    (folder / "lookback.toml").write_text(_config_text(lines), encoding="utf-8")
+    page = folder / "report.html"
+    page.write_text(render(tried, found, lines), encoding="utf-8")
+    print("\n".join(["", found.headline, *(f"  {fact}" for fact in found.facts)]))
+    for number, line in enumerate(found.advice, start=1):
+        print(f"  {'to change: ' if number == 1 else '           '}{line}")
+    print(f"page: {page}   map: {folder / 'map'}   config: {folder / 'lookback.toml'}")
+    return 0
+
+
+def make_folder(folder: Path) -> None:
+    """An empty folder; that of an earlier try is cleared, any other is kept. ConfigError."""
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / MARKER).exists())):
+        raise ConfigError(f"--output: {folder} has files that are not of a try; name another folder")
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        (folder / MARKER).touch()
+    except OSError as error:
+        raise ConfigError(f"--output: {folder}: cannot write here: {error.strerror}") from None
+
+
+def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: SamplingConfig) -> Feed:
+    """A recording as a feed: read in place where it is one, else converted into the folder. FeedError."""
+    path: Path = getattr(args, role)
+    view: View | None = getattr(args, f"{role}_view")
+    positions, start_s = getattr(args, f"{role}_positions"), getattr(args, f"{role}_start_s")
+    if kind is None and path.is_dir():
+        for option, value in (("view", view), ("positions", positions), ("start-s", start_s)):
+            if value is not None:
+                raise ConfigError(f"--{role}-{option}: {path} is a feed; edit its feed.toml or frames.csv instead")
+        return read_feed(path)
+    if kind is None:
+        return read_feed(path, FeedOptions(view, video_start_s=start_s))
+    traverse = open_dataset(kind, path, ReadOptions(positions=positions, start_s=start_s, view=view))
+    output: Path = args.output / role
+    write_feed(traverse, output, tqdm(choose_rows(traverse, sampling), unit="frame", desc=f"reading {path.name}"))
+    return read_feed(output)
+
+
+def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[RigConfig, Lines, str]:
+    """The camera's offset, its lines in a config, and a sentence about it. Zero where it cannot be measured."""
+    try:
+        offsets, _ = measure_rig(open_map(map_path), [query], network=network)
+    except (FeedError, MapError) as error:
+        return RigConfig(), {}, f"the camera's offset is not known: {error}"
+    if not offsets:
+        return RigConfig(), {}, "the camera's offset is not known: too few places are believed"
+    found = ", ".join(f"{one.ahead_m:.1f} m ahead ({one.direction}, {one.order})" for one in offsets)
+    return rig_config(offsets), rig_lines(offsets), f"the matched place lies {found}: measured on this query, and used"
+
+
+@dataclass
+class _Watch:
+    """What the daemon would find wrong with the pictures of some rows, and their mean gray levels."""
+
+    gray: dict[int, float] = field(default_factory=dict)
+    faults: dict[int, str] = field(default_factory=dict)
+
+
+@dataclass
+class _Watched:
+    """Pictures that are looked at while they are read."""
+
+    images: FeedImages
+    watch: _Watch
+    detector: FrozenPictureDetector = field(default_factory=FrozenPictureDetector)
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        image = self.images.read(index)
+        self.watch.gray[index] = float(image.mean())
+        fault = self.detector.check(image, index, None)
+        if fault is not None:
+            self.watch.faults[index] = fault.what
+        return image
+
+    def close(self) -> None:
+        self.images.close()
+
+
+def _config_text(rig: Lines) -> str:
+    """A config with which `eval`, `replay` and `run` know what was measured."""
+    return f'[map]\npath = "map"\n{as_toml(rig)}\n' if rig else '[map]\npath = "map"\n'

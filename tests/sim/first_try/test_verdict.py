@@ -1,0 +1,94 @@
+"""What is advised for drives whose answers are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.config import Config
+from edge.feed import Feed, FeedHeader, FeedRow
+from edge.feed.format import View
+from edge.journal.records import FrameUsed
+from sim.evaluation.metrics import Answers
+from sim.evaluation.recognition import Judged, Recognition
+from sim.first_try.verdict import Stretch, Tried, opposite_share, verdict
+
+FRAMES = 100
+
+
+def a_feed(name: str, view: View = "front", width: int = 320) -> Feed:
+    rows = tuple(FeedRow("", row * 10**9, lat_deg=0.0, lon_deg=0.0) for row in range(FRAMES))
+    return Feed(Path(name), FeedHeader(name, view, width, 240), rows)
+
+
+def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: range = range(FRAMES)) -> Tried:
+    """A straight road of 100 places 2 m apart, driven with a frame at each; everything else as it should be."""
+    rows = np.arange(FRAMES)
+    road_m = np.column_stack([2.0 * rows, np.zeros(FRAMES)])
+    truth_m = road_m[::-1] if reverse else road_m
+    flags = [np.isin(rows, numbers) for numbers in (believed, correct, on_map)]
+    used = [FrameUsed(row, row, accepted=row in believed, place=row, confidence=0.7) for row in range(FRAMES)]
+    states = ["warming up" if row < 16 else "on the map" if flags[0][row] else "off the map" for row in rows]
+    seen = Recognition(a_feed("query"), used, states, np.zeros((FRAMES, 0), np.float32))  # type: ignore[arg-type]
+    answers = Answers(np.full(FRAMES, 0.7), flags[1] & flags[2], flags[2])
+    judged = Judged("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, truth_m, road_m)
+    gray, faults = np.full(FRAMES, 90.0), ("",) * FRAMES
+    maps = None
+    return Tried(a_feed("out"), a_feed("query"), maps, Config(), seen, judged, 40.0, gray, faults)  # type: ignore[arg-type]
+
+
+def test_a_good_drive_needs_no_advice() -> None:
+    found = verdict(a_try(range(20, 100), range(100)), "offset")
+    assert found.headline == "Recognized: 95% of the frames"
+    assert found.advice == ()
+    assert found.stretches == (Stretch(0, 15, "warming up: a place is searched from 16 frames on"),)
+
+
+def test_wrong_places_come_before_everything_else() -> None:
+    found = verdict(a_try(range(20, 100), range(90)), "offset")
+    assert found.headline == "Not to be trusted: 10 of 80 believed places are wrong"
+    assert found.stretches[-1] == Stretch(90, 99, "believed, but over 40 m off")
+
+
+def test_each_reason_is_named_where_it_holds() -> None:
+    tried = a_try(range(20, 50), range(100), on_map=range(80))
+    gray = np.where(np.arange(FRAMES) >= 60, 20.0, 90.0)
+    tried = replace(tried, gray=gray, faults=("",) * 70 + ("the image is frozen",) * 5 + ("",) * 25)
+    found = verdict(tried, "offset")
+    assert [(one.first, one.why) for one in found.stretches[1:]] == [
+        (50, "off the map: confidence below 0.5"),
+        (60, "off the map: confidence below 0.5, and the picture is dark"),
+        (70, "the image is frozen"),
+        (75, "off the map: confidence below 0.5, and the picture is dark"),
+        (80, "not on the mapped road: no place of the map within 40 m"),
+    ]
+    assert "20% of the query is not on the mapped road" not in " ".join(found.advice)
+
+
+@pytest.mark.parametrize(("view", "is_advised"), [("front", True), ("rear", False)])
+def test_the_way_back_needs_a_camera_that_looks_the_other_way(view: View, is_advised: bool) -> None:
+    tried = replace(a_try(range(0), range(0), reverse=True), reference=a_feed("out", view))
+    assert tried.judged is not None
+    assert opposite_share(tried.judged) == 1.0
+    found = verdict(tried, "offset")
+    assert found.headline == "Not recognized"
+    assert ("driven against the reference" in found.advice[0]) is is_advised
+
+
+def test_dark_pictures_and_another_camera_are_advised_of() -> None:
+    tried = replace(a_try(range(0), range(0)), query=a_feed("query", width=480), gray=np.full(FRAMES, 12.0))
+    advice = " ".join(verdict(tried, "offset").advice)
+    assert "are dark (median gray level 12 of 255)" in advice
+    assert "the pictures are 320 x 240 and 480 x 240" in advice
+
+
+def test_without_positions_the_recordings_that_lack_them_are_named() -> None:
+    nowhere = tuple(FeedRow("", row.stamp_ns) for row in a_feed("query").rows)
+    tried = replace(a_try(range(20, 100), range(100)), judged=None, query=replace(a_feed("query"), rows=nowhere))
+    found = verdict(tried, "offset")
+    assert found.headline == "Recognized: 95% of the frames"
+    assert "whether they are right is not known" in found.facts[1]
+    assert found.advice[0].startswith("no positions in query:")
