@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reduce the descriptor of each region to D dimensions (PCA)",
     )
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
-    build.set_defaults(run=_build)
+    build.set_defaults(run=build)
 
     extend = actions.add_parser("extend", help="add feeds to a map and normalize all of its descriptors again")
     extend.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
@@ -179,7 +179,8 @@ def _place(item: TraverseFrame) -> Place:
     )
 
 
-def _build(args: argparse.Namespace) -> int:
+def build(args: argparse.Namespace, network: Network | None = None) -> int:
+    """The command `map build`; network: in place of the one that its config names."""
     config = load_config(args.config) if args.config else Config()
     descriptor = config.descriptor
     if args.regions:
@@ -204,6 +205,7 @@ def _build(args: argparse.Namespace) -> int:
         must_have_distance=args.spacing_m is not None,
         dimensions=args.dimensions,
         replace=args.replace,
+        network=network,
     )
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     return 0

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_spacing_options(parser)
     add_feed_options(parser)
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=run)
 
 
 def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[FrameUsed]:
@@ -110,7 +110,8 @@ def with_options(config: Config, length: int | None, confidence_min: float | Non
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
-def _run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, network: Network | None = None) -> int:
+    """The command; network: in place of the one that its config names."""
     feed = read_feed(args.feed, feed_options(args))
     maps = open_map_set(args.map)
     if args.config:
@@ -121,7 +122,7 @@ def _run(args: argparse.Namespace) -> int:
     sampling = sampling_from(args, config.sampling)
     # The feed knows where its camera looked.
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
-    network = Network.load(args.model) if args.model else None
+    network = Network.load(args.model) if args.model else network
     recognizer = open_recognizer(config, network=network, map_set=maps)
     for excluded in recognizer.map_set.excluded:
         excluded.log()

@@ -1,11 +1,12 @@
 """Runs the goldens: the only file here that knows the insides of the program, next to `record`.
 
-`replay_case` goes through the command line. `run_case` gives the real `Daemon` recorded frames and, over a
-pseudo-terminal, recorded telemetry; all clocks are simulated, so that each run is the same to the byte.
+`replay_case` runs commands with their arguments, in this process. `run_case` gives the real `Daemon` recorded frames
+and, over a pseudo-terminal, recorded telemetry; all clocks are simulated, so that each run is the same to the byte.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import fcntl
 import hashlib
@@ -15,6 +16,7 @@ import re
 import select
 import struct
 import sys
+import tempfile
 import termios
 import tty
 from collections.abc import Iterator
@@ -27,10 +29,12 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.__main__ import main
 from edge.camera import CameraHealth, Frame
+from edge.commands import map_build, replay
+from edge.commands.parser import build_parser
 from edge.config import load_config
 from edge.daemon import Daemon
+from edge.descriptor.network import Network
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -68,33 +72,38 @@ def cases(kind: str) -> list[Path]:
     return sorted(path.parent for path in (HERE / kind).glob(f"*/{CASE}"))
 
 
-def build_maps(case: Case, scratch: Path) -> Path:
+def build_maps(case: Case, scratch: Path, network: Network) -> Path:
     """The map, the folder of maps, or the tiles of a case; cases that share `scratch` share them."""
-    key = hashlib.sha256(msgspec.json.encode((case.maps, case.build, case.tiles))).hexdigest()
-    path, tiles = scratch / key / "map", scratch / key / "tiles"
-    if not path.exists():
-        for name, recordings in case.maps.items():
-            output = path / name if len(case.maps) > 1 else path
-            output.parent.mkdir(parents=True, exist_ok=True)
-            _lookback("map", "build", *(str(RECORDINGS / each) for each in recordings), "-o", str(output), *case.build)
-        if case.tiles:
-            _lookback("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
+    path = scratch / hashlib.sha256(msgspec.json.encode((case.maps, case.build))).hexdigest()
+    tiles = path.with_suffix(f".{case.tiles}")
+    with path.with_suffix(".lock").open("w") as lock:  # of cases that other processes run
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            half_done = Path(tempfile.mkdtemp(dir=scratch)) / "map"
+            for name, recordings in case.maps.items():
+                output = half_done / name if len(case.maps) > 1 else half_done
+                output.parent.mkdir(exist_ok=True)
+                feeds = [str(RECORDINGS / each) for each in recordings]
+                map_build.build(_arguments("map", "build", *feeds, "-o", str(output), *case.build), network)
+            half_done.rename(path)
+        if case.tiles and not tiles.exists():
+            split = _arguments("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
+            assert split.run(split) == 0
     return tiles if case.tiles else path
 
 
-def replay_case(folder: Path, scratch: Path) -> dict[str, str]:
+def replay_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
     """What `lookback replay --all` writes: the name of each golden file, and its text."""
     case, output = load_case(folder), scratch / f"{folder.name}.jsonl"
-    maps = build_maps(case, scratch)
+    maps = build_maps(case, scratch, network)
     query, settings = str(RECORDINGS / case.query), str(folder / SETTINGS)
     options = ("--map", str(maps), "--config", settings, "--all", "-o", str(output))
-    _lookback("replay", query, *options, *case.options)
+    replay.run(_arguments("replay", query, *options, *case.options), network)
     return {EXPECTED: output.read_text(encoding="utf-8")}
 
 
-def _lookback(*arguments: str) -> None:
-    if main(arguments) != 0:
-        raise RuntimeError(f"lookback {' '.join(arguments)}: failed")
+def _arguments(*words: str) -> argparse.Namespace:
+    return build_parser(words).parse_args(words)
 
 
 class Cable:
@@ -214,12 +223,12 @@ class PlayedFrames:
         """There is nothing to release."""
 
 
-def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames) -> str:
+def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames, network: Network) -> str:
     """Run the daemon of a case to the end of its frames; its journal, without wall clock and durations."""
     text = (folder / SETTINGS).read_text(encoding="utf-8")
     changes = {
         'connection = "serial:autopilot:': f'connection = "serial:{cable.device}:',
-        'path = "map"': f'path = "{build_maps(load_case(folder), scratch)}"',
+        'path = "map"': f'path = "{build_maps(load_case(folder), scratch, network)}"',
     }
     for name, there in changes.items():
         if name not in text:
@@ -229,7 +238,7 @@ def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames) 
     own.mkdir()
     (own / SETTINGS).write_text(text, encoding="utf-8")
     with ExitStack() as parts:
-        daemon = Daemon(load_config(own / SETTINGS), parts, frames.clock_ns, frames=frames)
+        daemon = Daemon(load_config(own / SETTINGS), parts, frames.clock_ns, frames=frames, network=network)
         while daemon.turn():
             pass
         daemon.last_words()
@@ -245,15 +254,15 @@ def stable(journal: Path) -> str:
     return re.sub(r'(?<="stages_ms":)\{[^}]*\}', lambda found: re.sub(r":[0-9.e-]+", ":0", found[0]), text)
 
 
-def run_case(folder: Path, scratch: Path) -> dict[str, str]:
+def run_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
     """The journal of a run, and all that the daemon has sent: the name of each golden file, and its text."""
     with closing(Cable()) as cable:
         frames = PlayedFrames(RECORDINGS / load_case(folder).query)
         played = frames.far_end = PlayedTelemetry(folder / TELEMETRY, cable)
-        journal = run_daemon(folder, scratch, cable, frames)
+        journal = run_daemon(folder, scratch, cable, frames, network)
     return {JOURNAL: journal, SENT: "".join(played.sent)}
 
 
-def outputs_of(folder: Path, scratch: Path) -> dict[str, str]:
+def outputs_of(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
     """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once."""
-    return (replay_case if folder.parent.name == "replay" else run_case)(folder, scratch)
+    return (replay_case if folder.parent.name == "replay" else run_case)(folder, scratch, network)

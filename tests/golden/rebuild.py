@@ -9,12 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+from edge.descriptor.network import Network
 from tests.golden.harness import cases, outputs_of
+from tests.memoizing_network import MemoizingNetwork
 
 
-def rebuild(folder: Path, scratch: Path) -> None:
+def rebuild(folder: Path, scratch: Path, network: Network) -> None:
     """Write the golden files of one case, and print which of them changed."""
-    for name, text in outputs_of(folder, scratch).items():
+    for name, text in outputs_of(folder, scratch, network).items():
         file = folder / name
         changed = not file.exists() or file.read_text(encoding="utf-8") != text
         file.write_text(text, encoding="utf-8")
@@ -26,6 +28,7 @@ if __name__ == "__main__":
     known = {f"{path.parent.name}/{path.name}": path for path in (*cases("replay"), *cases("run"))}
     if not wanted <= set(known):
         sys.exit(f"no such case: {', '.join(sorted(wanted - set(known)))}; there are {', '.join(known)}")
+    network = MemoizingNetwork.load()
     with tempfile.TemporaryDirectory() as folder_of_maps:
         for case in sorted(wanted or known):
-            rebuild(known[case], Path(folder_of_maps))
+            rebuild(known[case], Path(folder_of_maps), network)

@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from edge.descriptor.network import Network
 from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -152,7 +153,7 @@ def record_telemetry(folder: Path) -> None:
     with closing(RecordingCable()) as cable, tempfile.TemporaryDirectory() as scratch:
         frames = PlayedFrames(RECORDINGS / query)
         frames.far_end = LiveAutopilot(cable, RECORDED[query].scenario.drive(), **AUTOPILOTS[folder.name])
-        run_daemon(folder, Path(scratch), cable, frames)
+        run_daemon(folder, Path(scratch), cable, frames, Network.load())
         (folder / TELEMETRY).write_bytes(cable.tlog)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,20 @@ from typing import Any
 import pytest
 
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
+from tests.memoizing_network import MemoizingNetwork
 
 CASES = [*cases("replay"), *cases("run")]
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("golden")
+@pytest.fixture
+def scratch(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+    """One for all workers, so that each map is built once."""
+    return make_once("golden", lambda folder: None)
 
 
 @pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
-def test_the_outputs_are_what_they_were(folder: Path, scratch: Path) -> None:
-    for name, now in outputs_of(folder, scratch).items():
+def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: MemoizingNetwork) -> None:
+    for name, now in outputs_of(folder, scratch, network).items():
         expected = (folder / name).read_bytes()
         if expected != now.encode():
             pytest.fail(f"{folder / name}: {first_difference(expected.decode(), now)}")
