@@ -10,8 +10,8 @@ import tempfile
 from pathlib import Path
 
 from edge.descriptor.network import Network
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import cases, outputs_of
-from tests.memoizing_network import MemoizingNetwork
 
 
 def rebuild(folder: Path, scratch: Path, network: Network) -> None:

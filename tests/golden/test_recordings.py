@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
-from tests.memoizing_network import MemoizingNetwork
 
 CASES = [*cases("replay"), *cases("run")]
 
