@@ -15,13 +15,13 @@ from tqdm import tqdm
 from edge.camera.picture_check import FrozenPictureDetector
 from edge.commands.map_build import add_spacing_options, build_map, sampling_from
 from edge.commands.replay import as_line, config_for_map
-from edge.config import DescriptorConfig, RigConfig, SamplingConfig
+from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.extras import install_command
 from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import open_map, open_map_set
 from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
-from sim.calibration.offset import rig_config
+from sim.calibration.offset import Offset, rig_config
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
@@ -83,8 +83,8 @@ def _run(args: argparse.Namespace) -> int:
     maps = open_map_set(folder / "map")
     print(f"2. Recognizing {query.path}")
     network = MemoizingNetwork.load()  # the frames are recognized twice: for the offset, and with it
-    rig, lines, note = _measure(folder / "map", query, network)
-    config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig)
+    offsets, why = _measure(folder / "map", query, network)
+    config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig_config(offsets))
     watch = _Watch()
     seen = recognize(maps, replace(query, pictures=lambda: _Watched(FeedImages(query), watch)), config, network)
     try:
@@ -93,8 +93,8 @@ def _run(args: argparse.Namespace) -> int:
         judged = None
     rows = [one.frame for one in seen.used]
     gray, faults = np.array([watch.gray[row] for row in rows]), tuple(watch.faults.get(row, "") for row in rows)
-    tried = Tried(reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults)
-    found = verdict(tried, note)
+    tried = Tried(reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults, tuple(offsets), why)
+    found, lines = verdict(tried), rig_lines(offsets)
     (folder / "frames.jsonl").write_text("".join(map(as_line, seen.used)), encoding="utf-8")
     (folder / "lookback.toml").write_text(_config_text(lines), encoding="utf-8")
     page = folder / "report.html"
@@ -136,16 +136,12 @@ def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: Sampl
     return read_feed(output)
 
 
-def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[RigConfig, Lines, str]:
-    """The camera's offset, its lines in a config, and a sentence about it. Zero where it cannot be measured."""
+def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[list[Offset], str]:
+    """The camera's offsets; where there are none, also why."""
     try:
-        offsets, _ = measure_rig(open_map(map_path), [query], network=network)
+        return measure_rig(open_map(map_path), [query], network=network)[0], "too few places are believed"
     except (FeedError, MapError) as error:
-        return RigConfig(), {}, f"the camera's offset is not known: {error}"
-    if not offsets:
-        return RigConfig(), {}, "the camera's offset is not known: too few places are believed"
-    found = ", ".join(f"{one.ahead_m:.1f} m ahead ({one.direction}, {one.order})" for one in offsets)
-    return rig_config(offsets), rig_lines(offsets), f"the matched place lies {found}: measured on this query, and used"
+        return [], str(error)
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from edge.commands.map_files import LIGHTS
 from edge.config import Config
 from edge.feed import Feed
+from edge.feed.traverse import driven_m
 from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
+from sim.calibration.offset import Offset
 from sim.evaluation.recognition import Judged, Recognition
 
 Floats = NDArray[np.float64]
@@ -27,6 +29,9 @@ GOOD, FAIR = 0.6, 0.2
 0.95 are believed (docs/evaluation.md); below 0.2 no drive had a position for most of its length."""
 TRUSTED = 0.99
 """Precision from which nothing is said of wrong places: that for which `lookback calibrate` sets the threshold."""
+MOUNTED_M = 15.0
+"""Meters. Cameras that see the same scene match places this near at most (5.9 m simulated, for one mounted 6 m ahead);
+cameras that look in opposite directions match places tens of meters ahead."""
 ANOTHER_SHAPE = 0.1
 """Share by which the ratio of width to height of the same camera's pictures never differs."""
 
@@ -55,7 +60,8 @@ class Tried:
     """All that is known of a try.
 
     reference, query: as recorded. judged: None without positions in both. gray: (Q,) mean gray level of each used
-    frame's picture. faults: (Q,) what the daemon finds wrong with the picture, "" for nothing.
+    frame's picture. faults: (Q,) what the daemon finds wrong with the picture, "" for nothing. offsets: of the camera,
+    empty where not measured, and why.
     """
 
     reference: Feed
@@ -67,6 +73,8 @@ class Tried:
     tolerance_m: float
     gray: Floats
     faults: tuple[str, ...]
+    offsets: tuple[Offset, ...] = ()
+    why_no_offset: str = "too few places are believed"
 
     @property
     def is_on_map(self) -> Flags:
@@ -91,8 +99,8 @@ class Tried:
         return np.logical_and(self.is_on_map, warm)
 
 
-def verdict(tried: Tried, offset_note: str) -> Verdict:
-    """offset_note: what is known of the camera's offset, in a sentence."""
+def verdict(tried: Tried) -> Verdict:
+    """What follows from all that is known."""
     believed, could = tried.seen.believed, tried.could_be_believed
     share = float(believed[could].mean()) if could.any() else 0.0
     facts = [f"{share:.0%} of the {int(could.sum())} frames that could be recognized are believed"]
@@ -100,7 +108,12 @@ def verdict(tried: Tried, offset_note: str) -> Verdict:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
         facts += _judged_facts(tried.judged, tried.tolerance_m)
-    facts.append(offset_note)
+    found = ", ".join(f"{one.ahead_m:.1f} m ahead ({one.direction}, {one.order})" for one in tried.offsets)
+    facts.append(
+        f"the matched place lies {found}: measured on this query, and used"
+        if found
+        else f"the camera's offset is not known: {tried.why_no_offset}"
+    )
     stretches = tuple(_stretches(tried))
     return Verdict(_headline(tried, share), tuple(facts), stretches, tuple(_advice(tried, share)))
 
@@ -159,14 +172,14 @@ def _reason(tried: Tried, row: int) -> str:
 
 def _advice(tried: Tried, share: float) -> list[str]:
     """In the order of how much each explains."""
-    found = []
+    found = list(_length_advice(tried)) if share < GOOD else []
     judged, could = tried.judged, tried.could_be_believed
-    length = tried.config.sequence.length
-    for feed in (tried.reference, tried.query):
-        if len(feed.rows) < 2 * length:
+    for offset in tried.offsets:
+        if offset.order == "same" and abs(offset.ahead_m) > MOUNTED_M:
             found.append(
-                f"{feed.path.name} has {len(feed.rows)} frames, and a sequence {length}: record at least"
-                f" {2 * length} places"
+                f"the matched place lies {offset.ahead_m:.0f} m ahead though both cameras see the same scene: the times"
+                f" of videos and tracks differ{_seconds(tried.query, offset.ahead_m)}; set --reference-start-s and"
+                " --query-start-s"
             )
     if judged is not None:
         opposite = opposite_share(judged)
@@ -177,7 +190,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
                 f" {'ahead' if tried.query.header.view == 'front' else 'back'}: a map for the way back needs a camera"
                 " that looks the other way (--reference-view rear, if it did)"
             )
-        if opposite < 0.5 and not same_view:
+        if opposite < 0.5 and not same_view and share < GOOD:
             found.append(
                 "both were driven in the same direction with cameras that look in opposite ones; check"
                 " --reference-view and --query-view"
@@ -198,6 +211,21 @@ def _advice(tried: Tried, share: float) -> list[str]:
             " recordings"
         )
     return found
+
+
+def _length_advice(tried: Tried) -> Iterator[str]:
+    """Of recordings with few places, and how to get more."""
+    enough = 2 * tried.config.sequence.length
+    for feed, count in ((tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))):
+        if count < enough:
+            more = ", or use more of its frames: --spacing-frames 1" if len(feed.rows) >= enough else ""
+            yield f"{feed.path.name} has {count} places, and two sequences are {enough}: record a longer drive{more}"
+
+
+def _seconds(query: Feed, meters: float) -> str:
+    """Meters as seconds of the query's driving, where its speed is known."""
+    driven, seconds = driven_m(query), (query.rows[-1].stamp_ns - query.rows[0].stamp_ns) / 1e9
+    return f", by {abs(meters) * seconds / driven[-1]:.1f} s together" if driven and driven[-1] > 0 else ""
 
 
 def _picture_advice(tried: Tried, could: Flags) -> list[str]:

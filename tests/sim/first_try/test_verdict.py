@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from edge.config import Config
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.feed.format import View
 from edge.journal.records import FrameUsed
+from sim.calibration.offset import Offset
 from sim.evaluation.metrics import Answers
 from sim.evaluation.recognition import Judged, Recognition
 from sim.first_try.verdict import Stretch, Tried, opposite_share, verdict
@@ -36,19 +38,19 @@ def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: ran
     answers = Answers(np.full(FRAMES, 0.7), flags[1] & flags[2], flags[2])
     judged = Judged("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, truth_m, road_m)
     gray, faults = np.full(FRAMES, 90.0), ("",) * FRAMES
-    maps = None
+    maps = SimpleNamespace(index=SimpleNamespace(places=FRAMES))
     return Tried(a_feed("out"), a_feed("query"), maps, Config(), seen, judged, 40.0, gray, faults)  # type: ignore[arg-type]
 
 
 def test_a_good_drive_needs_no_advice() -> None:
-    found = verdict(a_try(range(20, 100), range(100)), "offset")
+    found = verdict(a_try(range(20, 100), range(100)))
     assert found.headline == "Recognized: 95% of the frames"
     assert found.advice == ()
     assert found.stretches == (Stretch(0, 15, "warming up: a place is searched from 16 frames on"),)
 
 
 def test_wrong_places_come_before_everything_else() -> None:
-    found = verdict(a_try(range(20, 100), range(90)), "offset")
+    found = verdict(a_try(range(20, 100), range(90)))
     assert found.headline == "Not to be trusted: 10 of 80 believed places are wrong"
     assert found.stretches[-1] == Stretch(90, 99, "believed, but over 40 m off")
 
@@ -57,7 +59,7 @@ def test_each_reason_is_named_where_it_holds() -> None:
     tried = a_try(range(20, 50), range(100), on_map=range(80))
     gray = np.where(np.arange(FRAMES) >= 60, 20.0, 90.0)
     tried = replace(tried, gray=gray, faults=("",) * 70 + ("the image is frozen",) * 5 + ("",) * 25)
-    found = verdict(tried, "offset")
+    found = verdict(tried)
     assert [(one.first, one.why) for one in found.stretches[1:]] == [
         (50, "off the map: confidence below 0.5"),
         (60, "off the map: confidence below 0.5, and the picture is dark"),
@@ -73,14 +75,14 @@ def test_the_way_back_needs_a_camera_that_looks_the_other_way(view: View, is_adv
     tried = replace(a_try(range(0), range(0), reverse=True), reference=a_feed("out", view))
     assert tried.judged is not None
     assert opposite_share(tried.judged) == 1.0
-    found = verdict(tried, "offset")
+    found = verdict(tried)
     assert found.headline == "Not recognized"
     assert ("driven against the reference" in found.advice[0]) is is_advised
 
 
 def test_dark_pictures_and_another_camera_are_advised_of() -> None:
     tried = replace(a_try(range(0), range(0)), query=a_feed("query", width=480), gray=np.full(FRAMES, 12.0))
-    advice = " ".join(verdict(tried, "offset").advice)
+    advice = " ".join(verdict(tried).advice)
     assert "are dark (median gray level 12 of 255)" in advice
     assert "the pictures are 320 x 240 and 480 x 240" in advice
 
@@ -88,7 +90,28 @@ def test_dark_pictures_and_another_camera_are_advised_of() -> None:
 def test_without_positions_the_recordings_that_lack_them_are_named() -> None:
     nowhere = tuple(FeedRow("", row.stamp_ns) for row in a_feed("query").rows)
     tried = replace(a_try(range(20, 100), range(100)), judged=None, query=replace(a_feed("query"), rows=nowhere))
-    found = verdict(tried, "offset")
+    found = verdict(tried)
     assert found.headline == "Recognized: 95% of the frames"
     assert "whether they are right is not known" in found.facts[1]
     assert found.advice[0].startswith("no positions in query:")
+
+
+def test_places_that_lie_too_far_ahead_show_times_that_differ() -> None:
+    """100 frames, one a second: 2 m each."""
+    rows = tuple(replace(row, distance_m=2.0 * number) for number, row in enumerate(a_feed("query").rows))
+    far = Offset("reverse", "same", 50, 0, 40.0, 1.0, 2.0, 1.0)
+    tried = replace(a_try(range(20, 100), range(100)), query=replace(a_feed("query"), rows=rows), offsets=(far,))
+    (advice,) = verdict(tried).advice
+    assert "lies 40 m ahead though both cameras see the same scene" in advice
+    assert "by 20.0 s together" in advice
+    opposed = replace(far, order="swapped")
+    assert not verdict(replace(tried, offsets=(opposed,))).advice
+
+
+def test_a_short_drive_is_advised_of_with_the_frames_that_it_has() -> None:
+    tried = a_try(range(0), range(0))
+    few = replace(tried.seen, used=tried.seen.used[:50], states=tried.seen.states[:50])
+    tried = replace(tried, seen=few, judged=None)
+    assert (
+        "query has 50 places, and two sequences are 80: record a longer drive, or use more" in verdict(tried).advice[0]
+    )
