@@ -35,8 +35,6 @@ STOOD_NS = 30_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
-ODD_SIGMAS = 1.5
-"""Times [tracking] drift_percent by which the odometer may be found wrong: from then on, errors are not as expected."""
 SHOWN = 3.0
 """What `RouteEstimate.support` must be of a match that is not believed."""
 DISAGREE = 3
@@ -141,16 +139,11 @@ class RouteFilter:
 
     @property
     def _is_disputed(self) -> bool:
-        """Whether reckoning or matches disagree with the estimate, or agree only with an odometer that is too wrong."""
+        """Whether reckoning or matches disagree with the estimate."""
         track = self._track
         if track is None:
             return False
-        # What the last track found of the odometer holds until this one knows it as well.
-        estimates = (track.estimate, self._since_lost or track.estimate)
-        scale = min(estimates, key=lambda one: one.scale_sigma).scale
-        drift = max(self._config.drift_percent / 100, 0.0 if self._at is None else self._at.drift)
-        is_odd = abs(scale) > ODD_SIGMAS * drift
-        return is_odd or not track.is_confirmed or self._disagreeing >= DISAGREE
+        return not track.is_confirmed or self._disagreeing >= DISAGREE
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
