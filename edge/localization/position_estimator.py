@@ -19,13 +19,13 @@ import math
 from dataclasses import dataclass, replace
 
 from edge.config import Config, RigConfig
-from edge.geodesy import VehiclePosition, moved_left
+from edge.geodesy import VehiclePosition, moved, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
 from edge.localization.integrity import GpsState, Integrity, Limits, Situation, Uncertainty
 from edge.localization.place_fix import (
-    EVEN_SHARPNESS,
+    LEAST_SHARPNESS,
     frame_used,
     line_middle,
     map_error_m,
@@ -51,9 +51,8 @@ CALLED_SIGMA_M = 10.0
 class Report:
     """What an autopilot reports at `now_ns`; None: not known.
 
-    gps: "not healthy" also while GPS is called wrong and ignored. gps_sigma_m: of `position` while GPS bounds it, in
-    each direction. position: its own, without the error of a GPS that was called wrong. displacement: by its velocity
-    at the position's moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether anything
+    gps_sigma_m: of `position` while GPS bounds it, in each direction. displacement: by its velocity at the position's
+    moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether anything
     besides our positions measures its velocity.
     """
 
@@ -83,6 +82,10 @@ class PositionEstimator:
         self._uncertainty = Uncertainty(gates.drift_percent)
         self._reckoning = Reckoning(gates.drift_percent)
         self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
+        self._acts_on_gps = gates.doubted_gps != "report"
+        self._gps_error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
+        self.gps_is_wrong = False
+        """Whether GPS was called wrong, and has not agreed since."""
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
 
@@ -133,11 +136,12 @@ class PositionEstimator:
         missed: int = 0,
         stands: bool = False,
     ) -> GpsVerdict:
-        """Use the answer to one frame; what the places say of GPS since.
+        """Use the answer to one frame; what the places say of GPS since: "wrong" until it agrees again.
 
         displacement, gps: at its exposure. missed: see `RouteFilter.update`. stands: it shows what the last one did.
         """
         assert self._filter is not None and self._unseen_road is not None
+        heard, report = report, self._believed(report)
         self._filter.update(match, stamp_ns, displacement, missed)
         if match is not None and match.accepted:
             self.newest = match
@@ -154,7 +158,39 @@ class PositionEstimator:
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == stamp_ns:
             self._integrity.observe(fix, self._situation(fix, displacement, report, None))
-        return GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
+        verdict = GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
+        return verdict if stands else self.use_verdict(verdict, heard)
+
+    def use_verdict(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
+        """What the places say of GPS from now on; the verdict, which stays "wrong" until GPS agrees again."""
+        was_wrong = self.gps_is_wrong
+        self.gps_is_wrong = verdict.state == "wrong" or (was_wrong and verdict.state != "agrees")
+        if not self.gps_is_wrong:
+            self._gps_error_m = None
+            return verdict
+        if report.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
+            self._gps_error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
+        if self.ignores_gps and not was_wrong:
+            # What GPS has contradicted so far is not contradicted any more.
+            self._uncertainty.bind(CALLED_SIGMA_M, report.driven_m)
+            self._integrity.bound(by_gps=False)
+            self._reckoning.reset()
+        return replace(verdict, state="wrong", doubt=1.0)
+
+    @property
+    def ignores_gps(self) -> bool:
+        """Whether positions are published as if GPS were lost."""
+        return self.gps_is_wrong and self._acts_on_gps
+
+    def _believed(self, report: Report) -> Report:
+        """A report without a GPS that is ignored, and without the error of GPS that the autopilot has followed."""
+        if self.ignores_gps:
+            report = replace(report, gps="not healthy", gps_sigma_m=None)
+        own = report.position
+        if own is None or self._gps_error_m is None:
+            return report
+        lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, -self._gps_error_m[0], -self._gps_error_m[1])
+        return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
 
     def _correct_velocity(
         self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
@@ -164,7 +200,7 @@ class PositionEstimator:
             error.use_halt(stamp_ns, motion.velocity_mps)
             return
         error.add_frame(stamp_ns)
-        if motion.is_measured or match is None or not match.accepted or match.sharpness < EVEN_SHARPNESS:
+        if motion.is_measured or match is None or not match.accepted or match.sharpness < LEAST_SHARPNESS:
             return
         assert self._route is not None
         line = line_middle(match, self._route, self._config.sequence.length)
@@ -195,6 +231,7 @@ class PositionEstimator:
 
     def bind_by_gps(self, report: Report) -> None:
         """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
+        report = self._believed(report)
         if report.gps_sigma_m is None:
             return
         self._uncertainty.bind(report.gps_sigma_m, report.driven_m, by_gps=True)
@@ -207,12 +244,7 @@ class PositionEstimator:
         if report.is_aided:
             self._uncertainty.bind(sigma_m, report.driven_m)
             self._integrity.bound(by_gps=False)
-
-    def leave_gps(self, report: Report) -> None:
-        """GPS was called wrong and is ignored: what it has contradicted so far is not contradicted any more."""
-        self._uncertainty.bind(CALLED_SIGMA_M, report.driven_m)
-        self._integrity.bound(by_gps=False)
-        self._reckoning.reset()
+            self._gps_error_m = None  # no longer in its position
 
     @property
     def is_bounded(self) -> bool:
@@ -249,7 +281,8 @@ class PositionEstimator:
 
         last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
         """
-        return self._integrity.refusal(fix, self._situation(fix, displacement, report, last_sent_ns), limits)
+        situation = self._situation(fix, displacement, self._believed(report), last_sent_ns)
+        return self._integrity.refusal(fix, situation, limits)
 
     @property
     def protection_level(self) -> ProtectionLevel | None:

@@ -23,7 +23,7 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.place_fix import EVEN_SHARPNESS, map_error_m
+from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
@@ -111,8 +111,8 @@ class RouteFilter:
         if match is None:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        is_uneven = displacement.drift > 0 and match.sharpness < EVEN_SHARPNESS
-        if match.uniqueness < 1 or is_uneven or (not match.accepted and match.parallax is None):
+        says_where = match.uniqueness >= 1 and match.sharpness >= LEAST_SHARPNESS
+        if not says_where or (not match.accepted and match.parallax is None):
             return
         sighting = self._sightings.of(match, None if track is None else track.estimate)
         if sighting is not None:

@@ -62,7 +62,7 @@ class AutopilotConnection:
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self.protocol = LinkProtocol(config, self.vehicle)
         self._texts = StatusTexts()
-        estimator = estimator or PositionEstimator(Config(gates=gates))
+        self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
         self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
         self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
@@ -103,12 +103,12 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        self.positions.judge_gps(verdict, self._clock_ns(), is_aided=self._velocity_aid not in (None, NO_AID))
+        self.positions.judge_gps(verdict, is_aided=self._velocity_aid not in (None, NO_AID))
 
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self.positions.doubted_gps.is_wrong else ""
+        return "GPS is wrong" if self._estimator.gps_is_wrong else ""
 
     def speed_mps(self) -> float | None:
         """How fast the vehicle moves, None where nobody knows."""
@@ -138,7 +138,7 @@ class AutopilotConnection:
             gps=self.vehicle.gps.state(now_ns),
             gps_why=self.vehicle.gps.why(now_ns),
             velocity_aid=self._velocity_aid,
-            gps_verdict="wrong" if self.positions.doubted_gps.is_wrong else verdict.state,
+            gps_verdict=verdict.state,
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
@@ -227,7 +227,7 @@ class AutopilotConnection:
 
         Not while GPS is ignored: the vehicle would follow it as soon as this program ends.
         """
-        if self.positions.doubted_gps.is_ignored:
+        if self._estimator.ignores_gps:
             return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self._clock_ns()) if self.state == "up" else []
@@ -296,7 +296,7 @@ class AutopilotConnection:
 
         Where no positions are sent its parameters are not requested, and nothing of ours can come back.
         """
-        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self.positions.doubted_gps.is_ignored
+        is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._estimator.ignores_gps
         return is_by_gps or not self.positions.enabled or self._velocity_aid not in (None, NO_AID)
 
     def _warn_without_velocity_aid(self, now_ns: int) -> None:

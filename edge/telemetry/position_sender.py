@@ -80,7 +80,7 @@ class PositionSender:
         self._disabled = False
         remembered = Path(telemetry.journal) if telemetry.journal else None
         self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
-        self.doubted_gps = DoubtedGps(gates, vehicle, record, send_text)
+        self.doubted_gps = DoubtedGps(vehicle, record, send_text)
         bound = remembered and remembered.with_suffix(".bound")
         self._remembered, self._remember_due_ns = RememberedBound(bound, gates.drift_percent), 0
         self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
@@ -134,14 +134,14 @@ class PositionSender:
         return self._estimator.uncertainty_m(self.report(now_ns))
 
     def report(self, now_ns: int) -> Report:
-        """What the autopilot reports now. GPS that is ignored is none, and its error is not in the position."""
-        vehicle, is_ignored = self._vehicle, self.doubted_gps.is_ignored
+        """What the autopilot reports now."""
+        vehicle = self._vehicle
         own = vehicle.position(now_ns)
         return Report(
             now_ns,
-            gps="not healthy" if is_ignored else vehicle.gps.state(now_ns),
-            gps_sigma_m=None if is_ignored else vehicle.gps.bound_m(own, now_ns),
-            position=self.doubted_gps.corrected(own),
+            gps=vehicle.gps.state(now_ns),
+            gps_sigma_m=vehicle.gps.bound_m(own, now_ns),
+            position=own,
             displacement=None if own is None else vehicle.displacement(own.stamp_ns),
             accuracy_m=vehicle.accuracy_m(now_ns),
             speed_mps=vehicle.speed_mps(now_ns),
@@ -152,16 +152,11 @@ class PositionSender:
     def _bind(self, sigma_m: float, now_ns: int) -> None:
         """The autopilot has used a position."""
         self._estimator.bind(sigma_m, self.report(now_ns))
-        if self._vehicle.is_aided:
-            self.doubted_gps.bound()
 
-    def judge_gps(self, verdict: GpsVerdict, now_ns: int, *, is_aided: bool) -> None:
+    def judge_gps(self, verdict: GpsVerdict, *, is_aided: bool) -> None:
         """What the places say of GPS now. is_aided: whether anything besides GPS measures the autopilot's velocity."""
-        was_called = self.doubted_gps.judge(verdict, now_ns)
-        if was_called and self.doubted_gps.is_ignored:
-            self._estimator.leave_gps(self.report(now_ns))
-            if not is_aided:
-                self._send_text("Lookback: no velocity aid, sends no position")
+        if self.doubted_gps.publish(verdict) and self._estimator.ignores_gps and not is_aided:
+            self._send_text("Lookback: no velocity aid, sends no position")
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -313,16 +308,16 @@ class PositionSender:
         messages: list[Message] = []
         vehicle = self._vehicle
         report = self.report(now_ns)
-        if report.gps_sigma_m is not None:
-            self._estimator.bind_by_gps(report)
-            if self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS:
-                vehicle.has_our_position = False
+        self._estimator.bind_by_gps(report)
+        is_settled = self._last_sent_ns is None or now_ns - self._last_sent_ns > SETTLED_NS
+        if is_settled and report.gps_sigma_m is not None and not self._estimator.ignores_gps:
+            vehicle.has_our_position = False
         receivers = vehicle.gps.receiver_state(now_ns)
         if self._had_gps and receivers == "not healthy" and not self._estimator.is_bounded:
             log.warning("GPS is lost, and the autopilot had not used it yet: nothing bounds its position")
             self._send_text("Lookback: GPS lost before the autopilot used it")
         self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
-        if self.doubted_gps.is_ignored:
+        if self._estimator.ignores_gps:
             messages += self._leave_gps(now_ns)
         # Whether or not the filter uses GPS: with the second set it does not.
         elif receivers == "healthy" and not self._gates.with_gps:

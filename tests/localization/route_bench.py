@@ -347,7 +347,7 @@ class Bench:
         confidence = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
             first + row, first + row, "forward", "same" if self.course.parallax else "swapped",
-            slope, 0.5, 1.2, accepted=confidence >= 0.6, confidence=confidence,
+            slope, 0.5, 1.2, sharpness=0.2, accepted=confidence >= 0.6, confidence=confidence,
             parallax=self.regions.parallax(number, row, slope) if self.course.parallax else None,
         )  # fmt: skip
 

@@ -30,6 +30,7 @@ def match(place: int, direction: Any = "forward", **changes: Any) -> PlaceMatch:
         "slope": 1.0,
         "distance": 0.5,
         "uniqueness": 1.2,
+        "sharpness": 0.2,
         "accepted": True,
     }
     return PlaceMatch(**{**fields, **changes})

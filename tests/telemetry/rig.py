@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from edge.config import GatesConfig, HomeConfig, TelemetryConfig
+from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal, R, records_of
-from edge.localization import PlaceFix
+from edge.localization import GpsVerdict, PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -82,9 +82,14 @@ class Rig:
 
     def connect(self) -> None:
         """Start our end; the autopilot goes on as it is."""
+        self.estimator = PositionEstimator(Config(gates=self._gates))
         self.connection = AutopilotConnection(
-            self._config, lambda: self.now_ns, self.journal.write, self._gates, self._home
+            self._config, lambda: self.now_ns, self.journal.write, self._gates, self._home, self.estimator
         )
+
+    def judge_gps(self, verdict: GpsVerdict) -> None:
+        """What the places say of GPS, after a frame."""
+        self.connection.judge_gps(self.estimator.use_verdict(verdict, self.connection.report()))
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""

@@ -24,7 +24,7 @@ def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
     rig = open_rig(gates=gates, **{"emit": "external_position", **options})
     rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
     rig.run(8.0)
-    rig.connection.judge_gps(AGREES)
+    rig.judge_gps(AGREES)
     rig.off_m = OFF_M
     rig.run(2.0)
     return rig
@@ -52,7 +52,7 @@ def texts(rig: Rig) -> list[str]:
 def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "report")
     for _ in range(10):
-        rig.connection.judge_gps(WRONG)
+        rig.judge_gps(WRONG)
         rig.run(1.0)
     assert texts(rig).count("Lookback: GPS is wrong by 60 m to the E") == 1
     assert values(rig, "gps_doubt")[-5:] == [1.0] * 5
@@ -60,7 +60,7 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
     assert rig.journalled(GpsJudged) == [GpsJudged("agrees", 0.5, 0.5, 0.0), GpsJudged("wrong", 60.0, 0.0, 1.0)]
     assert rig.connection.gps_fault == "GPS is wrong", "without meters, which change with every frame"
     assert rig.connection.status().gps_verdict == "wrong"
-    rig.connection.judge_gps(AGREES)
+    rig.judge_gps(AGREES)
     rig.run(1.0)
     assert texts(rig)[-1] == "Lookback: GPS agrees with the map again"
     assert rig.connection.gps_fault == ""
@@ -69,7 +69,7 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
 def test_not_recognized_is_a_warning_and_no_call(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "switch")
     for verdict in (GpsVerdict("not recognized"), GpsVerdict("not recognized"), AGREES):
-        rig.connection.judge_gps(verdict)
+        rig.judge_gps(verdict)
         rig.run(2.0)
         assert values(rig, "gps_doubt")[-1] <= 0.0
         assert rig.connection.gps_fault == ""
@@ -79,18 +79,18 @@ def test_not_recognized_is_a_warning_and_no_call(open_rig: OpenRig) -> None:
 
 def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "report")
-    rig.connection.judge_gps(GpsVerdict())
+    rig.judge_gps(GpsVerdict())
     rig.run(2.0)
     assert values(rig, "gps_doubt")[-1] == -1.0
-    rig.connection.judge_gps(WRONG)
-    rig.connection.judge_gps(GpsVerdict())
+    rig.judge_gps(WRONG)
+    rig.judge_gps(GpsVerdict())
     rig.run(2.0)
     assert values(rig, "gps_doubt")[-1] == 1.0
 
 
 def test_by_default_nothing_else_happens(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "report")
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     offer(rig, 10.0)
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.journalled(FixSent)
@@ -102,7 +102,7 @@ def test_without_a_velocity_aid_the_pilot_reads_that_nothing_is_sent(
     open_rig: OpenRig, source: Any, sends: bool
 ) -> None:
     rig = spoofed(open_rig, "send", firmware="px4", errors=OdometryErrors(source))
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     offer(rig, 5.0)
     assert bool(rig.journalled(FixSent)) == sends
     assert ("Lookback: no velocity aid, sends no position" in texts(rig)) != sends
@@ -111,19 +111,19 @@ def test_without_a_velocity_aid_the_pilot_reads_that_nothing_is_sent(
 def test_switch_selects_the_second_set_and_positions_move_the_autopilot_back(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "switch")
     assert rig.autopilot.estimate.error_m == pytest.approx(OFF_M, abs=1.0)
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     offer(rig, 12.0)
     assert rig.autopilot.inputs.source_set == 2
     assert rig.autopilot.estimate.error_m < 6.0
     rig.off_m = 0.0
-    rig.connection.judge_gps(AGREES)
+    rig.judge_gps(AGREES)
     rig.run(8.0)
     assert rig.autopilot.inputs.source_set == 1
 
 
 def test_the_second_set_stays_when_this_program_ends_while_gps_is_wrong(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "switch")
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     rig.run(3.0)
     rig.connection.restore_sources()
     rig.run(1.0)
@@ -132,7 +132,7 @@ def test_the_second_set_stays_when_this_program_ends_while_gps_is_wrong(open_rig
 
 def test_send_leaves_the_sources_to_the_script_of_the_autopilot(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "send")
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     offer(rig, 6.0)
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.autopilot.resets, "ArduPilot takes no position while it uses GPS"
@@ -143,7 +143,7 @@ def test_send_leaves_the_sources_to_the_script_of_the_autopilot(open_rig: OpenRi
 
 def test_px4_has_no_sets_of_sources(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "switch", firmware="px4-1.17", emit="auto")
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     offer(rig, 5.0)
     assert not [message for message in rig.received("COMMAND_LONG") if message.command == 42007]
     assert rig.journalled(FixSent)
@@ -151,7 +151,7 @@ def test_px4_has_no_sets_of_sources(open_rig: OpenRig) -> None:
 
 def test_nothing_is_switched_where_no_positions_are_sent(open_rig: OpenRig) -> None:
     rig = spoofed(open_rig, "switch", emit="report")
-    rig.connection.judge_gps(WRONG)
+    rig.judge_gps(WRONG)
     rig.run(5.0)
     assert rig.autopilot.inputs.source_set == 1
 
@@ -165,7 +165,7 @@ def test_gps_is_that_of_the_filter_or_else_of_the_receiver(open_rig: OpenRig) ->
         at = rig.autopilot._pose.geodetic()
         east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, at)
         assert (east_m, north_m) == pytest.approx((OFF_M, 0.0), abs=5.0)
-        rig.connection.judge_gps(WRONG)
+        rig.judge_gps(WRONG)
         rig.run(5.0)
     rig.autopilot.gps = False
     rig.run(5.0)
