@@ -14,7 +14,6 @@ A frame goes through these stages in this order, and none calls back; each passe
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd
     page/           the live page
-    coverage/       before departure: where a map will be recognized, and where it will not
     commands/       run, map, replay, record, doctor, ...
 
 The files beside them:

@@ -6,6 +6,7 @@ trial        `lookback dev sim fixes`: many seeded drives, judged by the truth
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
 evaluation   `lookback eval`: a map's precision and recall in your recordings; `lookback dev golden`
+coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback dev model`: import, quantize, verify
 bench        `lookback dev bench`: this board

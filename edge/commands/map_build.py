@@ -10,7 +10,8 @@ from tqdm import tqdm
 
 import edge
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands import map_coverage, map_files
+from edge.commands import map_files
+from edge.commands.parser import fill_all, plug_ins
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
-    map_coverage.add_action(actions)
+    fill_all(actions, plug_ins("lookback.map"))
 
 
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:

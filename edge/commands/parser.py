@@ -23,7 +23,8 @@ COMMANDS = {
     "doctor": "edge.commands.doctor",
     "completion": "edge.commands.completion",
 }
-"""Module of each command of a vehicle, with its `add_arguments`; entry points `lookback.commands` name further ones."""
+"""Module of each command of a vehicle, with its `add_arguments`; entry points `lookback.commands` name further ones,
+and `lookback.map` those below `lookback map`."""
 RESEARCH = "sim.research"
 ONLY_IN_A_CLONE = "only in a clone of the repository, not in the package"
 DEV = "dev"
@@ -59,25 +60,27 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     asked = None if words is None else [word for word in words if not word.startswith("-")]
-    _fill_all(commands, {**COMMANDS, **_plug_ins("lookback.commands")}, asked)
+    fill_all(commands, {**COMMANDS, **plug_ins("lookback.commands")}, asked)
     about = "for work on Lookback itself: simulation, networks, benchmarks, recordings as tests"
     dev = commands.add_parser(DEV, help=about, description=about)
     if asked is None or asked[:1] == [DEV]:
-        modules = _plug_ins("lookback.dev")
+        modules = plug_ins("lookback.dev")
         if not modules:  # a clone was updated, and what pip knows of it was not
             raise ConfigError(f"{DEV}: the installation is of an older version; repeat it: {install_command('sim')}")
-        _fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), modules, asked and asked[1:])
+        fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), modules, asked and asked[1:])
     return parser
 
 
-def _plug_ins(group: str) -> dict[str, str]:
+def plug_ins(group: str) -> dict[str, str]:
     """Modules by name, in the order of the names."""
     # By name: an installation from before the distribution was renamed may still be beside this one.
     return dict(sorted({point.name: point.module for point in entry_points(group=group)}.items()))
 
 
-def _fill_all(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], modules: dict[str, str], asked: Sequence[str] | None
+def fill_all(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    modules: dict[str, str],
+    asked: Sequence[str] | None = None,
 ) -> None:
     """Add the command that `asked` begins with, or all for None; of each other one only what it is for."""
     for name, module in modules.items():

@@ -18,7 +18,7 @@ from edge.config import PageConfig
 from edge.page import map_view
 from edge.page.server import StatusPage
 from edge.page.snapshot import MapView
-from tests.coverage.roads import road, walk
+from tests.sim.coverage.roads import road, walk
 
 LONGEST_S = 300.0
 

@@ -5,11 +5,11 @@
 
 Each world is driven once with the rear camera by day (the map), home at night and again at dusk with the front camera.
 Of every second world the middle third is not mapped. For each 100 m, the share of frames that are believed, as it is
-rehearsed (`edge.coverage`) and as it is found; for each drive, its longest gap. Descriptors are kept in FOLDER.
+rehearsed (`sim.coverage`) and as it is found; for each drive, its longest gap. Descriptors are kept in FOLDER.
 
 --similarity prints how alike a place is to its place of the map after normalization (cosine), by where the map's camera
 looked, by direction and by light, in the worlds and in rehearsed drives over their maps: what the constants of
-`edge.coverage.rehearsal` rest on.
+`sim.coverage.rehearsal` rest on.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config
-from edge.coverage import Conditions, Pass, Rehearsal, Sheet
-from edge.coverage.rehearsal import LIGHTS, WAYS
-from edge.coverage.sheet import longest_gap, spans_of
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.feed import View
 from edge.reference_map import Drives, MapSet, ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
+from sim.coverage import Conditions, Pass, Rehearsal, Sheet
+from sim.coverage.rehearsal import LIGHTS, WAYS
+from sim.coverage.sheet import longest_gap, spans_of
 from sim.research.evaluation.belief import Described, believe, described, kept, offset_m
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.scenario import Scenario

@@ -6,9 +6,9 @@
 `sheet`      what follows for each stretch, and for the whole route
 """
 
-from edge.coverage.aliases import Alias, aliases
-from edge.coverage.passes import Pass, passes
-from edge.coverage.rehearsal import Conditions, Rehearsal
-from edge.coverage.sheet import Sheet, Stretch
+from sim.coverage.aliases import Alias, aliases
+from sim.coverage.passes import Pass, passes
+from sim.coverage.rehearsal import Conditions, Rehearsal
+from sim.coverage.sheet import Sheet, Stretch
 
 __all__ = ["Alias", "Conditions", "Pass", "Rehearsal", "Sheet", "Stretch", "aliases", "passes"]

@@ -12,15 +12,15 @@ import pytest
 from edge.__main__ import main
 from edge.commands.replay import as_line
 from edge.config import Config, SamplingConfig
-from edge.coverage import Conditions, Rehearsal, Sheet, aliases, passes
-from edge.coverage.rehearsal import Light, Way
-from edge.coverage.sheet import longest_gap, spans_of
 from edge.descriptor.normalize import normalize
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
-from tests.coverage.roads import road, walk
+from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
+from sim.coverage.rehearsal import Light, Way
+from sim.coverage.sheet import longest_gap, spans_of
+from tests.sim.coverage.roads import road, walk
 
 PLACES = 200
 

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.coverage.passes import Pass, road_between_m
 from edge.descriptor.normalize import normalize
 from edge.feed import View
 from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch
 from edge.sequence_matcher import SequenceMatcher
+from sim.coverage.passes import Pass, road_between_m
 
 Floats: TypeAlias = NDArray[np.float32]
 Way: TypeAlias = Literal["home", "again"]

@@ -1,4 +1,4 @@
-"""`lookback map coverage`: where a map will be recognized on the next drive, and where it will not."""
+"""`lookback map coverage`: predict where a map will be recognized, and the longest gap."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 from tqdm import tqdm
 
 from edge.config import Config, DescriptorConfig, GatesConfig
-from edge.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
-from edge.coverage.aliases import Span
-from edge.coverage.rehearsal import LIGHTS, WAYS
-from edge.coverage.sheet import SOON_M, Stretch, spans_of
 from edge.errors import ConfigError, FeedError, MapError, SetupError
 from edge.extras import install_command
 from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
+from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
+from sim.coverage.aliases import Span
+from sim.coverage.rehearsal import LIGHTS, WAYS
+from sim.coverage.sheet import SOON_M, Stretch, spans_of
 
 POINTS = 12
 """Of a stretch on the page."""
@@ -29,40 +29,38 @@ MOST_PLACES = 50_000
 """A larger map would take hours, and more memory than this computer may have."""
 
 
-def add_action(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add it to `lookback map`."""
-    coverage = actions.add_parser(
-        "coverage",
-        help="predict where a map will be recognized, and the longest gap",
-        description="Predict where a map will be recognized on the next drive: from the map alone, by drives that are"
-        " rehearsed over its own descriptors; with journals of earlier drives, by these as well.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback map coverage`."""
+    parser.description = (
+        "Predict where a map will be recognized on the next drive: from the map alone, by drives that are rehearsed"
+        " over its own descriptors; with journals of earlier drives, by these as well."
     )
-    coverage.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    coverage.add_argument(
+    parser.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
+    parser.add_argument(
         "journals", nargs="*", type=Path, metavar="JOURNAL",
         help="of earlier drives: journals with journal_frames, or the output of `replay --all`",
     )  # fmt: skip
-    coverage.add_argument(
+    parser.add_argument(
         "--for", dest="way", choices=WAYS, default="home",
         help="the next drive: home, against the map's direction (default), or the same way again",
     )  # fmt: skip
-    coverage.add_argument("--light", choices=LIGHTS, default="night", help="of the next drive (default %(default)s)")
-    coverage.add_argument(
+    parser.add_argument("--light", choices=LIGHTS, default="night", help="of the next drive (default %(default)s)")
+    parser.add_argument(
         "--view", choices=("front", "rear"), default="front", help="where its camera looks (default %(default)s)"
     )
-    coverage.add_argument(
+    parser.add_argument(
         "--rehearsals", type=int, default=8, metavar="N", help="rehearsed drives; 0: journals alone (default 8)"
     )
-    coverage.add_argument(
+    parser.add_argument(
         "--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default %(default)g)"
     )
-    coverage.add_argument(
+    parser.add_argument(
         "--within-m", type=float, default=20.0, metavar="M", help="drift that is still good enough (default 20)"
     )
-    coverage.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
-    coverage.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
-    coverage.add_argument("--picture", type=Path, metavar="FILE", help="write a picture of the route (PNG, SVG, PDF)")
-    coverage.set_defaults(run=_run)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    parser.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="write a picture of the route (PNG, SVG, PDF)")
+    parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.coverage.aliases import Span
-from edge.coverage.passes import SPARE_M, Pass, road_between_m
 from edge.reference_map import Drives, MapSet
+from sim.coverage.aliases import Span
+from sim.coverage.passes import SPARE_M, Pass, road_between_m
 
 SOON_M = 100.0
 REHEARSED_COUNT_AS = 2.0
