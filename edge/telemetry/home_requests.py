@@ -47,6 +47,8 @@ CHECK_AGAIN_NS = 30_000_000_000
 """From a check of a mission that may be cut off to the next, where the first came to no end."""
 GIVEN_BACK = "; `lookback home --restore` uploads the one before"
 Plan = Callable[[Start], WayHome]
+Sender = tuple[int, int]
+"""System and component of a command."""
 log = logging.getLogger(__name__)
 
 
@@ -67,6 +69,25 @@ class Answer:
     def is_final(self) -> bool:
         """Whether no other answer follows."""
         return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+Reply = Callable[[Answer, int], list[Message]]
+"""Hands an answer to whoever requested, at that time; the messages that are due for it."""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A transfer that is running. items: of the mission. done, failed: words for both of its ends.
+
+    reply: None where nobody has requested it: a mission that may be cut off is checked. sender: of the command.
+    """
+
+    transfer: MissionTransfer
+    items: int
+    done: str
+    failed: str
+    reply: Reply | None = None
+    sender: Sender | None = None
 
 
 class Rejected(Exception):
@@ -96,50 +117,47 @@ class HomeRequests:
         """Plans the way home; None while there is no map."""
         self.position: Callable[[], tuple[VehiclePosition | None, float | None]] = lambda: (None, None)
         """The vehicle's position by the autopilot, and its standard deviation in meters; None where not known."""
-        self._transfer: MissionTransfer | None = None
+        self._upload: Upload | None = None
         self._replaced = ReplacedMission(replaced)
-        self._checks = False  # the transfer is not of a request
         self._check_ns = self._warned_session = 0
-        self._items, self._what, self._not = 0, "", ""  # of the transfer, and the words for both of its ends
-        self._sender: tuple[int, int] | None = None  # of the command that is not answered yet
-        self._reply: Callable[[Answer], object] | None = None  # of the local program
-        self._last: tuple[tuple[int, int], int, Answer] | None = None  # to whom, when, what
+        self._last: tuple[Sender, int, Answer] | None = None  # to whom, when, what
 
     def read(self, message: Message, now_ns: int) -> list[Message]:
         """Read a message of any component on the autopilot's link; the messages that are due because of it."""
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in (HOME_COMMAND, OLD_COMMAND):
             return self._command(message, now_ns) if self._is_for_us(message) else []
-        if kind not in MISSION_MESSAGES or self._transfer is None:
+        if kind not in MISSION_MESSAGES or self._upload is None:
             return []
         if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not self._is_for_us(message):
             return []
         sender = message.get_srcSystem(), message.get_srcComponent()
         if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return []
-        return [*self._transfer.read(message, now_ns), *self._finished(now_ns)]
+        return [*self._upload.transfer.read(message, now_ns), *self._finished(now_ns)]
 
     def request(self, reply: Callable[[Answer], object], now_ns: int, *, restore: bool = False) -> list[Message]:
         """Request the way home from this computer, or the mission that it replaced; the final answer comes last."""
-        answer, messages = self._begin(now_ns, restore=restore)
-        reply(answer)
-        if not answer.is_final:
-            self._reply = reply
-        return messages
+
+        def to_program(answer: Answer, now_ns: int) -> list[Message]:
+            reply(answer)
+            return []
+
+        return self._begin(to_program, now_ns, restore=restore)
 
     def due(self, now_ns: int) -> list[Message]:
         """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
-        if self._transfer is None:
+        if self._upload is None:
             return self._check_if_due(now_ns)
-        why = self._why_not_now()
-        messages = self._transfer.cancel(why, now_ns) if why else []
-        return [*messages, *self._transfer.due(now_ns), *self._finished(now_ns)]
+        transfer, why = self._upload.transfer, self._why_not_now()
+        messages = transfer.cancel(why, now_ns) if why else []
+        return [*messages, *transfer.due(now_ns), *self._finished(now_ns)]
 
     def abandon(self, now_ns: int) -> list[Message]:
         """End the transfer, if there is one: this program ends. A mission that is being driven is left alone."""
-        if self._transfer is None:
+        if self._upload is None:
             return []
-        messages = self._transfer.abandon()
+        messages = self._upload.transfer.abandon()
         return [*([] if self._vehicle.drives_itself else messages), *self._finished(now_ns)]
 
     def _is_for_us(self, message: Message) -> bool:
@@ -151,33 +169,34 @@ class HomeRequests:
         if message.command == OLD_COMMAND:
             unsupported = mavlink.MAV_RESULT_UNSUPPORTED
             return [encoders.acknowledgement(OLD_COMMAND, unsupported, 0, *sender)]
-        if self._transfer is not None and sender == self._sender:
+        if self._upload is not None and sender == self._upload.sender:
             return [self._acknowledgement(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""))]
         if message.confirmation and self._last is not None:
             to, answered_ns, answer = self._last
             if to == sender and now_ns - answered_ns < REPEATED_NS:
                 return [self._acknowledgement(sender, answer)]
-        messages: list[Message] = []
-        if (message.param1, message.param2) != HOME_PARAMS:
-            answer = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
-        else:
-            answer, messages = self._begin(now_ns)
-        if answer.is_final:
-            self._last = sender, now_ns, answer
-        else:
-            self._sender = sender
-        return [self._acknowledgement(sender, answer), *messages]
 
-    def _begin(self, now_ns: int, *, restore: bool = False) -> tuple[Answer, list[Message]]:
-        """The first answer to a request, and the first messages of the transfer."""
+        def to_sender(answer: Answer, now_ns: int) -> list[Message]:
+            if answer.is_final:
+                self._last = sender, now_ns, answer
+            return [self._acknowledgement(sender, answer)]
+
+        if (message.param1, message.param2) != HOME_PARAMS:
+            denied = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
+            return to_sender(denied, now_ns)
+        return self._begin(to_sender, now_ns, sender=sender)
+
+    def _begin(
+        self, reply: Reply, now_ns: int, *, restore: bool = False, sender: Sender | None = None
+    ) -> list[Message]:
+        """The messages of the first answer to a request, and the first of the transfer."""
         words = ("restored", "not restored") if restore else ("uploaded", "no way home")
         home_first = self._vehicle.autopilot == ARDUPILOT
         try:
             self._check_request()
             items, what = self._kept_items() if restore else self._way_items(home_first=home_first)
         except Rejected as error:
-            return self._answered(Answer(error.result, f"{words[1]}: {error}")), []
-        self._items, self._what, self._not = len(items), f"{words[0]} and verified: {what}", words[1]
+            return reply(self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
         system_id = self._vehicle.system_id or 1
 
         def keep(present: list[MissionItem]) -> Next:
@@ -185,15 +204,18 @@ class HomeRequests:
                 self._send_text("Lookback: cannot keep the mission that is replaced", mavlink.MAV_SEVERITY_WARNING)
             return "upload"
 
-        self._transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
+        transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
+        done = f"{words[0]} and verified: {what}"
+        self._upload = Upload(transfer, len(items), done, words[1], reply, sender)
         log.info("uploading %s", what)
-        return Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}"), self._transfer.start(now_ns)
+        begun = Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
+        return [*reply(begun, now_ns), *transfer.start(now_ns)]
 
     def _check_request(self) -> None:
         """Rejected where no request can be done now."""
         if not self._config.enabled:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
-        why = "a mission is being uploaded" if self._transfer is not None else self._why_not_now()
+        why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
         if why:
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
         if self._vehicle.autopilot not in AUTOPILOTS:
@@ -229,9 +251,9 @@ class HomeRequests:
         def clear_if_cut_off(present: list[MissionItem]) -> Next:
             return "clear" if self._replaced.is_cut_off(present) else "leave"
 
-        self._items, self._what, self._not, self._checks = 0, "", "mission checked", True
-        self._transfer = MissionTransfer((), kept.system_id, first_is_home=bool(kept.first), decide=clear_if_cut_off)
-        return self._transfer.start(now_ns)
+        transfer = MissionTransfer((), kept.system_id, first_is_home=bool(kept.first), decide=clear_if_cut_off)
+        self._upload = Upload(transfer, 0, "", "mission checked")
+        return transfer.start(now_ns)
 
     def _planned(self) -> WayHome:
         """The way home from here; Rejected."""
@@ -261,27 +283,18 @@ class HomeRequests:
 
     def _finished(self, now_ns: int) -> list[Message]:
         """The final answer, once the transfer has ended."""
-        if self._transfer is None or self._transfer.outcome is None:
+        upload = self._upload
+        if upload is None or upload.transfer.outcome is None:
             return []
-        outcome, self._transfer = self._transfer.outcome, None
+        outcome, self._upload = upload.transfer.outcome, None
         if outcome.is_settled:
             self._replaced.settle()
         if outcome.verified:
-            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, self._what, self._items))
+            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, upload.done, upload.items))
         else:
-            more = GIVEN_BACK if outcome.is_settled and self._checks and self._replaced.kept.replaced else ""
-            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{self._not}: {outcome.why}{more}"))
-        if self._checks:
-            self._checks = False
-            return []
-        reply, self._reply = self._reply, None
-        if reply is not None:
-            reply(answer)
-        sender, self._sender = self._sender, None
-        if sender is None:
-            return []
-        self._last = sender, now_ns, answer
-        return [self._acknowledgement(sender, answer)]
+            more = GIVEN_BACK if outcome.is_settled and not upload.reply and self._replaced.kept.replaced else ""
+            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
+        return upload.reply(answer, now_ns) if upload.reply else []
 
     def _answered(self, answer: Answer) -> Answer:
         """Publish a final answer."""
@@ -291,5 +304,5 @@ class HomeRequests:
         self._send_text(f"Lookback: {answer.text}", severity)
         return answer
 
-    def _acknowledgement(self, sender: tuple[int, int], answer: Answer) -> Message:
+    def _acknowledgement(self, sender: Sender, answer: Answer) -> Message:
         return encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry.vehicle import STAYS, Vehicle
+from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle_motion import STAYS
 from tests.telemetry.speaker import S, Speaker, connect
 
 
