@@ -30,6 +30,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
 Left = Annotated[float, Meta(ge=-50, le=50)]
 Share = Annotated[float, Meta(ge=0, le=0.9)]
+FilePath = Annotated[str, Meta(description="of a file or folder, relative to the folder of the config file")]
 
 
 OUTDATED: dict[tuple[str, str, str | None], str | None] = {
@@ -58,7 +59,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     latency_s: Annotated[float, Meta(ge=0, le=5)] = 0.0
     flip: Literal["none", "horizontal", "vertical", "both"] = "none"
     crop: tuple[Share, Share, Share, Share] = (0.0, 0.0, 0.0, 0.0)
-    mask: str = ""
+    mask: FilePath = ""
 
     def __post_init__(self) -> None:
         left, top, right, bottom = self.crop
@@ -95,7 +96,7 @@ class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[descriptor]: how a frame becomes a descriptor, and how that is normalized (eq. 1, sections III-B and III-D)."""
 
-    model: str = ""
+    model: FilePath = ""
     provider: str = "cpu"
     regions: Literal["left-right", "whole"] = "left-right"
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
@@ -108,8 +109,8 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[map]: the reference map, or the folder of maps, in which places are recognized."""
 
-    path: str = "/var/lib/lookback/map"
-    require_signature_by: str = ""
+    path: FilePath = "/var/lib/lookback/map"
+    require_signature_by: FilePath = ""
     places_per_frame: Annotated[int, Meta(ge=100, le=1_000_000)] = 20_000
     search_radius_m: Annotated[float, Meta(ge=10, le=100_000)] = 500.0
 
@@ -201,7 +202,7 @@ class LinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[[telemetry.links]]: a further MAVLink connection, on which events are published and never a position."""
 
     connection: str
-    signing_key: str = ""
+    signing_key: FilePath = ""
 
 
 class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -214,10 +215,10 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1
     switch_sources: bool = True
     origin: tuple[float, ...] = ()
-    signing_key: str = ""
-    signing_clock: str = "/var/lib/lookback/signing"
+    signing_key: FilePath = ""
+    signing_clock: FilePath = "/var/lib/lookback/signing"
     links: tuple[LinkConfig, ...] = ()
-    journal: str = "/var/lib/lookback/events.jsonl"
+    journal: FilePath = "/var/lib/lookback/events.jsonl"
     journal_max_mb: Annotated[float, Meta(ge=1)] = 500.0
     journal_frames: bool = False
 
@@ -242,7 +243,7 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     matched as well.
     """
 
-    folder: str = ""
+    folder: FilePath = ""
     max_sigma_m: Positive = 5.0
     without_gps: Literal["stop", "continue"] = "stop"
     behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
@@ -256,7 +257,7 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[recording]: the frames that `lookback run` uses, written as one feed per run."""
 
-    folder: str = ""
+    folder: FilePath = ""
     min_free_mb: NotNegative = 500.0
 
 
@@ -264,7 +265,7 @@ class HomeConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[home]: the way home, as a mission for the autopilot; off by default."""
 
     enabled: bool = False
-    socket: str = ""
+    socket: FilePath = ""
     turning_radius_m: Annotated[float, Meta(ge=0, le=1000)] = 6.0
     tolerance_m: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
     speed_mps: Annotated[float, Meta(ge=0, le=50)] = 0.0
@@ -374,30 +375,18 @@ def checked_option(config: ConfigStruct, option: str, **changes: object) -> Conf
         raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
 
 
-def change_paths(config: Config, change: Callable[[str, str], str]) -> Config:
-    """The config with each path of a file or folder changed. change: from the key, as in errors, and the path."""
-
-    def changed(section: ConfigStruct, name: str, *keys: str) -> ConfigStruct:
-        paths = {key: getattr(section, key) for key in keys}
-        is_path = {key: path for key, path in paths.items() if path and not path.startswith("credential:")}
-        return msgspec.structs.replace(section, **{key: change(f"[{name}] {key}", is_path[key]) for key in is_path})
-
-    telemetry = changed(config.telemetry, "telemetry", "journal", "signing_key", "signing_clock")
-    links = tuple(changed(link, "telemetry.links", "signing_key") for link in telemetry.links)
-
-    def changed_camera(camera: CameraConfig, name: str) -> CameraConfig:
-        return changed(camera, name, "mask", *(["device"] if camera.kind in ("feed", "sim") else []))
-
-    mapping = changed(config.mapping, "mapping", "folder")
-    if mapping.camera is not UNSET:
-        mapping = msgspec.structs.replace(mapping, camera=changed_camera(mapping.camera, "mapping.camera"))
-    return msgspec.structs.replace(
-        config,
-        camera=changed_camera(config.camera, "camera"),
-        mapping=mapping,
-        descriptor=changed(config.descriptor, "descriptor", "model"),
-        map=changed(config.map, "map", "path", "require_signature_by"),
-        telemetry=msgspec.structs.replace(telemetry, links=links),
-        recording=changed(config.recording, "recording", "folder"),
-        home=changed(config.home, "home", "socket"),
-    )
+def change_paths(config: ConfigStruct, change: Callable[[str, str], str], section: str = "") -> ConfigStruct:
+    """The config, or a section, with each path of a file or folder changed. change: from the key, as in errors."""
+    changes: dict[str, object] = {}
+    for field in msgspec.structs.fields(config):
+        value, below = getattr(config, field.name), f"{section}.{field.name}".lstrip(".")
+        is_path = field.type == FilePath or (field.name == "device" and getattr(config, "kind", "") in ("feed", "sim"))
+        if isinstance(value, Struct):
+            changes[field.name] = change_paths(value, change, below)
+        elif isinstance(value, tuple):
+            changes[field.name] = tuple(
+                change_paths(one, change, below) if isinstance(one, Struct) else one for one in value
+            )
+        elif is_path and value and not value.startswith("credential:"):
+            changes[field.name] = change(f"[{section}] {field.name}", value)
+    return msgspec.structs.replace(config, **changes)
