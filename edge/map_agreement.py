@@ -96,6 +96,8 @@ def disagreements(maps: MapSet, most_windows: int | None = None) -> list[Disagre
 
 def as_uncertain(maps: MapSet, found: Sequence[Disagreement]) -> MapSet:
     """The same maps, the positions of those stretches as uncertain as they are apart."""
+    if not found:
+        return maps
     sigma_m = maps.places["position_sigma_m"].copy()
     starts = dict(zip((one.path for one in maps.maps), maps.index.starts, strict=False))
     for one in found:

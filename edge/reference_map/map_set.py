@@ -23,8 +23,9 @@ from edge.errors import MapError
 from edge.geodesy import east_north, first_known
 from edge.reference_map.checksums import Checksums, ChecksumSchedule
 from edge.reference_map.costs import CostMatcher
-from edge.reference_map.growing_map import MapSoFar
+from edge.reference_map.growing_map import CAPACITY, MapSoFar
 from edge.reference_map.place_index import PlaceIndex
+from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
@@ -58,7 +59,8 @@ class MapSet:
 
     is_folder: whether these are the maps of a folder, even if there is but one. maps: each with its own rows of
     `places`. places: (N,) records of PLACE. index: which map, row and segment a place belongs to. blocks: where the
-    places lie. excluded: maps of the folder that cannot be used.
+    places lie. excluded: maps of the folder that cannot be used. room: where `places` lie with space for further ones,
+    if the last map grows: copying a million places would take longer than a frame may.
     """
 
     path: Path
@@ -69,6 +71,7 @@ class MapSet:
     index: PlaceIndex
     blocks: SpatialIndex
     excluded: tuple[ExcludedMap, ...] = ()
+    room: NDArray[np.void] | None = None
 
     @classmethod
     def of(
@@ -80,15 +83,26 @@ class MapSet:
     ) -> MapSet:
         """One open map, or those of a folder. matchers: of some of them, by path, that need not be made again."""
         several = [maps] if isinstance(maps, ReferenceMap) else maps
-        index = PlaceIndex([one.header for one in several])
-        places = several[0].places
-        if len(several) > 1:
-            # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
-            places = np.concatenate([one.places for one in several])
-            several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(several, index.rows, strict=True)]
+        # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
+        places = several[0].places if len(several) == 1 else np.concatenate([one.places for one in several])
+        return cls._in_order(several, places, folder, excluded, matchers)
+
+    @classmethod
+    def _in_order(
+        cls,
+        maps: Sequence[ReferenceMap],
+        places: NDArray[np.void],
+        folder: Path | None,
+        excluded: Iterable[ExcludedMap],
+        matchers: Mapping[Path, CostMatcher],
+        others: SpatialIndex | None = None,
+    ) -> MapSet:
+        """Some maps whose places are these, one map's after another's. others: see `SpatialIndex`."""
+        index = PlaceIndex([one.header for one in maps])
+        several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(maps, index.rows, strict=True)]
         bounds = [(*rows, one.header.bounds) for one, rows in zip(several, index.rows, strict=True)]
         all_matchers = tuple(matchers.get(one.path) or _matcher_of(one) for one in several)
-        blocks = SpatialIndex(places, bounds)
+        blocks = SpatialIndex(places, bounds, others)
         path = several[0].path if folder is None else folder
         return cls(path, folder is not None, tuple(several), all_matchers, places, index, blocks, tuple(excluded))
 
@@ -96,8 +110,16 @@ class MapSet:
         """A new set with the map of this drive as it now is, after all others; places that were there stay theirs."""
         matchers = {one.path: one_matcher for one, one_matcher in zip(self.maps, self.matchers, strict=True)}
         matchers.pop(newest.path, None)
-        others = [one for one in self.maps if one.path in matchers]
-        grown = MapSet.of([*others, newest], self.path, self.excluded, matchers)
+        others = [one for one in self.maps if one.path in matchers]  # those before it: it is always the last
+        first = sum(one.header.places for one in others)
+        end, room = first + newest.header.places, self.room
+        if room is None or len(room) < end:
+            room = np.empty(first + max(CAPACITY, newest.header.places), PLACE)  # of which only what is used is memory
+            room[:first] = self.places[:first]
+        room[first:end] = newest.places
+        blocks = self.blocks if others else None
+        grown = MapSet._in_order([*others, newest], room[:end], self.path, self.excluded, matchers, blocks)
+        grown = replace(grown, room=room)
         known = len(grown.index.segments) - len(newest.header.segments)
         vars(grown)["laps"] = (*self.laps[:known], *[None] * len(newest.header.segments))  # not computed again
         return grown
@@ -235,7 +257,7 @@ class MapSet:
         places = self.places.copy()
         places["position_sigma_m"] = sigma_m
         maps = [replace(one, places=places[slice(*rows)]) for one, rows in zip(self.maps, self.index.rows, strict=True)]
-        return replace(self, maps=tuple(maps), places=places)
+        return replace(self, maps=tuple(maps), places=places, room=None)
 
     def fitting(self, model: ModelKey, descriptor: DescriptorConfig) -> MapSet:
         """A set without the maps whose descriptors this model and these regions cannot be compared with; MapError."""

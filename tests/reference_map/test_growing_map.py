@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
+from edge.map_agreement import as_uncertain
 from edge.reference_map import COST_ONE, GrowingMap, MapBuilder, MapSet, ModelKey, Place, RegionsKey, Route, open_map
 from edge.sequence_matcher import SequenceMatcher
 
@@ -115,6 +116,21 @@ def test_what_is_recognized_while_the_map_grows_is_what_the_whole_map_gives(tmp_
     ours, theirs, frames = np.array(places).T
     np.testing.assert_allclose(ours, theirs, atol=1)
     np.testing.assert_allclose(theirs, frames, atol=2)
+
+
+def test_growing_copies_no_place_that_was_there(tmp_path: Path) -> None:
+    """A map of a million places took 0.3 s to grow by 16, in which no frame was recognized."""
+    old, growing = built(tmp_path / "old", drive(100, seed=5)), grown(drive(300), tmp_path / "drive")
+    before = MapSet.of(old.maps, tmp_path).with_newest(growing.first(100))
+    after = before.with_newest(growing.first(150))
+    assert np.shares_memory(before.places, after.places)
+    assert as_uncertain(after, []) is after
+    afresh = MapSet.of([*old.maps, growing.first(150)], tmp_path)
+    assert after.places.tobytes() == afresh.places.tobytes()
+    assert (len(before.places), after.index.rows, after.laps) == (200, afresh.index.rows, afresh.laps)
+    for lat_deg in np.linspace(0.0, 0.003, 20):
+        for radius_m in (1.0, 100.0):
+            assert after.blocks.within(lat_deg, 8.0, radius_m) == afresh.blocks.within(lat_deg, 8.0, radius_m)
 
 
 def test_a_route_goes_on_as_the_map_does() -> None:
