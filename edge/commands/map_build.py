@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reduce the descriptor of each region to D dimensions (PCA)",
     )
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
-    build.set_defaults(run=build)
+    build.set_defaults(run=run_build)
 
     extend = actions.add_parser("extend", help="add feeds to a map and normalize all of its descriptors again")
     extend.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
@@ -180,7 +180,7 @@ def _place(item: TraverseFrame) -> Place:
     )
 
 
-def build(args: argparse.Namespace, network: Network | None = None) -> int:
+def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command `map build`; network: in place of the one that its config names."""
     config = load_config(args.config) if args.config else Config()
     descriptor = config.descriptor

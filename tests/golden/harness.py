@@ -6,7 +6,6 @@ and, over a pseudo-terminal, recorded telemetry; all clocks are simulated, so th
 
 from __future__ import annotations
 
-import argparse
 import csv
 import fcntl
 import hashlib
@@ -30,7 +29,6 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth, Frame
-from edge.commands import map_build, replay
 from edge.commands.parser import build_parser
 from edge.config import load_config
 from edge.daemon import Daemon
@@ -84,11 +82,10 @@ def build_maps(case: Case, scratch: Path, network: Network) -> Path:
                 output = half_done / name if len(case.maps) > 1 else half_done
                 output.parent.mkdir(exist_ok=True)
                 feeds = [str(RECORDINGS / each) for each in recordings]
-                map_build.build(_arguments("map", "build", *feeds, "-o", str(output), *case.build), network)
+                _lookback("map", "build", *feeds, "-o", str(output), *case.build, network=network)
             half_done.rename(path)
         if case.tiles and not tiles.exists():
-            split = _arguments("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
-            assert split.run(split) == 0
+            _lookback("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
     return tiles if case.tiles else path
 
 
@@ -98,12 +95,15 @@ def replay_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]
     maps = build_maps(case, scratch, network)
     query, settings = str(RECORDINGS / case.query), str(folder / SETTINGS)
     options = ("--map", str(maps), "--config", settings, "--all", "-o", str(output))
-    replay.run(_arguments("replay", query, *options, *case.options), network)
+    _lookback("replay", query, *options, *case.options, network=network)
     return {EXPECTED: output.read_text(encoding="utf-8")}
 
 
-def _arguments(*words: str) -> argparse.Namespace:
-    return build_parser(words).parse_args(words)
+def _lookback(*words: str, **parts: Network) -> None:
+    """Run a command as the parser finds it, with parts that several commands share."""
+    args = build_parser(words).parse_args(words)
+    if args.run(args, **parts) != 0:
+        raise RuntimeError(f"lookback {' '.join(words)}: failed")
 
 
 class Cable:
