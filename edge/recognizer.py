@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Head, Network, cut_regions
 from edge.descriptor.open_network import open_network
-from edge.descriptor.regions import cut_regions
 from edge.reference_map import MapSet, MapSoFar, ModelKey, open_map_set
 from edge.sequence import CostView, PlaceMatch
 from edge.sequence.evidence import HoldOff

@@ -13,10 +13,9 @@ from edge.camera.preprocessing import preprocessed_feed
 from edge.commands import map_files
 from edge.commands.parser import fill_all, plug_ins
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
-from edge.descriptor.network import Network
+from edge.descriptor.network import Network, cut_regions
 from edge.descriptor.normalize import normalize
 from edge.descriptor.open_network import open_network
-from edge.descriptor.regions import cut_regions
 from edge.errors import ConfigError
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.feed.traverse import TraverseFrame, driven_m, traverse

@@ -2,7 +2,6 @@
 
 `place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole
 `live_map`   which frames become places; the file and the map in memory together
-`missed_places` places that were passed without a frame
 `completion` the file of an earlier drive becomes an ordinary map
 `status`     what people are shown of all this, and what to expect if GPS were lost now
 `quota`      which maps are kept, and which are deleted for want of disk space

@@ -18,9 +18,8 @@ from edge.config import MappingConfig, SamplingConfig
 from edge.errors import MapError
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.mapping.completion import complete, log_of, logs_in, map_of, source_of
-from edge.mapping.missed_places import MappedPlace, missed_places
 from edge.mapping.place_log import OpenLog, PlaceLog, create_log
-from edge.mapping.place_log_records import DriveBegun, LogHeader
+from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace, missed_places
 from edge.mapping.quota import retire
 from edge.mapping.status import MappingStatus, MappingView, SelfComparison
 from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail

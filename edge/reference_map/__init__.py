@@ -2,14 +2,14 @@
 
 `map_set`  a map, or a folder of them, as plain arrays; `map_folder` opens it, `place_index` counts its places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
-`costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order
+`costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order; PCA
 `self_similarity`  which drives are closed laps, and which places resemble each other
 `spatial_index`  which places a known position allows; `route` positions along the drives
 `checksums`  a piece at a time, between frames; `signature` who made a map
 `gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
-`tiles`    one map cut into several; `pca` descriptors of fewer dimensions
+`tiles`    one map cut into several
 """
 
 from edge.reference_map.builder import MapBuilder, Normalize, Place, thumbnail

@@ -26,8 +26,7 @@ from edge.files import AtomicFolder
 from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
-from edge.reference_map.costs import encode, squared_norms
-from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.costs import encode, principal_directions, project, squared_norms
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import Bounds, bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment

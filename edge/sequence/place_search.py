@@ -2,7 +2,7 @@
 
 whole: maps of up to `places_per_frame` places together are searched whole with every frame. around: of larger ones,
 only the part around the autopilot's position is searched, or around the place that was recognized last. scanning:
-where there is neither, one slice is searched with each frame (`global_search`). Where nothing was believed for a while
+where there is neither, one slice is searched with each frame (`GlobalSearch`). Where nothing was believed for a while
 around a position, the maps are scanned besides. No frame costs more than its share.
 """
 
@@ -23,9 +23,8 @@ from edge.descriptor import NormalizedRows
 from edge.geodesy import apart_m
 from edge.reference_map import COST_ONE, Drives, MapSet, Ranges
 from edge.sequence import CostView, Direction, PlaceMatch
-from edge.sequence.global_search import GlobalSearch
 from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
-from edge.sequence.submap import Submap
+from edge.sequence.submap import GlobalSearch, Submap
 
 SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import read_model_file, resolve_model
-from edge.descriptor.network import Network
+from edge.descriptor.network import REGION_COUNT, Network
 from edge.descriptor.open_network import NSD_COSINE_MIN, compare
-from edge.descriptor.regions import REGION_COUNT
 from edge.errors import FeedError, ModelError
 from edge.feed import Feed, read_feed
 from edge.geodesy import east_north

@@ -8,8 +8,7 @@ from contextlib import closing
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.network import Network
-from edge.descriptor.regions import Regions, cut_regions
+from edge.descriptor.network import Network, Regions, cut_regions
 from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedImages
 

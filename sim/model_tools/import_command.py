@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import HEAD_FILE, NETWORK_FILE, ModelFile, ModelInfo, read_model_file
-from edge.descriptor.network import Network
+from edge.descriptor.network import REGION_COUNT, Network
 from edge.descriptor.open_network import NSD_COSINE_MIN, compare
-from edge.descriptor.regions import REGION_COUNT
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
-from edge.descriptor.network import Network
-from edge.descriptor.regions import cut_regions
+from edge.descriptor.network import Network, cut_regions
 from edge.files import replacing
 from sim import Pose
 from sim.world.camera import open_renderer

@@ -14,9 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Head, Network, Regions, cut_regions
 from edge.descriptor.open_network import NSD_COSINE_MIN, compare
-from edge.descriptor.regions import Regions, cut_regions
 from edge.errors import ModelError
 from edge.feed import FeedImages, read_feed
 from sim.model_tools.fidelity import matching_accuracy

@@ -19,7 +19,7 @@ PROGRAM = """
 import hashlib
 import numpy as np
 from edge.descriptor.network import Network, lacks_int8_products
-from edge.descriptor.regions import cut_regions
+from edge.descriptor.network import cut_regions
 from edge.reference_map.costs import CostMatcher, encode, squared_norms
 
 rng = np.random.default_rng(3)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.descriptor.regions import cut_regions
+from edge.descriptor.network import cut_regions
 
 
 def test_left_and_right_are_the_outer_parts_in_that_order() -> None:

@@ -11,8 +11,7 @@ from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.costs import COST_ONE, CostMatcher
-from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.costs import COST_ONE, CostMatcher, principal_directions, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
 from sim.research.evaluation.shrinking import cost_of_shrinking
 

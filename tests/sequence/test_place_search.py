@@ -17,8 +17,8 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
 from edge.sequence import PlaceMatch
-from edge.sequence.global_search import SLICE_SHARE
 from edge.sequence.place_search import Near, PlaceSearch, is_regular
+from edge.sequence.submap import SLICE_SHARE
 
 PLACES, LENGTH, LIMIT = 6000, 10, 800
 DEGREES_A_METRE = 1 / 110_800

@@ -7,8 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from edge.descriptor.network import IMAGE, Network, open_session
-from edge.descriptor.regions import cut_regions
+from edge.descriptor.network import IMAGE, Network, cut_regions, open_session
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.timing import race
 from sim.model_tools.onnx_graph import alexnet_info, build_float

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig
-from edge.descriptor.network import Network
-from edge.descriptor.regions import cut_regions
+from edge.descriptor.network import Network, cut_regions
 from edge.localization.region_lines import lag_places
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from edge.descriptor.network import Head, Network
-from edge.descriptor.regions import REGION_COUNT, Regions, cut_regions
+from edge.descriptor.network import REGION_COUNT, Head, Network, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
 from sim.research.evaluation.methods import likeliest_states, runs
 from sim.research.evaluation.networks import Precision, Tap, open_head, open_network

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor import NormalizedRows, RunningStatistics
+from edge.descriptor.network import Regions
 from edge.descriptor.normalize import OnlineNormalizer, normalize
-from edge.descriptor.regions import Regions
 from edge.errors import ConfigError
 
 Raw = NDArray[np.float32]

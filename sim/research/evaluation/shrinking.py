@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map.pca import principal_directions, project
+from edge.reference_map.costs import principal_directions, project
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence.evidence import Neighborhood
 from edge.sequence.submap import RowMatcher
