@@ -88,12 +88,13 @@ def parse_connection(connection: str, where: str = "[telemetry] connection") -> 
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= limit):
         what = "baud rate" if kind == "serial" else "port"
         raise ConfigError(f"{where}: {connection!r}: {number!r} is not a {what} from 1 to {limit}")
-    if at and not _is_address(only_from):
+    if at and not is_address(only_from):
         raise ConfigError(f"{where}: {connection!r}: {only_from!r} is not the address of a host")
     return Connection(kind, target.strip("[]"), int(number), only_from)  # type: ignore[arg-type]  # narrowed above
 
 
-def _is_address(text: str) -> bool:
+def is_address(text: str) -> bool:
+    """Whether a host is given as an address, so that no lookup is needed."""
     with contextlib.suppress(ValueError):
         return bool(ipaddress.ip_address(text))
     return False

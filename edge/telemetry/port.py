@@ -10,11 +10,12 @@ import logging
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 
 from edge.backoff import BackOff
 from edge.errors import LinkLost
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.link import Connection, Link, UdpLink
+from edge.telemetry.link import Connection, Link, UdpLink, is_address
 
 RETRY_FIRST_NS = 500_000_000
 RETRY_LAST_NS = dict.fromkeys(("udp", "udpin", "tcp", "tcpin"), 8_000_000_000) | {"serial": 1_000_000_000}
@@ -36,41 +37,18 @@ def look_up(name: str) -> str:
     return str(socket.getaddrinfo(name, None, type=socket.SOCK_DGRAM)[0][4][0])
 
 
-def is_address(host: str) -> bool:
-    """Whether a host is given as an address, so that no lookup is needed."""
-    try:
-        socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
-    except OSError:
-        return False
-    return True
+def in_a_thread(look_up: LookUp, name: str) -> Future[str]:
+    """What a lookup gives, or why it gives nothing, once a thread of its own is done."""
+    found: Future[str] = Future()
 
-
-class HostLookup:
-    """One lookup of a host's address by its name, in a thread of its own."""
-
-    def __init__(self, name: str, look_up: LookUp = look_up) -> None:
-        self._name = name
-        self._look_up = look_up
-        self._address = ""
-        self._failure: OSError | None = None
-        self._done = threading.Event()
-        threading.Thread(target=self._run, name="lookup", daemon=True).start()
-
-    def address(self) -> str | None:
-        """The address; None while the lookup is running. LinkLost when there is none."""
-        if not self._done.is_set():
-            return None
-        if self._failure is not None:
-            raise LinkLost(f"{self._name}: cannot find this host: {self._failure.strerror}")
-        return self._address
-
-    def _run(self) -> None:
+    def run() -> None:
         try:
-            self._address = self._look_up(self._name)
-        except OSError as error:
-            self._failure = error
-        finally:
-            self._done.set()
+            found.set_result(look_up(name))
+        except (OSError, UnicodeError) as error:  # the latter: no name, as "a..b"
+            found.set_exception(error)
+
+    threading.Thread(target=run, name="lookup", daemon=True).start()
+    return found
 
 
 class Port:
@@ -80,7 +58,7 @@ class Port:
         self, connection: Connection, codec: MavlinkCodec, clock_ns: Callable[[], int], look_up: LookUp = look_up
     ) -> None:
         self._look_up = look_up
-        self._lookup: HostLookup | None = None
+        self._lookup: Future[str] | None = None
         self.connection = connection
         self.codec = codec
         self.why_closed = ""
@@ -111,12 +89,15 @@ class Port:
         connection = self.connection
         if connection.kind == "serial" or is_address(connection.target):
             return connection.open()
-        self._lookup, lookup = None, self._lookup or HostLookup(connection.target, self._look_up)
-        address = lookup.address()
-        if address is None:
-            self._lookup = lookup
+        lookup = self._lookup = self._lookup or in_a_thread(self._look_up, connection.target)
+        if not lookup.done():
             return None
-        return dataclasses.replace(connection, target=address).open()
+        self._lookup = None
+        try:
+            return dataclasses.replace(connection, target=lookup.result()).open()
+        except (OSError, UnicodeError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise LinkLost(f"{connection.target}: cannot find this host: {why}") from None
 
     def receive(self) -> Iterator[Message]:
         """The messages that have arrived since the last call; after 50 ms the rest waits for the next."""

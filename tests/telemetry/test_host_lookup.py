@@ -10,8 +10,8 @@ from collections.abc import Callable
 import pytest
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.link import parse_connection
-from edge.telemetry.port import Port, is_address, look_up
+from edge.telemetry.link import is_address, parse_connection
+from edge.telemetry.port import Port, look_up
 
 PATIENCE_S = 60.0
 
@@ -53,6 +53,13 @@ def test_a_host_that_is_not_known_is_a_closed_port_with_a_reason() -> None:
     port = open_port("nowhere.local", unknown)
     poll_until(port, lambda: bool(port.why_closed))
     assert port.why_closed == "nowhere.local: cannot find this host: Name or service not known"
+    assert not port.is_open
+
+
+def test_a_name_that_cannot_be_one_is_a_closed_port_with_a_reason() -> None:
+    port = open_port("vehicle..local", look_up)
+    poll_until(port, lambda: bool(port.why_closed))
+    assert port.why_closed.startswith("vehicle..local: cannot find this host: ")
     assert not port.is_open
 
 
