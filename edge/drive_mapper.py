@@ -65,11 +65,9 @@ class DriveMapper:
         self._autopilot, self._record, self._clock_ns = autopilot, record, clock_ns
         self._line_m = config.sequence.length * config.sampling.spacing_m
         self._drift = config.gates.drift_percent / 100
-        descriptor, camera = config.descriptor, config.mapping.camera
-        is_set = descriptor.normalization == "online"
-        regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
+        camera = config.mapping.camera
         view = config.camera.view if camera is UNSET else camera.view
-        header = header_of(model, regions, config.sampling)
+        header = header_of(model, RegionsKey.of(config.descriptor), config.sampling)
         self.live = parts.enter_context(
             closing(LiveMap(config.mapping, header, view, normalize, before_long=_ask_for_time))
         )

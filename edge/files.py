@@ -15,7 +15,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 from edge.errors import ConfigError, MapError
@@ -83,9 +82,7 @@ class AtomicFolder:
     def __enter__(self) -> AtomicFolder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         # After `put_in_place` this is what was replaced, or nothing.
         shutil.rmtree(self.path, ignore_errors=True)
         os.close(self._lock)

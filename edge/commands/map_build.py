@@ -123,8 +123,7 @@ def build_map(
     network: instead of the one that `descriptor` names.
     """
     network = network or open_network(descriptor)
-    is_set = descriptor.normalization == "online"
-    regions = RegionsKey(descriptor.regions, descriptor.region_width, "set" if is_set else "none")
+    regions = RegionsKey.of(descriptor)
     if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:
         raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
     key = model_key(network)

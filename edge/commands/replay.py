@@ -12,7 +12,7 @@ import msgspec
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
-from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.config import Config, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.feed.traverse import traverse
@@ -88,15 +88,7 @@ def as_line(used: FrameUsed) -> str:
 
 def config_for_map(header: MapHeader, length: int | None = None, confidence_min: float | None = None) -> Config:
     """The default settings with regions, normalization and sampling as the map has them."""
-    regions = header.regions
-    config = Config(
-        descriptor=DescriptorConfig(
-            regions=regions.kind,
-            region_width=regions.width,
-            normalization="online" if regions.normalization == "set" else "none",
-        ),
-        sampling=header.sampling,
-    )
+    config = Config(descriptor=header.regions.descriptor, sampling=header.sampling)
     return with_options(config, length, confidence_min)
 
 

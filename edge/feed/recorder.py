@@ -15,7 +15,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Protocol
@@ -30,13 +29,6 @@ from edge.geodesy import VehiclePosition
 QUEUE_FRAMES = 16
 DISK_FULL = "the disk is nearly full"
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class _Queued:
-    frame: Frame
-    position: VehiclePosition | None
-    distance_m: float | None
 
 
 def free_bytes_at(path: Path) -> int:
@@ -91,7 +83,7 @@ class Recorder:
         """
         self._feed, self._camera, self._notes = feed, camera, notes
         self._min_free_bytes, self._free_bytes = min_free_bytes, free_bytes
-        self._queue: queue.Queue[_Queued | None] = queue.Queue(QUEUE_FRAMES)
+        self._queue: queue.Queue[tuple[Frame, VehiclePosition | None, float | None] | None] = queue.Queue(QUEUE_FRAMES)
         self._writer: FeedWriter | None = None
         self._path = Path()
         self.written = 0
@@ -108,7 +100,7 @@ class Recorder:
         if self.stopped:
             return
         try:
-            self._queue.put_nowait(_Queued(frame, position, distance_m))
+            self._queue.put_nowait((frame, position, distance_m))
         except queue.Full:
             self.skipped += 1
 
@@ -124,7 +116,7 @@ class Recorder:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
             while (queued := self._queue.get()) is not None:
-                self._write(queued)
+                self._write(*queued)
         except (OSError, FeedError) as error:
             self._stop(getattr(error, "strerror", None) or str(error))
             while self._queue.get() is not None:
@@ -133,23 +125,22 @@ class Recorder:
             if self._writer is not None:
                 self._writer.close()
 
-    def _write(self, queued: _Queued) -> None:
+    def _write(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
         if self.stopped:
             return
-        writer = self._writer or self._open(queued.frame)
+        writer = self._writer or self._open(frame)
         if self._free_bytes(self._path) < self._min_free_bytes:
             self._stop(DISK_FULL)
             return
-        position = queued.position
         writer.write(
-            queued.frame.image,
-            queued.frame.stamp_ns,
+            frame.image,
+            frame.stamp_ns,
             lat_deg=position.lat_deg if position else None,
             lon_deg=position.lon_deg if position else None,
             alt_m=position.alt_m if position else None,
             heading_deg=position.heading_deg if position else None,
             speed_mps=position.speed_mps if position else None,
-            distance_m=queued.distance_m,
+            distance_m=distance_m,
             position_sigma_m=position.sigma_m if position else None,
             position_source=position.source if position else "unknown",
         )

@@ -15,6 +15,7 @@ from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +35,7 @@ from edge.reference_map.store import (
     MapHeader,
     ModelKey,
     ReferenceMap,
+    RegionsKey,
     matching_files,
 )
 
@@ -280,29 +282,20 @@ def of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[Exclude
 
 def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str:
     """Why a map's descriptors cannot be compared with this model's of these regions; "" if they can."""
-    made = one.header
+    made, ours = one.header, RegionsKey.of(wanted)
     if made.model.sha256 != model.sha256 or made.model.tap != model.tap:
         return (
-            f"{one.path}: made with model {_spell_model(made.model)}, but the model here is"
-            f" {_spell_model(model)}; name the map's in [descriptor] model or --model, or build the map again"
+            f"{one.path}: made with model {made.model}, but the model here is {model};"
+            " name the map's in [descriptor] model or --model, or build the map again"
         )
-    normalized = "set" if wanted.normalization == "online" else "none"
-    ours = (wanted.regions, wanted.region_width if wanted.regions == "left-right" else made.regions.width, normalized)
-    theirs = (made.regions.kind, made.regions.width, made.regions.normalization)
-    if ours != theirs:
+    if ours.kind == "whole":
+        ours = msgspec.structs.replace(ours, width=made.regions.width)
+    if ours != made.regions:
         return (
-            f"{one.path}: made with regions {_spell_regions(*theirs)},"
-            f" but [descriptor] is {_spell_regions(*ours)}; change it or build the map again"
+            f"{one.path}: made with regions {made.regions}, but [descriptor] is {ours};"
+            " change it or build the map again"
         )
     return ""
-
-
-def _spell_model(model: ModelKey) -> str:
-    return f"{model.name} ({model.sha256[:12]}, {model.tap})"
-
-
-def _spell_regions(kind: str, width: float, normalization: str) -> str:
-    return f"{kind} of width {width:g}, normalization {normalization}"
 
 
 def _matcher_of(one: ReferenceMap) -> CostMatcher:

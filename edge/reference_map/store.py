@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import SamplingConfig
+from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError
 from edge.geodesy import Origin
 from edge.reference_map.checksums import Checksums, FileKey
@@ -63,6 +63,9 @@ class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     dimensions: int
     provider: str = "cpu"
 
+    def __str__(self) -> str:
+        return f"{self.name} ({self.sha256[:12]}, {self.tap})"
+
 
 class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How images were cut (section III-D) and normalized (eq. 1); a query must be treated alike."""
@@ -70,6 +73,21 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["left-right", "whole"]
     width: float
     normalization: Literal["set", "none"]
+
+    @classmethod
+    def of(cls, config: DescriptorConfig) -> RegionsKey:
+        """As a vehicle of that config describes images."""
+        normalization: Literal["set", "none"] = "set" if config.normalization == "online" else "none"
+        return cls(config.regions, config.region_width, normalization)
+
+    @property
+    def descriptor(self) -> DescriptorConfig:
+        """The config of a vehicle that describes them like this, by the shipped model."""
+        normalization: Literal["online", "none"] = "online" if self.normalization == "set" else "none"
+        return DescriptorConfig(regions=self.kind, region_width=self.width, normalization=normalization)
+
+    def __str__(self) -> str:
+        return f"{self.kind} of width {self.width:g}, normalization {self.normalization}"
 
     @property
     def count(self) -> int:

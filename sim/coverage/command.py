@@ -6,13 +6,13 @@ import argparse
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
 from tqdm import tqdm
 
-from edge.config import Config, DescriptorConfig, GatesConfig
+from edge.config import Config, GatesConfig
 from edge.errors import ConfigError, FeedError, MapError, SetupError
 from edge.extras import install_command
 from edge.journal.journal import records_of
@@ -103,10 +103,7 @@ def _check(args: argparse.Namespace) -> None:
 
 def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
     header = maps.headers[0]
-    regions = header.regions
-    normalization: Literal["online", "none"] = "online" if regions.normalization == "set" else "none"
-    descriptor = DescriptorConfig(regions=regions.kind, region_width=regions.width, normalization=normalization)
-    config = Config(descriptor=descriptor, sampling=header.sampling)
+    config = Config(descriptor=header.regions.descriptor, sampling=header.sampling)
     rehearsal = Rehearsal(maps, config, Conditions(args.way, args.light, args.view))
     for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=args.json or None):
         yield rehearsal.drive(seed)
