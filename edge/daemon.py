@@ -86,7 +86,7 @@ class Daemon:
             if self._mapper is not None:
                 self._mapper.map_next(waited_s, self._process_second)
             if not (is_usable or self._verification.checksums.is_done):
-                self._check_maps(self._recognizer.matcher.search.folders_in_use)
+                self._check_maps(self._recognizer.matcher.first.search.folders_in_use)
         if self._recording is not None:
             self._recording.record()
         if self._update_health():

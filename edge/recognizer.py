@@ -105,7 +105,7 @@ class PlaceRecognizer:
         missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
         match = self.matcher.push(raw, near, missed, distance_m)
         if match is None:
-            self.state = "searching" if self.matcher.is_scanning else "warming up"
+            self.state = "searching" if self.matcher.first.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
@@ -141,7 +141,7 @@ class PlaceRecognizer:
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in; for people."""
-        return self.matcher.search.cost_view(match)
+        return self.matcher.first.search.cost_view(match)
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on (after one was excluded), beginning a new sequence."""

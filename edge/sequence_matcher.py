@@ -143,7 +143,8 @@ class SequenceMatcher:
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
         """`stopwatch(stage)` is called after each stage of a frame."""
         self._config, self._stopwatch = config, stopwatch
-        self._first = CameraMatcher(map_set, config, stopwatch)
+        self.first = CameraMatcher(map_set, config, stopwatch)
+        """Whose lines are answered."""
         self._passed = SECOND_EVERY - 1  # places since a frame of the second camera was matched
         self._second = CameraMatcher(map_set, _as_second(config), stopwatch) if config.mapping.recognize else None
         self._steps = Steps(config.sampling)
@@ -182,7 +183,7 @@ class SequenceMatcher:
 
     @property
     def _cameras(self) -> tuple[CameraMatcher, ...]:
-        return (self._first,) if self._second is None else (self._first, self._second)
+        return (self.first,) if self._second is None else (self.first, self._second)
 
     def _positions_m(self, drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._drives.positions_m(drives, along_m)
@@ -205,19 +206,19 @@ class SequenceMatcher:
         # better, and as long as there is no answer yet, nothing is lost.
         begins_again = odometer_m is not None and 0 < (self._unmeasured or 0) <= FIRST_FRAMES
         usual = self._usual_step
-        if begins_again or self._first.ends_sequence(step, usual):
+        if begins_again or self.first.ends_sequence(step, usual):
             self.reset()
         self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual)
         if odometer_m is not None:
             self._unmeasured = None
         elif self._unmeasured is not None:
             self._unmeasured += 1
-        match = self.best = self._first.push(raw, near, step, usual, is_measured=odometer_m is not None)
+        match = self.best = self.first.push(raw, near, step, usual, is_measured=odometer_m is not None)
         vote = PlaceVote.of(match, self._drives) if match else None
         believed = self._believed(match, self._consensus.update(vote, odometer_m, step))
         for camera in self._cameras:
             camera.search.follow(believed.place_index if believed and believed.accepted else None)
-        believed = self._first.with_parallax(believed, self._drives)
+        believed = self.first.with_parallax(believed, self._drives)
         self._stopwatch("belief")
         return believed
 
@@ -273,7 +274,7 @@ class SequenceMatcher:
             return match
         first, end = self._drives.places_within(belief.drive, belief.along_m, self._consensus.settings.slack_m)
         if not (first <= match.place_index < end and match.direction == belief.direction):
-            found = self.search.best_between(first, end, belief.direction)
+            found = self.first.search.best_between(first, end, belief.direction)
             if found is None:
                 return match
             match = found
@@ -294,25 +295,6 @@ class SequenceMatcher:
             camera.reset()
         self._consensus.reset()
         self._unmeasured = 0
-
-    @property
-    def search(self) -> PlaceSearch:
-        """Of the first camera."""
-        return self._first.search
-
-    @property
-    def is_scanning(self) -> bool:
-        """Whether there are enough frames for a sequence, and it is not known yet which part of the map to search."""
-        return self._first.is_scanning
-
-    @property
-    def statistics(self) -> RunningStatistics | None:
-        """Of the first camera's raw descriptors so far, after the map's; None where nothing is normalized."""
-        return self._first.statistics
-
-    def begin_with(self, statistics: RunningStatistics) -> None:
-        """Start with an earlier run's statistics, of this network, these regions, and the first camera."""
-        self._first.begin_with(statistics)
 
 
 def _as_second(config: Config) -> Config:

@@ -167,7 +167,7 @@ class WarmStart:
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
         kept = self._file.read(Moment.now(), 60 * minutes)
         if kept is not None:
-            recognizer.matcher.begin_with(
+            recognizer.matcher.first.begin_with(
                 RunningStatistics.of_another_run(kept.count, kept.mean, kept.deviation, at_most=COUNTS_AS_MOST)
             )
             log.info("starting with the statistics of the run that ended %.0f s ago, %s", kept.age_s, _spell(kept))
@@ -181,7 +181,7 @@ class WarmStart:
 
     def keep(self, state: str, newest: PlaceMatch | None) -> None:
         """Write the file, unless there are too few frames to be worth it."""
-        statistics = self._recognizer.matcher.statistics
+        statistics = self._recognizer.matcher.first.statistics
         if self._file is None or statistics is None or statistics.count < FEWEST:
             return
         place = None if newest is None else newest.place_index

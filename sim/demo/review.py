@@ -86,7 +86,7 @@ def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) 
         for row, (item, time_s) in enumerate(zip(seen, times_s, strict=True)):
             image = renderer.render(live.drive.pose(time_s), time_s)
             matches.append(recognizer.observe(image, item.stamp_ns, missed=item.missed or 0))
-            costs.append(recognizer.matcher.search.newest_costs.min(axis=0) / np.float32(COST_ONE))
+            costs.append(recognizer.matcher.first.search.newest_costs.min(axis=0) / np.float32(COST_ONE))
             if row in shown:
                 kept[row] = image
     finally:

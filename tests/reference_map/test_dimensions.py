@@ -45,7 +45,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     assert len(found) == PLACES - LENGTH
     assert np.abs(np.array(found) - np.arange(LENGTH, PLACES)).max() <= 1
 
-    statistics = matcher.statistics
+    statistics = matcher.first.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
     file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, "on the map", 1), Moment.now())

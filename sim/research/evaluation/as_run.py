@@ -74,8 +74,8 @@ def match_as_run(
 def _found(
     matcher: SequenceMatcher, match: PlaceMatch | None, answer: str
 ) -> tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]:
-    newest = matcher.search.newest_costs.min(axis=0).astype(np.float32)
-    part = matcher.search.part
+    newest = matcher.first.search.newest_costs.min(axis=0).astype(np.float32)
+    part = matcher.first.search.part
     if match is None or part is None or part.lines is None:
         return -1, NAN, False, np.full(CANDIDATES, -1), newest
     best = lowest(part.lines.costs, NO_LINE)
