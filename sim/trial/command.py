@@ -105,7 +105,8 @@ def plan(args: argparse.Namespace) -> list[Planned]:
         drives = [drive for case in (CASES if args.case == "all" else args.case) for drive in drives_of(case, seeds)]
     else:
         names = list(COURSES) if args.course == "all" else args.course.split(",")
-        drives = [(name, seed, seed - 1 + number) for number, name in enumerate(names) for seed in seeds]
+        # Seed by seed, so that a trial that --minutes ends has driven all courses.
+        drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
     return [Planned(name, seed, args.worlds[turn % len(args.worlds)]) for name, seed, turn in drives]
 
 
