@@ -20,7 +20,6 @@ from edge.localization.integrity import (
     Integrity,
     Limits,
     Situation,
-    Uncertainty,
     distance_from,
     offset_m,
 )
@@ -48,7 +47,6 @@ __all__ = [
     "Report",
     "ReportedMotion",
     "Situation",
-    "Uncertainty",
     "distance_from",
     "offset_m",
 ]

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from edge.config import GatesConfig
-from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
+from edge.localization.bound import Anchor, Reckoned
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.protection_level import Reckoned
 from edge.localization.route_estimate import CORRELATION_M
 
 STRETCH_WRONG = 5e-3
@@ -32,18 +31,13 @@ SPREAD_M = 1000.0
 
 
 @dataclass(frozen=True)
-class Observation:
-    """A fix that is CORRELATION_M from those before it, with the displacement of its moment.
+class Observation(Anchor):
+    """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
-    sigma_m: of its distance from the truth. before: where the observation before it puts the vehicle, moved on by its
-    velocity; None for the first of a claim.
+    before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
     """
 
     recording: str
-    lat_deg: float
-    lon_deg: float
-    sigma_m: float
-    displacement: Displacement
     before: Reckoned | None
 
 
@@ -89,9 +83,10 @@ class Claims:
         newest = claim.observations[-1] if claim.observations else None
         is_after_gap = newest is not None and displacement.unknown_since(newest.displacement) > 0
         if is_after_gap or all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
-            before = None if newest is None else self._reckoned_from(newest, fix, displacement)
-            here = fix.recording, fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, before
-            claim.observations.append(Observation(*here))
+            drift = max(self._gates.drift_percent / 100, fix.velocity_error)
+            before = None if newest is None else newest.reckoned(fix, displacement, drift)
+            here = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
+            claim.observations.append(Observation(*here, fix.recording, before))
             del claim.observations[:-KEPT]
         return claim
 
@@ -119,12 +114,6 @@ class Claims:
                 same.append(one)
         return stretches
 
-    def _reckoned_from(self, before: Observation, fix: PlaceFix, displacement: Displacement) -> Reckoned:
-        off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
-        drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-        unknown_m = displacement.unknown_sigma_since(before.displacement)
-        return Reckoned(-off_east_m, -off_north_m, math.hypot(before.sigma_m, drift * driven_m, unknown_m))
-
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
         times = SAME_RECORDING if one.recording == other.recording else SAME_ROAD
@@ -133,20 +122,12 @@ class Claims:
         return _apart_m(one, other.displacement) >= times * further * self._gates.confirm_m
 
 
-def _off(before: Observation, fix: PlaceFix, displacement: Displacement) -> tuple[float, float, float]:
-    """Meters east and north of a fix from where the vehicle went by its velocity, and how far it went."""
-    assert fix.lat_deg is not None and fix.lon_deg is not None
-    east_m, north_m = east_north_of(fix.lat_deg, fix.lon_deg, (before.lat_deg, before.lon_deg))
-    moved_east_m = displacement.east_m - before.displacement.east_m
-    moved_north_m = displacement.north_m - before.displacement.north_m
-    return east_m - moved_east_m, north_m - moved_north_m, math.hypot(moved_east_m, moved_north_m)
-
-
 def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
     """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
-    off_east_m, off_north_m, driven_m = _off(before, fix, displacement)
-    most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(before.displacement)
-    return math.hypot(off_east_m, off_north_m) <= most_m
+    then = before.displacement
+    driven_m = math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
+    most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(then)
+    return before.reckoned(fix, displacement, 0.0).distance_m <= most_m
 
 
 def alike_m(driven_m: float, velocity_error: float) -> float:

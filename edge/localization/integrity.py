@@ -23,9 +23,10 @@ from typing import Literal, TypeAlias
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
+from edge.localization.bound import Reckoned
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims, alike_m
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.protection_level import ProtectionLevel, Reckoned, Unnoticed, Wrong, protection_level
+from edge.localization.protection_level import ProtectionLevel, Unnoticed, Wrong, protection_level
 from edge.localization.refusals import Reason, Refusal
 from edge.localization.route_estimate import CORRELATION_M
 
@@ -51,10 +52,10 @@ class Situation:
     """What the decision rests on besides the fix, at the time `now_ns`.
 
     position: the autopilot's own, None if it has none. uncertainty_m: its standard deviation, None if unbounded.
-    bound_by_gps: whether GPS bounded it last. speed_mps: None if unknown. last_sent_ns: of the last fix, None if there
-    was none. displacement: by the autopilot's velocity at the fix's moment, None if unknown. reckoned: where the
-    vehicle is at that moment without any place, None if unknown. is_aided: whether anything besides our positions
-    measures the autopilot's velocity.
+    bound_by_gps, bound_wrong: whether GPS bounded it last, and the probability that what did was wrong. speed_mps: None
+    if unknown. last_sent_ns: of the last fix, None if there was none. displacement: by the autopilot's velocity at the
+    fix's moment, None if unknown. reckoned: where the vehicle is at that moment without any place, None if unknown.
+    is_aided: whether anything besides our positions measures the autopilot's velocity.
     """
 
     now_ns: int
@@ -67,6 +68,7 @@ class Situation:
     displacement: Displacement | None
     reckoned: Reckoned | None = None
     is_aided: bool = True
+    bound_wrong: float = BOUND_WRONG
 
 
 @dataclass(frozen=True)
@@ -87,14 +89,18 @@ class Integrity:
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
         self._claims = Claims(gates)
-        self._bound_wrong, self._published_wrong = BOUND_WRONG, 1.0
+        self._published_wrong = 1.0
         self.protection_level: ProtectionLevel | None = None
         """Of the newest fix; None where its place is not certain enough to be published."""
 
-    def bound(self, *, by_gps: bool) -> None:
+    def contradict_nothing(self) -> None:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
-        self._bound_wrong = BOUND_WRONG if by_gps else min(BOUND_WRONG, ONE_MORE * self._published_wrong)
         self._claims.contradict_nothing()
+
+    @property
+    def bound_wrong(self) -> float:
+        """Probability that the last position that may be published is wrong as a bound of the autopilot's."""
+        return min(BOUND_WRONG, ONE_MORE * self._published_wrong)
 
     def observe(self, fix: PlaceFix, situation: Situation) -> Claim | None:
         """Keep what a fix shows, whether or not it may be published now; the claim that it belongs to, None if none."""
@@ -104,7 +110,7 @@ class Integrity:
         if situation.position is not None and situation.uncertainty_m is not None:
             distance_m = distance_from(situation.position, fix)
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
-            likelihood = likelihood_of(distance_m, sigma_m, self._bound_wrong)
+            likelihood = likelihood_of(distance_m, sigma_m, situation.bound_wrong)
             is_shift = situation.bound_by_gps and distance_m > SHIFT_SIGMAS * fix.sigma_m
         return self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
 
@@ -226,39 +232,3 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
 def distance_from(position: VehiclePosition, fix: PlaceFix) -> float:
     """Length of `offset_m`."""
     return math.hypot(*offset_m(position, fix))
-
-
-class Uncertainty:
-    """Standard deviation of the autopilot's position: set by GPS or a fix, and growing with the distance driven."""
-
-    def __init__(self, drift_percent: float) -> None:
-        self._drift = drift_percent / 100
-        self._bound: tuple[float, float] | None = None  # standard deviation, and meters driven at that time
-        self.by_gps = False
-        """Whether GPS set it last."""
-
-    @property
-    def is_bounded(self) -> bool:
-        """Whether anything has set it since the autopilot's boot."""
-        return self._bound is not None
-
-    def bind(self, sigma_m: float, driven_m: float | None, *, by_gps: bool = False) -> None:
-        """Set the standard deviation at a distance driven."""
-        if driven_m is not None:
-            self._bound, self.by_gps = (sigma_m, driven_m), by_gps
-
-    def reset(self) -> None:
-        """The autopilot has rebooted: nothing bounds its position any more."""
-        self._bound, self.by_gps = None, False
-
-    def at(self, driven_m: float | None, reported_m: float | None, velocity_error: float = 0.0) -> float | None:
-        """Standard deviation now: the larger of ours and the autopilot's own; None where nothing has bounded it.
-
-        velocity_error: what its velocity is found to be wrong by, as a share of it.
-        """
-        if self._bound is None or driven_m is None:
-            return None
-        sigma_m, since_m = self._bound
-        drift = max(self._drift, velocity_error)
-        ours_m = math.hypot(sigma_m, drift * max(0.0, driven_m - since_m))
-        return ours_m if reported_m is None else max(ours_m, reported_m)

@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 from edge.config import Config, RigConfig
 from edge.geodesy import VehiclePosition, moved, moved_left
 from edge.journal.records import FrameUsed, PlaceFix
+from edge.localization.bound import Anchor, Bound, Reckoned
 from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
-from edge.localization.integrity import GpsState, Integrity, Limits, Situation, Uncertainty
+from edge.localization.integrity import BOUND_WRONG, GpsState, Integrity, Limits, Situation
 from edge.localization.place_fix import (
     LEAST_SHARPNESS,
     frame_used,
@@ -32,7 +33,7 @@ from edge.localization.place_fix import (
     match_position,
     untracked_fix,
 )
-from edge.localization.protection_level import ProtectionLevel, Reckoning
+from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
 from edge.localization.route_filter import RouteFilter
 from edge.localization.unseen_road import UnseenRoad, along_and_left_m
@@ -79,8 +80,9 @@ class PositionEstimator:
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
         self.velocity_error = VelocityError(config.sequence.length)
         self._integrity = Integrity(gates)
-        self._uncertainty = Uncertainty(gates.drift_percent)
-        self._reckoning = Reckoning(gates.drift_percent)
+        self._bound: Bound | None = None  # of the autopilot's position
+        self._by_gps: tuple[Anchor, float] | None = None  # of the vehicle, and the meters driven by then
+        self._drift = gates.drift_percent / 100
         self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
         self._acts_on_gps = gates.doubted_gps != "report"
         self._gps_error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
@@ -114,7 +116,7 @@ class PositionEstimator:
 
         What places and GPS showed of the vehicle holds as far as it can have gone meanwhile (`Displacement.unknown_m`).
         """
-        self._uncertainty.reset()
+        self._bound = None
 
     def follow(self, stamp_ns: int, motion: ReportedMotion) -> VelocityError:
         """Go on to a frame, used or not: what the autopilot's velocity is wrong by, while nothing measures it."""
@@ -172,9 +174,8 @@ class PositionEstimator:
             self._gps_error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
         if self.ignores_gps and not was_wrong:
             # What GPS has contradicted so far is not contradicted any more.
-            self._uncertainty.bind(CALLED_SIGMA_M, report.driven_m)
-            self._integrity.bound(by_gps=False)
-            self._reckoning.reset()
+            self._bind(CALLED_SIGMA_M, report)
+            self._by_gps = None
         return replace(verdict, state="wrong", doubt=1.0)
 
     @property
@@ -234,32 +235,41 @@ class PositionEstimator:
         report = self._believed(report)
         if report.gps_sigma_m is None:
             return
-        self._uncertainty.bind(report.gps_sigma_m, report.driven_m, by_gps=True)
-        self._integrity.bound(by_gps=True)
-        if report.position is not None and report.driven_m is not None:
-            self._reckoning.bind(report.position, report.displacement, report.driven_m, report.gps_sigma_m)
+        self._bind(report.gps_sigma_m, report, by_gps=True)
+        own, then = report.position, report.displacement
+        if own is not None and report.driven_m is not None:
+            here = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
+            self._by_gps = None if here is None else (here, report.driven_m)
 
     def bind(self, sigma_m: float, report: Report) -> None:
         """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows."""
         if report.is_aided:
-            self._uncertainty.bind(sigma_m, report.driven_m)
-            self._integrity.bound(by_gps=False)
+            self._bind(sigma_m, report)
             self._gps_error_m = None  # no longer in its position
+
+    def _bind(self, sigma_m: float, report: Report, *, by_gps: bool = False) -> None:
+        if report.driven_m is not None:
+            wrong = BOUND_WRONG if by_gps else self._integrity.bound_wrong
+            self._bound = Bound(sigma_m, report.driven_m, wrong, by_gps)
+        self._integrity.contradict_nothing()
 
     @property
     def is_bounded(self) -> bool:
         """Whether GPS or a position of ours has bounded the autopilot's since its boot."""
-        return self._uncertainty.is_bounded
+        return self._bound is not None
 
     def uncertainty_m(self, report: Report) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        if not report.is_aided:
-            return None
-        return self._uncertainty.at(report.driven_m, report.accuracy_m, self._own_velocity_error)
+        return self._sigma_m(report, max(self._drift, self._own_velocity_error), report.accuracy_m)
 
     def bounded_m(self, report: Report) -> float | None:
         """The same by what bounded it and the distance driven since alone."""
-        return self._uncertainty.at(report.driven_m, None) if report.is_aided else None
+        return self._sigma_m(report, self._drift)
+
+    def _sigma_m(self, report: Report, drift: float, reported_m: float | None = None) -> float | None:
+        if self._bound is None or not report.is_aided:
+            return None
+        return self._bound.sigma_at(report.driven_m, drift, reported_m)
 
     def position_at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
@@ -293,12 +303,13 @@ class PositionEstimator:
         self, fix: PlaceFix, displacement: Displacement | None, report: Report, last_sent_ns: int | None
     ) -> Situation:
         self._own_velocity_error = fix.velocity_error
-        reckoned = self._reckoning.at(fix, displacement, report.driven_m)
-        own, sigma_m, is_by_gps = report.position, self.uncertainty_m(report), self._uncertainty.by_gps
+        reckoned = self._reckoned(fix, displacement, report)
+        own, sigma_m, bound = report.position, self.uncertainty_m(report), self._bound
+        is_by_gps, wrong = (False, BOUND_WRONG) if bound is None else (bound.by_gps, bound.wrong)
         if not report.is_aided:  # its own position has run away, or is ours
             own = None
         if sigma_m is None and reckoned is not None:  # as after a reboot too
-            own, sigma_m, is_by_gps = reckoned.position(fix), reckoned.sigma_m, True
+            own, sigma_m, is_by_gps, wrong = reckoned.position(fix), reckoned.sigma_m, True, BOUND_WRONG
         return Situation(
             report.now_ns,
             report.gps,
@@ -310,7 +321,16 @@ class PositionEstimator:
             displacement,
             reckoned,
             report.is_aided,
+            wrong,
         )
+
+    def _reckoned(self, fix: PlaceFix, displacement: Displacement | None, report: Report) -> Reckoned | None:
+        """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
+        if self._by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
+            return None
+        anchor, then_m = self._by_gps
+        drift = max(self._drift, fix.velocity_error, displacement.drift)
+        return anchor.reckoned(fix, displacement, drift, max(0.0, report.driven_m - then_m))
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:
         """An event: with the position of the vehicle if it is followed, else with the place's own."""

@@ -19,9 +19,8 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
-from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import Displacement
+from edge.localization.bound import Reckoned
 from edge.localization.route_estimate import CORRELATION_M
 
 MODEL_ERROR = 1.2
@@ -49,60 +48,6 @@ class ProtectionLevel:
     def or_more(self, other: ProtectionLevel) -> ProtectionLevel:
         """The larger one of both in each direction."""
         return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
-
-
-@dataclass(frozen=True)
-class Reckoned:
-    """Where the vehicle is without any place: meters east and north of a fix, and one standard deviation."""
-
-    east_m: float
-    north_m: float
-    sigma_m: float
-
-    @property
-    def distance_m(self) -> float:
-        """From the fix."""
-        return math.hypot(self.east_m, self.north_m)
-
-    def position(self, fix: PlaceFix) -> VehiclePosition:
-        """At the moment of the fix that it is relative to; standing, since it is of that moment alone."""
-        assert fix.lat_deg is not None and fix.lon_deg is not None
-        lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, self.east_m, self.north_m)
-        return VehiclePosition(fix.stamp_ns, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0)
-
-
-class Reckoning:
-    """The last position that GPS bounded, moved on by the autopilot's velocity."""
-
-    def __init__(self, drift_percent: float) -> None:
-        self._drift = drift_percent / 100
-        self._bound: tuple[VehiclePosition, Displacement, float, float] | None = None
-
-    def bind(
-        self, position: VehiclePosition, displacement: Displacement | None, driven_m: float, sigma_m: float
-    ) -> None:
-        """GPS bounds the position, to one standard deviation, after that displacement and distance driven."""
-        self._bound = None if displacement is None else (position, displacement, driven_m, sigma_m)
-
-    def reset(self) -> None:
-        """Nothing bounds the position any more."""
-        self._bound = None
-
-    def at(self, fix: PlaceFix, displacement: Displacement | None, driven_m: float | None) -> Reckoned | None:
-        """Relative to a fix, at that displacement and distance driven; None where it is not known."""
-        if self._bound is None or displacement is None or driven_m is None:
-            return None
-        position, then, then_driven_m, sigma_m = self._bound
-        if fix.lat_deg is None or fix.lon_deg is None:
-            return None
-        east_m, north_m = east_north_of(position.lat_deg, position.lon_deg, (fix.lat_deg, fix.lon_deg))
-        east_m += displacement.east_m - then.east_m
-        north_m += displacement.north_m - then.north_m
-        drift = max(self._drift, fix.velocity_error, displacement.drift)
-        sigma_m = math.hypot(
-            sigma_m, drift * max(0.0, driven_m - then_driven_m), displacement.unknown_sigma_since(then)
-        )
-        return Reckoned(east_m, north_m, sigma_m)
 
 
 @dataclass(frozen=True)

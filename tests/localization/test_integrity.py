@@ -12,9 +12,9 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import Displacement, Integrity, Limits, PlaceFix, Situation, Uncertainty
+from edge.localization import Displacement, Integrity, Limits, PlaceFix, Situation
+from edge.localization.bound import Bound, Reckoned
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
-from edge.localization.protection_level import Reckoned
 from edge.localization.refusals import RULES, Reason, as_table
 
 S = 1_000_000_000
@@ -149,7 +149,7 @@ def test_matches_count_as_evidence_while_gps_is_healthy() -> None:
         fix = msgspec.structs.replace(FIX, lat_deg=driven_m * METRE_DEG)
         position, moved = replace(OWN, lat_deg=driven_m * METRE_DEG), Displacement(1, 0.0, float(driven_m))
         one.observe(fix, replace(MOVING, gps="healthy", position=position, displacement=moved))
-        one.bound(by_gps=True)
+        one.contradict_nothing()
     assert reason(fix, one, position=position, displacement=moved) is None
     assert one.protection_level is not None
     assert one.protection_level.is_within(25.0)
@@ -172,9 +172,10 @@ def test_what_contradicted_the_autopilot_when_it_was_sure_stays_contradicted() -
 def test_a_bound_by_a_fix_needs_one_stretch_more_than_what_bound_it() -> None:
     one = Integrity(GatesConfig())
     assert drive(one, range(0, 100))[-1] is None
-    one.bound(by_gps=False)
-    assert None not in drive(one, range(100, 200), off_m=100.0, recording="second", bound_by_gps=False)
-    assert None in drive(one, range(300, 400), off_m=100.0, recording="third", bound_by_gps=False), "two against one"
+    one.contradict_nothing()
+    bound = {"bound_by_gps": False, "bound_wrong": one.bound_wrong}
+    assert None not in drive(one, range(100, 200), off_m=100.0, recording="second", **bound)
+    assert None in drive(one, range(300, 400), off_m=100.0, recording="third", **bound), "two against one"
 
 
 @pytest.mark.parametrize("unknown_m", [0, 60, 90, 150, 300])
@@ -218,20 +219,12 @@ def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:
 
 
 def test_uncertainty_grows_with_the_distance_since_it_was_bound() -> None:
-    uncertainty = Uncertainty(drift_percent=5.0)
-    assert uncertainty.at(100.0, None) is None
-    assert uncertainty.at(100.0, 7.0) is None, "what the autopilot says of itself is no bound"
-    uncertainty.bind(3.0, 100.0, by_gps=True)
-    assert uncertainty.by_gps
-    assert uncertainty.at(100.0, None) == 3.0
-    assert uncertainty.at(180.0, None) == pytest.approx(5.0)
-    assert uncertainty.at(180.0, 9.0) == 9.0, "the larger one"
-    assert uncertainty.at(180.0, None, velocity_error=0.15) == pytest.approx(math.hypot(3.0, 12.0))
-    assert uncertainty.at(None, None) is None
-    uncertainty.bind(3.0, None)
-    assert uncertainty.at(180.0, None) == pytest.approx(5.0), "nothing is bound without an odometer"
-    uncertainty.reset()
-    assert uncertainty.at(180.0, None) is None
+    bound = Bound(3.0, 100.0, wrong=0.1, by_gps=True)
+    assert bound.sigma_at(100.0, 0.05) == 3.0
+    assert bound.sigma_at(180.0, 0.05) == pytest.approx(5.0)
+    assert bound.sigma_at(180.0, 0.05, 9.0) == 9.0, "the larger one"
+    assert bound.sigma_at(180.0, 0.15, 9.0) == pytest.approx(math.hypot(3.0, 12.0))
+    assert bound.sigma_at(None, 0.05) is None
 
 
 def test_a_position_above_the_alert_limit_is_not_published() -> None:

@@ -16,7 +16,7 @@ from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, matc
 
 TURNED_AT, FRAMES = 110, 40
 ROOT = Path(__file__).parents[2]
-PARTS = "Integrity", "Reckoning", "Uncertainty", "RouteFilter", "VelocityError"
+PARTS = "Integrity", "RouteFilter", "VelocityError"
 
 
 @pytest.mark.parametrize(("heading_deg", "is_called"), [(0.0, False), (None, True)])

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from edge.config import GatesConfig
-from edge.geodesy import VehiclePosition
 from edge.localization import Displacement, PlaceFix
+from edge.localization.bound import Anchor, Reckoned
 from edge.localization.integrity import UNNOTICED
-from edge.localization.protection_level import MODEL_ERROR, Reckoned, Reckoning, Wrong, protection_level
+from edge.localization.protection_level import MODEL_ERROR, Wrong, protection_level
 from tests.localization import level_hours
 from tests.localization.route_bench import Bench, Course, Stretch
 
@@ -132,17 +132,13 @@ def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
 
 
 def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:
-    own = VehiclePosition(0, -27.0, 153.0, 0.0, 90.0, 8.0)
-    reckoning = Reckoning(drift_percent=5.0)
-    assert reckoning.at(FIX, Displacement(1, 0.0, 0.0), 0.0) is None
-    reckoning.bind(own, Displacement(1, 10.0, 0.0), 100.0, 3.0)
-    found = reckoning.at(FIX, Displacement(1, 90.0, 60.0), 200.0)
-    assert found is not None
+    anchor = Anchor(-27.0, 153.0, 3.0, Displacement(1, 10.0, 0.0))
+    found = anchor.reckoned(FIX, Displacement(1, 90.0, 60.0), 0.05)
     assert (found.east_m, found.north_m) == pytest.approx((80.0, 60.0), abs=0.01)
     assert found.sigma_m == pytest.approx(math.hypot(3.0, 5.0))
     assert found.distance_m == pytest.approx(100.0, abs=0.01)
-    unheard = reckoning.at(FIX, Displacement(2, 90.0, 60.0, unknown_m=80.0), 200.0)
-    assert unheard is not None and unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"
-    assert reckoning.at(FIX, None, 200.0) is None
-    reckoning.reset()
-    assert reckoning.at(FIX, Displacement(1, 90.0, 60.0), 200.0) is None
+    assert anchor.reckoned(FIX, Displacement(1, 90.0, 60.0), 0.05, 400.0).sigma_m == pytest.approx(
+        math.hypot(3.0, 20.0)
+    )
+    unheard = anchor.reckoned(FIX, Displacement(2, 90.0, 60.0, unknown_m=80.0), 0.05)
+    assert unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"
