@@ -26,6 +26,7 @@ from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
+from edge.localization import AGREE_SIGMAS
 from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
 from edge.localization.velocity_error import VelocityError
 from edge.opened_parts import OpenedParts
@@ -34,7 +35,6 @@ from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
-SURE_SIGMAS = 3.0
 log = logging.getLogger(__name__)
 
 
@@ -178,7 +178,7 @@ class Daemon:
         sigma_m = self._autopilot.uncertainty_m
         if position is None or sigma_m is None:
             return None
-        radius_m = max(self._config.map.search_radius_m, SURE_SIGMAS * sigma_m)
+        radius_m = max(self._config.map.search_radius_m, AGREE_SIGMAS * sigma_m)
         return Near(position.lat_deg, position.lon_deg, radius_m)
 
     def _is_verified(self, match: PlaceMatch) -> bool:

@@ -6,7 +6,7 @@ matches; `sighting` puts a match on the ground, and `region_lines` what its two 
 `gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
 autopilot reports of its motion, and `velocity_error` finds what is wrong with that where nothing measures it;
 `integrity` decides what may be published, by the rules of `refusals` and by what was observed (`claims`), and
-`protection_level` says how far off that may be.
+`protection_level` says how far off that may be, also by what `bound`s a position without places.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from edge.localization.integrity import (
 from edge.localization.position_estimator import PositionEstimator, Report
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
-from edge.localization.route_estimate import CORRELATION_M
+from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 from edge.localization.velocity_error import PULLED_NS
 
 __all__ = [
+    "AGREE_SIGMAS",
     "CORRELATION_M",
     "GPS_SIGMA_M",
     "PULLED_NS",

@@ -26,6 +26,7 @@ own pace, whatever recording shows it; 410 m of one recording that were 150 m wr
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
 CLAIMS, KEPT = 8, 64
+"""The newest claims, and observations of each, that are kept: as many of those as 4 km have."""
 SPREAD_M = 1000.0
 """A place that is wrong may be anywhere within so many meters along the road."""
 

@@ -21,6 +21,7 @@ LEAST_SILENT_MPS = 2.0
 ELSEWHERE_M = 2e7
 """Half around the Earth: what lies before cannot be compared."""
 KEPT = 1024
+"""Reports that are kept: 20 s of a stream at 50 Hz, longer than a frame takes."""
 STRONGEST_MPS2 = 9.8
 """Friction, or leaning, accelerates no vehicle by more than its weight; wheels that lose their hold change their speed
 by more. In 36 recorded drives on real autopilots whose velocity was measured, no two reports are so far apart."""

@@ -34,6 +34,7 @@ from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal["cannot say", "agrees", "doubtful", "wrong", "map shifted", "not recognized"]
 OFFSETS_M = (20.0, 50.0, 300.0)
+"""Scales of the offset of a wrong GPS: what first shows beside the errors of places, and what a spoofer ends with."""
 ANYWHERE = 2e-15
 """Per square meter: anywhere on Earth. No honest offset is less likely than a thousandth of that."""
 BURST_SHARE, BURST_M = 0.05, 5.0

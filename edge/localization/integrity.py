@@ -28,15 +28,16 @@ from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Cl
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Unnoticed, Wrong, protection_level
 from edge.localization.refusals import Reason, Refusal
-from edge.localization.route_estimate import CORRELATION_M
+from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 GPS_SIGMA_M = 3.0
+"""The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
 BOUND_WRONG, ONE_MORE = 0.1, 20.0
 """Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
-SHIFT_SIGMAS = 3.0
+"""Probability that a map is shifted as a whole, and by how much then: judgments, see docs/integrity.md."""
 GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
 """A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
 another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
@@ -111,7 +112,7 @@ class Integrity:
             distance_m = distance_from(situation.position, fix)
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
             likelihood = likelihood_of(distance_m, sigma_m, situation.bound_wrong)
-            is_shift = situation.bound_by_gps and distance_m > SHIFT_SIGMAS * fix.sigma_m
+            is_shift = situation.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
         return self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
 
     def refusal(self, fix: PlaceFix, situation: Situation, limits: Limits) -> Refusal | None:

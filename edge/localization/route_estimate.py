@@ -52,7 +52,9 @@ becomes then, in each direction, before the line is judged again."""
 LEAST_SUPPORT = 0.05
 """How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 AGREE_SIGMAS = 3.0
+"""Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
 UNKNOWN_M = 100.0
+"""Standard deviation of a position along the road that nothing bounds: more than a line of 40 frames is long."""
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 

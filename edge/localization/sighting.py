@@ -37,7 +37,7 @@ KNOTS = 9
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
 place."""
-ERRORS = np.linspace(-3.0, 3.0, 7)
+ERRORS = np.linspace(-3.0, 3.0, 7)  # to three standard deviations on either side
 ERROR_PRIORS = np.exp(-(ERRORS**2) / 2)
 """Where it is more: the errors, in standard deviations, at which the rows are compared, and how likely each is."""
 ROWS_IN_DOUBT = 20

@@ -32,7 +32,7 @@ on the far side of the lane; of 40, half of them are within 1.5 m up to 4 m from
 REACH = 20
 """Places by which each row of a line is moved along the map, in each direction."""
 
-_STEPS = np.arange(-REACH, REACH + 1)
+_STEPS = np.arange(-REACH, REACH + 1)  # in places
 
 
 class Lags(NamedTuple):

@@ -7,14 +7,12 @@ import math
 from collections.abc import Callable
 
 from edge.journal.records import FixChecked, Record
-from edge.localization import PlaceFix, offset_m
+from edge.localization import AGREE_SIGMAS, PlaceFix, offset_m
 from edge.telemetry.acknowledgements import MOVED_NS, Jump
 from edge.telemetry.position_messages import PositionMessage
 from edge.telemetry.stream_check import StreamCheck, unused_because
 from edge.telemetry.vehicle import Vehicle
 
-NEAR_SIGMAS = 3.0
-"""An autopilot that is as near as this to a position of a stream follows it."""
 log = logging.getLogger(__name__)
 
 
@@ -55,7 +53,8 @@ class PositionUse:
         moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
         if moved is not None:
             self._publish_check(fix, distance_m, "fixes sent", moved=moved)
-        if distance_m <= NEAR_SIGMAS * fix.sigma_m:
+        # So near, an autopilot follows the stream.
+        if distance_m <= AGREE_SIGMAS * fix.sigma_m:
             self._bind(max(fix.sigma_m, distance_m), now_ns)
         elif is_new_stream:
             self.reset_counter = (self.reset_counter + 1) % 256
