@@ -1,4 +1,4 @@
-"""Follows the state of the running daemon, and publishes it everywhere in the same words.
+"""Follows the state of the running daemon, and publishes it everywhere in the same words; and how long stages take.
 
 What a state means is decided in `health`; here it goes to the journal and the log, to systemd as STATUS=, into the
 heartbeat, and to the pilot as a line.
@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import statistics
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -154,3 +157,29 @@ class HealthMonitor:
             self._published_text, self._text_due_ns[health.state] = str(health), now_ns + TEXT_NS
             severity = SEVERITIES.get(health.state, mavlink.MAV_SEVERITY_NOTICE)
             self._links.send_text(f"Lookback {health}", severity)
+
+
+RECENT_FRAMES = 1000
+
+
+class StageTimes:
+    """A stopwatch with named laps."""
+
+    def __init__(self, clock_ns: Callable[[], int] = time.perf_counter_ns) -> None:
+        self._clock_ns = clock_ns
+        self._last_ns = clock_ns()
+        self._laps_ns: dict[str, deque[int]] = {}
+
+    def start(self) -> None:
+        """Start timing a frame."""
+        self._last_ns = self._clock_ns()
+
+    def lap(self, stage: str) -> None:
+        """Record the time since the last lap as the duration of a stage."""
+        now_ns = self._clock_ns()
+        self._laps_ns.setdefault(stage, deque(maxlen=RECENT_FRAMES)).append(now_ns - self._last_ns)
+        self._last_ns = now_ns
+
+    def medians_ms(self) -> dict[str, float]:
+        """Median milliseconds of each stage, in the order in which they run."""
+        return {stage: round(statistics.median(laps) / 1e6, 3) for stage, laps in self._laps_ns.items()}
