@@ -80,7 +80,7 @@ def test_every_command_of_the_readme_is_one(python: Path) -> None:
     modules = done.stdout.split()
     assert {
         "sim.first_try.command",
-        "edge.commands.map_coverage",
+        "sim.coverage.command",
         "edge.commands.replay",
         "edge.commands.doctor",
     } <= set(modules)
