@@ -19,6 +19,9 @@ from typing import BinaryIO
 
 from edge.errors import ConfigError, MapError
 
+KEY_BYTES = 32
+"""Of MAVLink's signing, and of Ed25519."""
+
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
@@ -140,3 +143,22 @@ def _what_to_do(closed: Path) -> str:
     if str(closed) not in HOME_FOLDERS:
         return "change its owner or its mode"
     return "the service sees no home folders (ProtectHome=): put data in /var/lib/lookback and keys in /etc/lookback"
+
+
+def read_key(file: Path, where: str, *, is_secret: bool = True, remedy: str = "") -> bytes:
+    """The KEY_BYTES of a key's file, raw or as hexadecimal digits. ConfigError, which begins with `where`.
+
+    is_secret: it must not be a file that other users can read.
+    """
+    try:
+        with file.open("rb") as stream:
+            data, mode = stream.read(4 * KEY_BYTES), file.stat().st_mode
+    except OSError as error:
+        raise ConfigError(f"{where}: cannot read this key: {error.strerror}") from None
+    if is_secret and mode & 0o077:
+        raise ConfigError(f"{where}: other users can read this key; chmod 600 {file}")
+    with contextlib.suppress(ValueError):
+        data = bytes.fromhex(data.decode("ascii")) if len(data) != KEY_BYTES else data
+    if len(data) != KEY_BYTES:
+        raise ConfigError(f"{where}: not a key of {KEY_BYTES} bytes, or of {2 * KEY_BYTES} hexadecimal digits{remedy}")
+    return data

@@ -15,11 +15,11 @@ import msgspec
 
 from edge.errors import ConfigError, MapError
 from edge.extras import install_command
-from edge.files import replacing
+from edge.files import read_key, replacing
 from edge.reference_map.store import HEADER, MapHeader, encode_header, open_map, plain_size
 
 SIGNATURE = f"{HEADER}.sig"
-KEY_BYTES, SIGNATURE_BYTES = 32, 64
+SIGNATURE_BYTES = 64
 
 
 def make_key(path: Path) -> Path:
@@ -40,7 +40,7 @@ def make_key(path: Path) -> Path:
 
 def sign_map(path: Path, key_file: Path) -> None:
     """Check every byte of a map and sign it; ConfigError for the key, MapError for the map."""
-    key = _ed25519().Ed25519PrivateKey.from_private_bytes(_read_key(key_file, secret=True))
+    key = _ed25519().Ed25519PrivateKey.from_private_bytes(_read_key(key_file, is_secret=True))
     header = open_map(path, every_file=True).header
     try:
         with replacing(path / SIGNATURE) as stream:
@@ -63,7 +63,7 @@ def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:
     ed25519 = _ed25519()
     from cryptography.exceptions import InvalidSignature
 
-    key = ed25519.Ed25519PublicKey.from_public_bytes(_read_key(key_file, secret=False))
+    key = ed25519.Ed25519PublicKey.from_public_bytes(_read_key(key_file, is_secret=False))
     file = path / SIGNATURE
     try:
         if file.exists() and plain_size(file) > 4 * SIGNATURE_BYTES:
@@ -83,20 +83,8 @@ def _signed_bytes(header: MapHeader) -> bytes:
     return encode_header(msgspec.structs.replace(header, header_sha256=""))
 
 
-def _read_key(file: Path, *, secret: bool) -> bytes:
-    try:
-        text, mode = file.read_bytes()[: 4 * KEY_BYTES], file.stat().st_mode
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot read this key: {error.strerror}") from None
-    if secret and mode & 0o077:
-        raise ConfigError(f"{file}: this key is readable by other users; chmod 600 {file}")
-    try:
-        key = bytes.fromhex(text.decode("ascii"))
-    except ValueError:
-        key = b""
-    if len(key) != KEY_BYTES:
-        raise ConfigError(f"{file}: not a key of {2 * KEY_BYTES} hexadecimal digits; make one with `map keygen`")
-    return key
+def _read_key(file: Path, *, is_secret: bool) -> bytes:
+    return read_key(file, str(file), is_secret=is_secret, remedy="; make one with `map keygen`")
 
 
 def _ed25519() -> ModuleType:

@@ -9,7 +9,6 @@ time than a restart.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import time
@@ -21,7 +20,7 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import ConfigError
-from edge.files import replacing
+from edge.files import read_key, replacing
 
 TICKS_PER_S = 100_000
 """Timestamps are in units of 10 us since the beginning of 2015."""
@@ -87,7 +86,6 @@ class ReplayGuard:
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
 STORED_AHEAD = 10 * TICKS_PER_S
 """How far ahead of use the file is written: autopilots accept timestamps up to a minute ahead."""
-KEY_BYTES = 32
 CREDENTIAL = "credential:"
 
 log = logging.getLogger(__name__)
@@ -207,17 +205,7 @@ def load_key(name: str) -> bytes:
         if "/" in name:
             raise ConfigError(f"{where}: the name of a credential must not contain /")
         path = Path(folder) / name.removeprefix(CREDENTIAL)
-    try:
-        data, mode = path.read_bytes(), path.stat().st_mode
-    except OSError as error:
-        raise ConfigError(f"{where}: cannot read it: {error.strerror}") from None
-    if mode & 0o077 and not name.startswith(CREDENTIAL):
-        raise ConfigError(f"{where}: other users can read this key; chmod 600 {path}")
-    with contextlib.suppress(ValueError):
-        data = bytes.fromhex(data.decode("ascii")) if len(data) != KEY_BYTES else data
-    if len(data) != KEY_BYTES:
-        raise ConfigError(f"{where}: not a key of {KEY_BYTES} bytes, or of {2 * KEY_BYTES} hexadecimal digits")
-    return data
+    return read_key(path, where, is_secret=not name.startswith(CREDENTIAL))
 
 
 def _read(file: Path) -> SigningClock:

@@ -101,10 +101,12 @@ def test_another_ones_key(signed: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 def test_keys_that_are_none(signed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (signed / "owner.pub").write_text("not a key\n")
-    assert "owner.pub: not a key of 64 hexadecimal digits" in refusal(signed / "lookback.toml", capsys)
+    assert "owner.pub: not a key of 32 bytes, or of 64 hexadecimal digits; make one" in refusal(
+        signed / "lookback.toml", capsys
+    )
     (signed / "owner.pub").unlink()
     assert "owner.pub: cannot read this key: No such file" in refusal(signed / "lookback.toml", capsys)
     (signed / "owner").chmod(0o644)
     told = refusal(signed / "map", capsys, "map", "sign", "--key", str(signed / "owner"))
-    assert "this key is readable by other users; chmod 600" in told
+    assert "other users can read this key; chmod 600" in told
     assert "a key already exists here" in refusal(signed / "owner", capsys, "map", "keygen")

@@ -51,7 +51,7 @@ def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, reason: s
 
 
 def test_a_key_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot read it: No such file"):
+    with pytest.raises(ConfigError, match="cannot read this key: No such file"):
         load_key(str(tmp_path / "key"))
 
 
