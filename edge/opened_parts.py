@@ -15,7 +15,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.drive_mapper import DriveMapper
 from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
-from edge.health.monitor import HealthMonitor, Links, StageTimes
+from edge.health.health import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
 from edge.localization import PositionEstimator
