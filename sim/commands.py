@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
+
+from tqdm import tqdm
 
 from edge.errors import ConfigError
 from sim.trial import command as trial_command
@@ -36,6 +39,8 @@ def _record(args: argparse.Namespace) -> int:
         if value is not None and not 0 < value < float("inf"):
             raise ConfigError(f"{option}: {value:g} is not above 0")
     scenario = load_scenario(args.scenario)
-    count = record_drive(scenario, args.output, spacing_m=args.spacing_m, fps=args.fps, show_progress=True)
+    # disable=None: shown on a terminal only.
+    bar = partial(tqdm, unit="frame", desc=args.output.name, disable=None)
+    count = record_drive(scenario, args.output, spacing_m=args.spacing_m, fps=args.fps, progress=bar)
     print(f"{args.output}: {count} frames over {scenario.length_m:g} m", file=sys.stderr)
     return 0

@@ -1,4 +1,4 @@
-"""The README's pictures, small, from the run that the demo has just made: a plot, matched pairs, and the live page."""
+"""The README's pictures, from the run that the demo has just made: the way home, moving, and the live page."""
 
 from __future__ import annotations
 
@@ -7,21 +7,38 @@ import logging
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import cv2
+import matplotlib as mpl
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
-from edge.feed import FeedImages, read_feed
-from edge.reference_map.store import ReferenceMap
-from sim.demo.review import Review
-from sim.demo.story import picture as story_picture
+from edge.descriptor.network import Network
+from edge.journal.journal import records_of
+from edge.journal.records import PlaceFix
+from sim.demo.story import COURSE, LENGTH_M
 from sim.trial.rules import Run
+from sim.trial.run import drafted, map_scenario
+from sim.trial.simulation import UP_S
+from sim.trial.views import RoadLibrary
+from sim.trial.way import Way
+from sim.vehicle.daemon_drive import JOURNAL
+from sim.vehicle.position_inputs import east_north_m
 
-DPI = 80
-PAIR_HEIGHT_PX = 150
+MOVING = "take_me_home.webp"
+FRAMES, FRAME_MS, QUALITY = 70, 200, 55
+"""14 s for the way home, and less than 2 MB."""
+PANEL_PX, GAP_PX, TEXT_PX = (320, 240), 6, 26
+WINDOW_M, ROAD_M = 56.0, 7.0
+BELIEVED_S = 3.0
+"""A place that was recognized longer ago is not shown."""
+STARTS_S = 1000.0 + UP_S
+"""The simulated clock when the vehicle sets off."""
 SHOT_S = 25.0
 log = logging.getLogger(__name__)
 
@@ -29,20 +46,20 @@ ROOT = Path(__file__).parents[2]
 MADE_OF = "made_of.json"
 """Beside the pictures: for each the checksum of what draws it, when it was made."""
 DRAWN_BY = {
-    "take_me_home.png": ("sim/demo/story.py",),
-    "pairs.jpg": ("sim/demo/pictures.py",),
+    MOVING: ("sim/demo/pictures.py",),
     "page_again_dusk.png": ("edge/page/page.html", "edge/page/snapshot.py"),
 }
 """The sources that a picture's look depends on. What it shows is of the day when it was made."""
 
 
-def write_pictures(folder: Path, reference_map: ReferenceMap, reviews: list[Review], story: Run) -> None:
-    """Write the story and matched pairs of all drives."""
+def write_moving_picture(folder: Path, story: Run, drive_folder: Path) -> None:
+    """Write the way home: the night camera beside the day's place, and from above both vehicles."""
     folder.mkdir(parents=True, exist_ok=True)
-    story_picture(story).savefig(folder / "take_me_home.png", format="png", dpi=DPI, bbox_inches="tight")
-    cv2.imwrite(str(folder / "pairs.jpg"), _pairs(reference_map, reviews), [cv2.IMWRITE_JPEG_QUALITY, 85])
-    for name in ("take_me_home.png", "pairs.jpg"):
-        note_sources(folder, name)
+    first, *others = (Image.fromarray(frame[..., ::-1]) for frame in _frames(story, drive_folder))
+    first.save(
+        folder / MOVING, save_all=True, append_images=others, duration=FRAME_MS, loop=0, quality=QUALITY, method=6
+    )
+    note_sources(folder, MOVING)
 
 
 def checksum_of_sources(name: str) -> str:
@@ -58,30 +75,80 @@ def note_sources(folder: Path, name: str) -> None:
     file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
 
 
-def _pairs(reference_map: ReferenceMap, reviews: list[Review]) -> NDArray[np.uint8]:
-    """A row for each drive: each query picture beside the place that it was matched to."""
-    images = FeedImages(read_feed(reference_map.path.with_suffix("")))
-    rows = []
-    for review in reviews:
-        row: list[NDArray[np.uint8]] = []
-        for frame, picture in review.pictures.items():
-            map_row = review.seen[frame].map_row
-            if map_row is not None:
-                row += [np.hstack([_small(picture), _small(images.read(map_row))]), _gap(PAIR_HEIGHT_PX, 8)]
-        if row:
-            rows.append(np.hstack(row[:-1]))
-    width = max((row.shape[1] for row in rows), default=8)
-    padded = [np.hstack([row, _gap(PAIR_HEIGHT_PX, width - row.shape[1])]) for row in rows]
-    return np.vstack([part for row in padded for part in (row, _gap(8, width))][:-1] or [_gap(8, 8)])
+def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
+    draft = drafted(COURSE, story.seed, LENGTH_M, story.world)
+    ours, alone = story.track, story.alone
+    lost = np.flatnonzero(~ours.gps)
+    believed = [
+        (one.stamp_ns / 1e9 - STARTS_S, east_north_m(one.lat_deg, one.lon_deg, draft.lon_shift_deg))
+        for one in records_of(drive_folder / JOURNAL, PlaceFix)
+        if one.lat_deg is not None and one.lon_deg is not None and one.direction == "reverse"
+    ]
+    network = Network.load()
+    with closing(RoadLibrary(network, drive_folder / "views")) as library:
+        night, day = library[draft.home], library[map_scenario(draft.home)]
+        route_m = np.arange(0.0, day.drive.route.length_m)
+        road_m = np.array([day.drive.route.at(at_m, 0.0)[:2] for at_m in route_m])
+        for row in lost[np.linspace(0, len(lost) - 1, FRAMES).astype(int)]:
+            at_m, left_m = float(ours.along_m[row]), float(ours.left_m[row])
+            alone_left_m = float(np.interp(at_m, alone.along_m, alone.left_m))
+            here = night.picture(float(draft.way.route_m[int(at_m)]), left_m)
+            place = [one for one in believed if 0 <= ours.time_s[row] - one[0] <= BELIEVED_S]
+            found = np.full_like(here, 60)
+            if place:
+                off_m = road_m - np.asarray(place[-1][1], dtype=np.float64)
+                found = day.picture(float(route_m[np.hypot(*off_m.T).argmin()]))
+            above = _from_above(draft.way, at_m, left_m, alone_left_m)
+            lines = (
+                "the camera at night",
+                "the place that it recognizes, by day" if place else "no place recognized yet",
+                "green: with Lookback, red: without",
+                f"{at_m - ours.along_m[lost[0]]:.0f} m driven without GPS. Beside the lane: {abs(left_m):.1f} m with"
+                f" Lookback, {abs(alone_left_m):.1f} m without",
+            )
+            yield _composed((here, found, above), lines)
 
 
-def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    width = round(image.shape[1] * PAIR_HEIGHT_PX / image.shape[0])
-    return np.asarray(cv2.resize(image, (width, PAIR_HEIGHT_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+def _from_above(way: Way, at_m: float, left_m: float, alone_left_m: float) -> NDArray[np.uint8]:
+    """The road around the vehicle, north up, and both vehicles as far along it; to the scale of WINDOW_M."""
+    width, height = PANEL_PX
+    center = np.array(way.at(at_m)[:2])
+    scale = width / WINDOW_M
+
+    def pixels(points_m: NDArray[np.float64]) -> NDArray[np.int32]:
+        shown = (points_m - center) * scale * (1.0, -1.0) + (width / 2, height / 2)
+        return np.asarray(np.round(shown * 16), np.int32)
+
+    image = np.full((height, width, 3), (118, 150, 122), np.uint8)
+    near = np.arange(max(0.0, at_m - WINDOW_M), min(way.length_m - 1, at_m + WINDOW_M), 1.0)
+    middle = pixels(np.array([way.at(one, -ROAD_M / 4)[:2] for one in near]))
+    cv2.polylines(image, [middle], False, (96, 96, 96), round(ROAD_M * scale), cv2.LINE_AA, 4)
+    cv2.polylines(image, [middle], False, (220, 220, 220), 1, cv2.LINE_AA, 4)
+    for left, color in ((alone_left_m, (43, 57, 192)), (left_m, (79, 143, 42))):
+        east_m, north_m, heading_rad = way.at(at_m, left)
+        ahead = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+        aside = np.array([ahead[1], -ahead[0]])
+        corners = [ahead * 3.2, ahead * 2.0 + aside * 1.4, -ahead * 3.0 + aside * 1.4]
+        corners += [-ahead * 3.0 - aside * 1.4, ahead * 2.0 - aside * 1.4]
+        outline = pixels(np.array([east_m, north_m]) + np.array(corners))
+        cv2.fillPoly(image, [outline], color, cv2.LINE_AA, 4)
+        cv2.polylines(image, [outline], True, (255, 255, 255), 1, cv2.LINE_AA, 4)
+    return image
 
 
-def _gap(height: int, width: int) -> NDArray[np.uint8]:
-    return np.full((height, width, 3), 255, np.uint8)
+def _composed(panels: Sequence[NDArray[np.uint8]], lines: Sequence[str]) -> NDArray[np.uint8]:
+    """Three panels with a line above each, and one below all."""
+    width, height = PANEL_PX
+    rows = [cv2.resize(panel, PANEL_PX, interpolation=cv2.INTER_AREA) for panel in panels]
+    page = Image.new("RGB", (3 * width + 2 * GAP_PX, height + 2 * TEXT_PX), "white")
+    draw = ImageDraw.Draw(page)
+    font = ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", TEXT_PX * 5 // 9)
+    for number, (panel, line) in enumerate(zip(rows, lines, strict=False)):
+        left = number * (width + GAP_PX)
+        page.paste(Image.fromarray(np.asarray(panel, np.uint8)[..., ::-1]), (left, TEXT_PX))
+        draw.text((left, TEXT_PX // 5), line, "black", font)
+    draw.text((0, TEXT_PX + height + TEXT_PX // 5), lines[-1], "black", font)
+    return np.asarray(page)[..., ::-1]
 
 
 def photograph_page(url: str, path: Path, width: int, height: int) -> bool:

@@ -14,7 +14,7 @@ from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
 from sim.demo.review import Review, stages_ms
-from sim.demo.story import section
+from sim.demo.story import headline, sections_of
 from sim.evaluation import figures, report
 from sim.evaluation.figures import BLUE, ORANGE, to_png
 from sim.evaluation.metrics import TOLERANCE_M, precision_recall
@@ -39,12 +39,12 @@ def write_report(
         "model": f"{header.model.name}, sha256 {header.model.sha256}",
     }
     sections = [
-        section(story),
+        *sections_of(story),
         _overview(reference_map, rig, lives, reviews),
         *(_section(reference_map, live, review) for live, review in zip(lives, reviews, strict=True)),
         report.Section("Precision and recall", figures=[_curves(lives, reviews)]),
     ]
-    path.write_text(report.render_page("Lookback demo", about, sections), encoding="utf-8")
+    path.write_text(report.render_page(headline(story), about, sections), encoding="utf-8")
     return path
 
 
@@ -58,7 +58,7 @@ def _overview(
         " simulated autopilot over a serial line."
     )
     note = (
-        f"Sequences of {SequenceConfig().length} frames, uniqueness from {AcceptanceConfig().uniqueness_min} on. The"
+        f"Sequences of {SequenceConfig().length} frames, confidence from {AcceptanceConfig().confidence_min} on. The"
         f" matched place lies {rig.ahead_forward_swapped_m:.0f} m ahead of the vehicle when it drives the same way, and"
         f" {rig.ahead_reverse_same_m:.0f} m on the way home: measured on two short drives with GPS, since a front and a"
         " rear camera see the same thing at different times."
@@ -79,34 +79,24 @@ def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
     return {
         "light, direction along the map": f"{live.scenario.light}, {live.scenario.direction}",
         "frames used": len(review.seen),
-        "fixes that reached the autopilot": len(live.fixes),
-        "error of the fixes, median, m": float(np.median(errors_m)),
-        "error of the fixes, 95 %, m": float(np.percentile(errors_m, 95)),
-        f"availability: protection level below {LIMIT_M:.0f} m, of the time without GPS": live.available,
-        f"precision: accepted frames within {TOLERANCE_M:.0f} m": review.precision,
-        "recall: accepted and right, of all frames": review.recall,
-        **{f"time per frame, ms: {stage}": ms for stage, ms in stages_ms(live).items()},
+        "positions that reached the autopilot": len(live.fixes),
+        "their error, median / 95 %": f"{np.median(errors_m):.1f} / {np.percentile(errors_m, 95):.1f} m",
+        f"protection level below {LIMIT_M:.0f} m, of the time without GPS": f"{live.available:.0%}",
+        f"precision: believed frames within {TOLERANCE_M:.0f} m": f"{review.precision:.3f}",
+        "recall: believed and right, of all frames": f"{review.recall:.2f}",
+        **{f"time of a frame by the clock: {stage}": f"{ms:.2f} ms" for stage, ms in stages_ms(live).items()},
     }
 
 
 def _section(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> report.Section:
-    drawn = [
-        report.Figure(
-            f"{live.name}_costs",
-            "Cost matrix",
-            to_png(cost_matrix(review)),
-            "The better region order of each cell, with the best match of each frame and the line behind one of them.",
-        ),
-        report.Figure(
-            f"{live.name}_route", "The route from above, with the fixes", to_png(route(reference_map, review))
-        ),
-    ]
+    plot = to_png(route(reference_map, review))
+    drawn = [report.Figure(f"{live.name}_route", "The route from above, with the positions sent", plot)]
     return report.Section(_name(live), figures=drawn, pictures=_pairs(reference_map, review))
 
 
 def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> report.Figure:
     note = "Over all used frames, the warm-up included; the dots are the threshold in use."
-    return report.Figure("precision_recall", "Every uniqueness threshold", to_png(curves(lives, reviews)), note)
+    return report.Figure("precision_recall", "Every confidence", to_png(curves(lives, reviews)), note)
 
 
 def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Picture]]:
@@ -118,27 +108,12 @@ def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Pict
         seen = review.seen[row]
         if seen.map_row is not None:
             matched_to = (
-                f"matched to place {seen.place}: {review.error_m[row]:.1f} m off, uniqueness {seen.uniqueness:.2f},"
-                f" {seen.direction}, {seen.order} order, {seen.category}"
+                f"matched to place {seen.place}: {review.error_m[row]:.1f} m off, confidence {seen.confidence:.2f},"
+                f" {seen.direction}"
             )
             here = report.Picture.of(picture, f"at {review.route_m[row]:.0f} m")
             pairs.append([here, report.Picture.of(images.read(seen.map_row), matched_to)])
     return pairs
-
-
-def cost_matrix(review: Review) -> Figure:
-    """The whole matrix, the matches, and the line of one accepted match through it."""
-    places = np.array([np.nan if seen.place is None else seen.place for seen in review.seen], dtype=float)
-    figure = figures.cost_matrix(review.costs, places, review.accepted)
-    chosen = [row for row, match in enumerate(review.matches) if match is not None and match.accepted]
-    if chosen:
-        row = chosen[len(chosen) // 2]
-        match = review.matches[row]
-        assert match is not None
-        ages = np.arange(SequenceConfig().length)
-        step = match.slope if match.direction == "forward" else -match.slope
-        figure.axes[0].plot(row - ages, match.place - step * ages, color=figures.RED, lw=2)
-    return figure
 
 
 def route(reference_map: ReferenceMap, review: Review) -> Figure:
@@ -164,6 +139,6 @@ def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
         curve = precision_recall(review.answers)
         axes.plot(curve.recall_of_places, curve.precision, color=color, label=_name(live))
         axes.plot(review.recall, review.precision, "o", color=color)
-    axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
+    axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0.9, 1.005))
     axes.legend(loc="lower left")
     return figure

@@ -1,19 +1,15 @@
-"""The frames that the daemon used, rendered and recognized again, and its answers compared with the truth."""
+"""The answers of the daemon to the frames that it used, compared with the truth."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.commands.replay import config_for_map
 from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed, Stopped
-from edge.recognizer import open_recognizer
-from edge.reference_map import COST_ONE, MapSet, ReferenceMap
-from edge.sequence import PlaceMatch
 from sim.evaluation.metrics import TOLERANCE_M, Answers
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.world.camera import open_renderer
@@ -23,22 +19,19 @@ from sim.world.camera import open_renderer
 class Review:
     """One drive; rows are the frames that the daemon used.
 
-    route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. costs: (Q, N)
-    cosine distances, the better of the region orders. matches: of the same frames, recognized again.
-    pictures: some of the frames, by row.
+    route_m: (Q,) truth. error_m: (Q,) distance of the answer from the truth, NaN where there was none. pictures: of
+    some frames, by row, rendered again.
     """
 
     seen: list[FrameUsed]
     route_m: NDArray[np.float64]
     error_m: NDArray[np.float64]
-    costs: NDArray[np.float32]
-    matches: list[PlaceMatch | None]
     pictures: dict[int, NDArray[np.uint8]]
 
     @property
     def answers(self) -> Answers:
         """For precision and recall: right within TOLERANCE_M; every frame counts as on the map, the warm-up too."""
-        confidence = np.array([np.nan if seen.uniqueness is None else seen.uniqueness for seen in self.seen])
+        confidence = np.array([np.nan if seen.confidence is None else seen.confidence for seen in self.seen])
         return Answers(confidence, self.error_m <= TOLERANCE_M, np.ones(len(self.seen), dtype=bool))
 
     @property
@@ -67,8 +60,8 @@ def stages_ms(live: DaemonDrive) -> dict[str, float]:
     return next(records_of(live.journal, Stopped)).stages_ms
 
 
-def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) -> Review:
-    """Render the used frames again, run the recognizer on them, and keep `pictures` of the emitted ones."""
+def review_drive(live: DaemonDrive, pictures: int) -> Review:
+    """Compare every used frame with the truth, and render `pictures` of the emitted ones again."""
     seen = used_frames(live)
     times_s = [item.stamp_ns / 1e9 - live.epoch_s for item in seen]
     errors_m = [
@@ -76,20 +69,10 @@ def review_drive(live: DaemonDrive, reference_map: ReferenceMap, pictures: int) 
         for item, t in zip(seen, times_s, strict=True)
     ]
     emitted = [row for row, item in enumerate(seen) if item.emitted]
-    shown = {emitted[at] for at in np.linspace(0, len(emitted) - 1, pictures).round().astype(int)} if emitted else set()
-    config = config_for_map(reference_map.header)
-    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=live.scenario.view))
-    recognizer = open_recognizer(config, map_set=MapSet.of(reference_map))
-    renderer = open_renderer(live.scenario, live.drive)
-    costs, matches, kept = [], [], {}
-    try:
-        for row, (item, time_s) in enumerate(zip(seen, times_s, strict=True)):
-            image = renderer.render(live.drive.pose(time_s), time_s)
-            matches.append(recognizer.observe(image, item.stamp_ns, missed=item.missed or 0))
-            costs.append(recognizer.matcher.first.search.newest_costs.min(axis=0) / np.float32(COST_ONE))
-            if row in shown:
-                kept[row] = image
-    finally:
-        renderer.close()
+    shown = sorted(
+        {emitted[at] for at in np.linspace(0, len(emitted) - 1, pictures).round().astype(int)} if emitted else ()
+    )
+    with closing(open_renderer(live.scenario, live.drive)) as renderer:
+        kept = {row: renderer.render(live.drive.pose(times_s[row]), times_s[row]) for row in shown}
     route_m = np.array([live.drive.route_m(time_s) for time_s in times_s])
-    return Review(seen, route_m, np.array(errors_m), np.array(costs, dtype=np.float32), matches, kept)
+    return Review(seen, route_m, np.array(errors_m), kept)

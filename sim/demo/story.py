@@ -42,7 +42,12 @@ def lost_at_m(run: Run) -> float:
     return float(run.track.along_m[~run.track.gps][0])
 
 
-def section(run: Run) -> report.Section:
+def headline(run: Run) -> str:
+    """The one number: how far from its lane the vehicle drove without GPS."""
+    return f"95 % within {lane_off_m(run.track):.1f} m of its lane; {lane_off_m(run.alone):.1f} m without Lookback"
+
+
+def sections_of(run: Run) -> list[report.Section]:
     """The story in the report: what happened, the map, the numbers."""
     text = (
         f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far"
@@ -63,11 +68,9 @@ def section(run: Run) -> report.Section:
         ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
         ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
     ]
-    table = report.Table(
-        "story", "In numbers", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth."
-    )
+    table = report.Table("story", "", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth.")
     figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
-    return report.Section("Take me home", text, tables=[table], figures=[figure])
+    return [report.Section("Take me home", text, figures=[figure]), report.Section("Of the way home", tables=[table])]
 
 
 def _median_95(errors_m: NDArray[np.float64]) -> str:

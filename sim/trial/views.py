@@ -55,17 +55,20 @@ class RoadViews:
         return self._known[cell].astype(np.float32)
 
     def _describe(self, route_m: int, left_m: int, turns: int) -> NDArray[np.float32]:
+        image, config, size = self.picture(route_m, left_m, turns * CELL_DEG), DescriptorConfig(), self._network.size
+        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width, size))
+
+    def picture(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.uint8]:
+        """The camera's picture there, (H, W, 3) uint8 BGR."""
         if self._renderer is None:
             self._renderer = open_renderer(self._scenario, self.drive)
         sign = 1.0 if self.drive.direction == "forward" else -1.0
         east_m, north_m, heading_rad = self.drive.route.at(route_m, sign * (self.drive.lane_m + left_m))
-        heading_deg = np.degrees(heading_rad) + (0.0 if sign > 0 else 180.0) + turns * CELL_DEG
+        heading_deg = np.degrees(heading_rad) + (0.0 if sign > 0 else 180.0) + turn_deg
         # Cars are where they are on a drive at the middle of the lane.
         covered_m = route_m if sign > 0 else self.drive.route.length_m - route_m
         time_s = self.drive.time_at_s(covered_m)
-        image = self._renderer.render(Pose(east_m, north_m, float(heading_deg) % 360.0, 0.0, covered_m), time_s)
-        config, size = DescriptorConfig(), self._network.size
-        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width, size))
+        return self._renderer.render(Pose(east_m, north_m, float(heading_deg) % 360.0, 0.0, covered_m), time_s)
 
     def save(self) -> None:
         """Keep on disk what was described."""

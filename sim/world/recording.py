@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from edge.config import SamplingConfig
 from edge.feed import FeedHeader, FeedWriter
@@ -37,13 +37,14 @@ def record_drive(
     spacing_m: float = SPACING_M,
     fps: float | None = None,
     up_to_m: float = math.inf,
-    show_progress: bool = False,
+    progress: Callable[[list[float]], Iterable[float]] = iter,
 ) -> int:
     """Render the drive of a scenario and write it as a feed; returns the number of frames.
 
     A frame every `spacing_m`, or `fps` frames a second, over the first `up_to_m`. heading_deg is the vehicle's, also
     for a rear camera. The column `route_m` is the arc length along the route, which drives in both directions share.
-    Raises FeedError, also where there is a feed already.
+    progress: passes the times on, one a frame, and may show how far they are. Raises FeedError, also where there is a
+    feed already.
     """
     drive = scenario.drive()
     times_s = times_by_rate(drive, fps) if fps else times_by_distance(drive, spacing_m)
@@ -60,8 +61,7 @@ def record_drive(
     with FeedWriter(path, header, extra_columns=("route_m",)) as writer:
         renderer = open_renderer(scenario, drive)
         try:
-            # disable=None: shown on a terminal only.
-            for time_s in tqdm(times_s, unit="frame", desc=path.name, disable=None if show_progress else True):
+            for time_s in progress(times_s):
                 image = renderer.render(drive.pose(time_s, scenario.camera_ahead_m), time_s)
                 _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
         finally:

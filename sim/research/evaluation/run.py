@@ -10,6 +10,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -160,6 +161,7 @@ def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, samplin
         return path
     part = path.with_suffix(".part")
     shutil.rmtree(part, ignore_errors=True)
-    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, show_progress=True)
+    bar = partial(tqdm, unit="frame", desc=part.name, disable=None)
+    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, progress=bar)
     part.rename(path)
     return path

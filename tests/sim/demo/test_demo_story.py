@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.errors import LookbackError
-from sim.demo.story import LENGTH_M, lost_at_m, picture, require_good, section, true_track
+from sim.demo.story import LENGTH_M, headline, lost_at_m, picture, require_good, sections_of, true_track
 from sim.trial.rules import Run, Sent, Track
 
 
@@ -26,11 +26,12 @@ def _run() -> Run:
 
 
 def test_the_table_tells_both_drives_side_by_side() -> None:
-    rows = {str(name): (ours, alone) for name, ours, alone in section(_run()).tables[0].rows}
+    rows = {str(name): (ours, alone) for name, ours, alone in sections_of(_run())[1].tables[0].rows}
     assert rows["first position after the failure"] == ("80 m further on", "none")
     assert rows["beside the lane without GPS, 95 %"] == ("2.0 m", "30.0 m")
     assert rows["ended from where it should"] == ("3.0 m", "80.0 m")
     assert rows["largest standard deviation sent"][0] == "4.0 m"
+    assert headline(_run()) == "95 % within 2.0 m of its lane; 30.0 m without Lookback"
     assert lost_at_m(_run()) == pytest.approx(LENGTH_M)
 
 
