@@ -24,6 +24,7 @@ from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
+from edge.health.health import HealthInputs
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS
@@ -247,16 +248,17 @@ class Daemon:
     def _update_health(self) -> bool:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""
         fault = self._pictures.fault
-        return self.monitor.update(
-            self._recognizer.state,
-            self._frames_used,
-            self._frame_s,
-            self._camera.health,
-            link=(self._autopilot.state, self._autopilot.why_closed),
-            picture_fault=fault.what if fault and fault.sure else "",
-            hang=self._device.hang(self._clock_ns()) if self._device else "",
+        inputs = HealthInputs(
+            recognizer=self._recognizer.state,
+            frames_used=self._frames_used,
+            frame_s=self._frame_s,
+            picture=fault.what if fault and fault.sure else "",
+            link=self._autopilot.state,
+            link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
         )
+        hang = self._device.hang(self._clock_ns()) if self._device else ""
+        return self.monitor.update(inputs, self._camera.health, hang)
 
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""

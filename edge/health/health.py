@@ -179,39 +179,23 @@ class HealthMonitor:
         """Whether a camera came back since the last update: its first frame still meets what was seen before."""
         return camera.reopened != self._reopened
 
-    def update(
-        self,
-        recognizer: str,
-        frames_used: int,
-        frame_s: float,
-        camera: CameraHealth,
-        link: tuple[str, str],
-        picture_fault: str = "",
-        hang: str = "",
-        gps: str = "",
-    ) -> bool:
+    def update(self, inputs: HealthInputs, camera: CameraHealth, hang: str = "") -> bool:
         """Derive and publish the state; True when what was recognized so far must be dropped.
 
-        That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. recognizer: its
-        state. frames_used, frame_s: frames since the start, and what the last one took. link: state, and why it is
-        closed. picture_fault: what is wrong with the newest picture, for long enough to say so. hang: what the camera's
-        thread is stuck in. gps: what is wrong with it by the places.
+        That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. inputs: without
+        what is known here, of camera, journal and silence. hang: what the camera's thread is stuck in.
         """
         if hang and not self._hang:
             log.error("the camera hangs (%s); WATCHDOG=1 is no longer sent", hang)
-        self._hang = hang
-        inputs = HealthInputs(
-            recognizer=recognizer,
+        self._hang, frames_used = hang, inputs.frames_used
+        inputs = replace(
+            inputs,
             frames_used=frames_used - self._frames_before_gap,
             camera="lost" if hang else camera.state,
             camera_why=f"it hangs ({hang})" if hang else camera.reason,
-            picture=picture_fault,
-            link=link[0],
-            link_why=link[1],
-            link_down_s=self._link_down_s(is_up=link[0] == "up"),
+            link_down_s=self._link_down_s(is_up=inputs.link == "up"),
             journal=self._journal_fault(),
-            frame_s=frame_s if frames_used > self._frames_before_gap else 0.0,
-            gps=gps,
+            frame_s=inputs.frame_s if frames_used > self._frames_before_gap else 0.0,
         )
         is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)
         self._was_blind, self._reopened = bool(inputs.blind), camera.reopened
