@@ -15,9 +15,8 @@ from typing import Any
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.backoff import BackOff
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixAnswered, FixSent, FixWithheld, PositionMessageChosen, Record
+from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
     CORRELATION_M,
     GpsVerdict,
@@ -30,15 +29,7 @@ from edge.localization import (
     distance_from,
 )
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import (
-    ANSWER_NS,
-    BACK_OFF_FIRST_NS,
-    BACK_OFF_LAST_NS,
-    MOVED_NS,
-    NO_ANSWER,
-    VERDICTS,
-    result_name,
-)
+from edge.telemetry.acknowledgements import MOVED_NS
 from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
@@ -77,7 +68,6 @@ class PositionSender:
         self._send_text = send_text
         self.message: PositionMessage | None = None
         self.why = ""
-        self._disabled = False
         remembered = Path(telemetry.journal) if telemetry.journal else None
         self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
         self.doubted_gps = DoubtedGps(vehicle, record, send_text)
@@ -89,19 +79,16 @@ class PositionSender:
         self._start_over()
 
     def _start_over(self) -> None:
-        self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
         self._last_sent_ns: int | None = None
         self._sent_stamp_ns: int | None = None
         self.sent_status: dict[str, Any] = {}
         """The fields of `LinkStatus` on the newest position that was sent, of a steady stream about one per second."""
         self._had_gps = self._has_said_that_it_waits = False
-        self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the second time
         self._use.new_session()
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
         self._start_over()
-        self._disabled = False
         self.sources.new_session()
         self._estimator.restart()
         self._choose()
@@ -127,7 +114,7 @@ class PositionSender:
     @property
     def enabled(self) -> bool:
         """Whether positions are sent at all, when the gates allow."""
-        return self.message is not None and not self._disabled
+        return self.message is not None and not self._use.is_off
 
     def uncertainty_m(self, now_ns: int) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
@@ -160,7 +147,7 @@ class PositionSender:
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
-        if self.message is None or self._disabled or self._unanswered is not None or not self._back_off.is_over(now_ns):
+        if self.message is None or not self._use.allows(now_ns):
             return None
         is_due = self._last_sent_ns is None or now_ns - self._last_sent_ns >= self._period_s(self.message) * 1e9
         return self.message.time_base if is_due else None
@@ -178,15 +165,14 @@ class PositionSender:
         if not messages:
             return []
         self._sent_stamp_ns = fix.stamp_ns
-        if self.message.acknowledged:
-            self._unanswered = fix, now_ns, False
-        return [*self._select_sources(VISION_SET, now_ns), *messages]
+        if not self._has_sources:
+            return messages
+        self.sources.wanted = VISION_SET
+        return [*self.sources.due(now_ns), *messages]
 
     def withdraw(self) -> None:
         """The vehicle is not on the map any more: what was not answered is not sent again."""
-        if self._unanswered is not None:
-            fix, sent_ns, _ = self._unanswered
-            self._unanswered = fix, sent_ns, True
+        self._use.withdraw()
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -222,7 +208,7 @@ class PositionSender:
             return []
         own = vehicle.position(now_ns)
         distance_m = round(distance_from(own, fix), 3) if own else None
-        self._use.expect(fix, message, now_ns, is_new_stream=self._is_new_stream(now_ns))
+        self._use.expect(fix, message, now_ns, again=again, is_new_stream=self._is_new_stream(now_ns))
         age_s = (now_ns - fix.stamp_ns) / 1e9
         down_m = vehicle.origin.alt_m - own.alt_m if own and vehicle.origin else 0.0
         sending = Sending(
@@ -271,35 +257,17 @@ class PositionSender:
     def _is_new_stream(self, now_ns: int) -> bool:
         return self._last_sent_ns is None or now_ns - self._last_sent_ns > MOVED_NS
 
-    def _select_sources(self, number: int, now_ns: int) -> list[Message]:
-        """For vision_position: ArduPilot's second set of sources without GPS, the first one with it."""
-        if self.message is None or self.message.name != "vision_position" or not self._telemetry.switch_sources:
-            return []
-        self.sources.wanted = number
-        return self.sources.due(now_ns)
+    @property
+    def _has_sources(self) -> bool:
+        """Whether ArduPilot's second set of sources is used without GPS, the first one with it."""
+        return self.set_without_gps == VISION_SET and self._telemetry.switch_sources
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
         if command == encoders.SET_EKF_SOURCE_SET:
             self.sources.read_acknowledgement(result, now_ns)
-        if command != encoders.EXTERNAL_POSITION_ESTIMATE or self._unanswered is None:
-            return
-        verdict = VERDICTS.get(result, "not now")
-        if verdict == "wait":
-            return
-        fix, _, _ = self._unanswered
-        self._unanswered = None
-        self._record(FixAnswered(fix.place, result_name(result), fix.map))
-        if verdict == "accepted":
-            self._back_off.reset()
-            self._use.accepted(now_ns)
-            return
-        self._use.refused()
-        self._back_off.failed(now_ns)
-        if verdict == "never":
-            self._disabled = True
-            log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
-            self._send_text(f"Lookback: positions {result_name(result)}, off")
+        elif command == encoders.EXTERNAL_POSITION_ESTIMATE:
+            self._use.read_acknowledgement(result, now_ns)
 
     def follow_up(self, now_ns: int) -> list[Message]:
         """To be called often: bound the uncertainty, send again what was not answered, check what was accepted."""
@@ -317,19 +285,21 @@ class PositionSender:
             log.warning("GPS is lost, and the autopilot had not used it yet: nothing bounds its position")
             self._send_text("Lookback: GPS lost before the autopilot used it")
         self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
-        if self._estimator.ignores_gps:
-            messages += self._leave_gps(now_ns)
-        # Whether or not the filter uses GPS: with the second set it does not.
-        elif receivers == "healthy" and not self._gates.with_gps:
-            messages += self._select_sources(GPS_SET, now_ns) or self._return_to_gps(now_ns)
-        elif self.sources.wanted is not None:
-            messages += self.sources.due(now_ns)
+        self._choose_sources(works=receivers == "healthy")
+        messages += self.sources.due(now_ns)
         self._remember(report)
-        if self._use.was_ignored(now_ns):
-            self._back_off.failed(now_ns)
-        if self._unanswered is not None and now_ns - self._unanswered[1] > ANSWER_NS:
-            messages += self._not_answered(now_ns, *self._unanswered)
-        return messages
+        self._use.check(now_ns)
+        return messages + self._send_again(now_ns)
+
+    def _choose_sources(self, *, works: bool) -> None:
+        """The second set where GPS is ignored and positions are sent in its place, the first one where GPS works."""
+        if self._estimator.ignores_gps:
+            is_ardupilot = self._vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+            if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
+                self.sources.wanted = VISION_SET
+        # Whether or not the filter uses GPS: with the second set it does not.
+        elif works and not self._gates.with_gps and (self._has_sources or self.sources.wanted == VISION_SET):
+            self.sources.wanted = GPS_SET
 
     def _remember(self, report: Report) -> None:
         """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
@@ -345,30 +315,16 @@ class PositionSender:
             self._bind(remembered_m, now_ns)
             vehicle.has_our_position |= by_fixes
 
-    def _leave_gps(self, now_ns: int) -> list[Message]:
-        """With doubted_gps "switch": ArduPilot's second set of sources, where positions are sent to be used with it."""
-        is_ardupilot = self._vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-        if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
-            self.sources.wanted = VISION_SET
-        return self.sources.due(now_ns)
-
-    def _return_to_gps(self, now_ns: int) -> list[Message]:
-        """The first set again, if we have selected the second: GPS agrees."""
-        if self.sources.wanted == VISION_SET:
-            self.sources.wanted = GPS_SET
-        return self.sources.due(now_ns)
-
-    def _not_answered(self, now_ns: int, fix: PlaceFix, _: int, second: bool) -> list[Message]:
-        self._unanswered = None
-        if self.message is None:
+    def _send_again(self, now_ns: int) -> list[Message]:
+        """A fix that was not answered, once, unless it is stale by now, the vehicle stands, or GPS is back."""
+        overdue = self._use.overdue(now_ns)
+        if overdue is None or self.message is None:
             return []
-        # The position may have become stale, the vehicle may stand, or GPS may be back.
-        refused = self._refusal(fix, now_ns, self.message, period_s=0.0)
-        messages = self._encode(fix, now_ns, self.message, again=True) if not second and refused is None else []
-        if messages:
-            self._unanswered = fix, now_ns, True
-        else:
-            self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
+        fix, may_be_sent = overdue
+        refused = self._refusal(fix, now_ns, self.message, period_s=0.0) if may_be_sent else None
+        messages = self._encode(fix, now_ns, self.message, again=True) if may_be_sent and refused is None else []
+        if not messages:
+            self._use.give_up()
         return messages
 
 

@@ -1,4 +1,4 @@
-"""Whether the autopilot uses the positions that it is sent: what they must do to its own, which is checked."""
+"""What the autopilot makes of the positions that it is sent: its answers, and whether its own position then moves."""
 
 from __future__ import annotations
 
@@ -6,9 +6,19 @@ import logging
 import math
 from collections.abc import Callable
 
-from edge.journal.records import FixChecked, Record
+from edge.backoff import BackOff
+from edge.journal.records import FixAnswered, FixChecked, Record
 from edge.localization import AGREE_SIGMAS, PlaceFix, offset_m
-from edge.telemetry.acknowledgements import MOVED_NS, Jump
+from edge.telemetry.acknowledgements import (
+    ANSWER_NS,
+    BACK_OFF_FIRST_NS,
+    BACK_OFF_LAST_NS,
+    MOVED_NS,
+    NO_ANSWER,
+    VERDICTS,
+    Jump,
+    result_name,
+)
 from edge.telemetry.position_messages import PositionMessage
 from edge.telemetry.stream_check import StreamCheck, unused_because
 from edge.telemetry.vehicle import Vehicle
@@ -17,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class PositionUse:
-    """What is expected of the autopilot's own position, and whether it happens."""
+    """What is expected of the autopilot after a position, and whether it happens."""
 
     def __init__(
         self,
@@ -36,11 +46,21 @@ class PositionUse:
 
     def new_session(self) -> None:
         """The autopilot may be another one, and has lost all that was sent before."""
+        self._back_off = BackOff(BACK_OFF_FIRST_NS, BACK_OFF_LAST_NS)
+        self._unanswered: tuple[PlaceFix, int, bool] | None = None  # fix, when it was sent, whether for the last time
+        self.is_off = False
+        """Whether the autopilot has refused positions for good."""
         self._jump: tuple[PlaceFix, Jump, int] | None = None  # and when it was accepted; 0: not yet
         self._stream, self._unused = StreamCheck(), ""
 
-    def expect(self, fix: PlaceFix, message: PositionMessage, now_ns: int, *, is_new_stream: bool) -> None:
-        """A position is sent now: keep how far it should move the autopilot's own."""
+    def allows(self, now_ns: int) -> bool:
+        """Whether a position may be sent: none waits for its answer, nor is one refused for good or for a while."""
+        return not self.is_off and self._unanswered is None and self._back_off.is_over(now_ns)
+
+    def expect(self, fix: PlaceFix, message: PositionMessage, now_ns: int, *, again: bool, is_new_stream: bool) -> None:
+        """A position is sent now: keep what it should be answered, and how far it should move the autopilot's own."""
+        if message.acknowledged:
+            self._unanswered = fix, now_ns, again
         own = self._vehicle.position(now_ns)
         if own is None:
             return
@@ -59,17 +79,51 @@ class PositionUse:
         elif is_new_stream:
             self.reset_counter = (self.reset_counter + 1) % 256
 
-    def accepted(self, now_ns: int) -> None:
-        """The autopilot has accepted the newest position: its own must move."""
-        if self._jump is not None:
-            self._jump = *self._jump[:2], now_ns
-
-    def refused(self) -> None:
-        """It has not: nothing need move."""
+    def read_acknowledgement(self, result: int, now_ns: int) -> None:
+        """The autopilot has answered the newest position."""
+        verdict = VERDICTS.get(result, "not now")
+        if self._unanswered is None or verdict == "wait":
+            return
+        fix, _, _ = self._unanswered
+        self._unanswered = None
+        self._record(FixAnswered(fix.place, result_name(result), fix.map))
+        if verdict == "accepted":
+            self._back_off.reset()
+            if self._jump is not None:  # its own position must move
+                self._jump = *self._jump[:2], now_ns
+            return
         self._jump = None
+        self._back_off.failed(now_ns)
+        if verdict == "never":
+            self.is_off = True
+            log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
+            self._send_text(f"Lookback: positions {result_name(result)}, off")
 
-    def was_ignored(self, now_ns: int) -> bool:
-        """Whether the autopilot's position, once it has had time to move to an accepted one, turns out not to have."""
+    def withdraw(self) -> None:
+        """What was not answered is not sent again."""
+        if self._unanswered is not None:
+            self._unanswered = *self._unanswered[:2], True
+
+    def overdue(self, now_ns: int) -> tuple[PlaceFix, bool] | None:
+        """A fix whose answer did not come in time, and whether it may be sent again; None while there is none."""
+        if self._unanswered is None or now_ns - self._unanswered[1] <= ANSWER_NS:
+            return None
+        fix, _, was_last = self._unanswered
+        return fix, not was_last
+
+    def give_up(self) -> None:
+        """A fix that is not answered is not sent again."""
+        if self._unanswered is not None:
+            fix, _, _ = self._unanswered
+            self._unanswered = None
+            self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
+
+    def check(self, now_ns: int) -> None:
+        """Once it has had time, the autopilot's position must have moved to an accepted one."""
+        if self._was_ignored(now_ns):
+            self._back_off.failed(now_ns)
+
+    def _was_ignored(self, now_ns: int) -> bool:
         if self._jump is None or self._jump[2] == 0:
             return False
         fix, jump, accepted_ns = self._jump
