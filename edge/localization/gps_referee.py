@@ -13,9 +13,9 @@ docs/integrity.md has the derivation.
 
 A place may be another one, or a recording of the map may be shifted. So GPS is called wrong only on a track (places
 that follow each other on the ground) that has agreed with GPS before; or where the places moved as the vehicle did by
-its own velocity since GPS last agreed, and GPS did not; or after SHIFT_SIGHTINGS on a recording that has agreed within
-SAME_GROUND_M. Another offset that has been the same since the first sighting on a recording counts as a fault of that
-recording, and is subtracted from then on.
+its own velocity since GPS last agreed, or was lost unjudged, and GPS did not; or after SHIFT_SIGHTINGS on a recording
+that has agreed within SAME_GROUND_M. Another offset that has been the same since the first sighting on a recording
+counts as a fault of that recording, and is subtracted from then on.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of
+from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 
@@ -202,6 +203,17 @@ class GpsReferee:
         if track is None or comparison is not None:
             self.verdict = GpsVerdict("wrong", doubt=1.0) if self._is_wrong else GpsVerdict()
         return self.verdict
+
+    def keep_until_lost(self, anchor: Anchor) -> None:
+        """GPS was lost there: if no place was compared with it before, it counts as right until then.
+
+        Had it been wrong, places would contradict that as well as GPS that is back, and nothing would be called.
+        """
+        if self._last_agreed is None:
+            lat_deg, lon_deg, sigma_m = anchor.lat_deg, anchor.lon_deg, anchor.sigma_m
+            self._last_agreed = Comparison(
+                "", lat_deg, lon_deg, 0.0, 0.0, 0.0, 0.0, sigma_m, sigma_m, sigma_m, anchor.displacement
+            )
 
     def _add(self, track: _Track, comparison: Comparison) -> None:
         self._score(track, comparison, track.at_m)

@@ -150,7 +150,7 @@ class PositionEstimator:
         self._correct_velocity(match, stamp_ns, motion, stands=stands)
         is_unseen = False
         if not stands:
-            self._judge_gps(match, gps, displacement, report.position, missed)
+            self._judge_gps(match, gps, displacement, report, missed)
             is_unseen = self._unseen_road.update(match, gps)
         verdict = self._referee.verdict
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
@@ -214,11 +214,14 @@ class PositionEstimator:
         match: PlaceMatch | None,
         gps: GpsFix | None,
         displacement: Displacement | None,
-        own: VehiclePosition | None,
+        report: Report,
         missed: int,
     ) -> None:
         """Compare GPS with the place of a frame at which the vehicle moved."""
         assert self._filter is not None and self._route is not None
+        own = report.position
+        if report.gps_sigma_m is None and self._by_gps is not None:
+            self._referee.keep_until_lost(self._by_gps[0])
         comparison = None
         if match is not None:
             comparison = compare(match, gps, self._route, self._config.rig, self._config.sequence.length)

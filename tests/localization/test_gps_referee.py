@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from edge.geodesy import moved
 from edge.localization import Displacement
+from edge.localization.bound import Anchor
 from edge.localization.gps_referee import (
     BURST_M,
     BURST_SHARE,
@@ -196,6 +197,20 @@ def test_gps_that_is_jammed_first_is_called_when_it_is_back() -> None:
         assert referee.update(without).state == "cannot say"
     called = [referee.update(comparison(row * SPACING_M, (0.0, 80.0))).state for row in range(350, 420)]
     assert "wrong" in called[: int(150 / SPACING_M)]
+
+
+@pytest.mark.parametrize("is_map", [False, True])
+def test_gps_that_no_place_has_judged_is_right_until_it_was_lost(is_map: bool) -> None:
+    """It is back 150 m from the places: where the vehicle's own motion leads says which of both is wrong."""
+    referee, states = GpsReferee(1e-3, 0.01), []
+    for row in range(100, 200):
+        referee.keep_until_lost(Anchor(*HOME, 3.0, Displacement(1, 0.0, 0.0)))
+        one = comparison(row * SPACING_M, (150.0, 0.0), moved_m=0.97 * row * SPACING_M)
+        if is_map:
+            lat_deg, lon_deg = moved(one.lat_deg, one.lon_deg, -150.0, 0.0)
+            one = replace(one, lat_deg=lat_deg, lon_deg=lon_deg)
+        states.append(referee.update(one).state)
+    assert ("wrong" in states) != is_map
 
 
 def test_another_place_is_no_evidence_against_gps() -> None:
