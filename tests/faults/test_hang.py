@@ -99,21 +99,20 @@ def test_a_camera_that_hangs_can_be_told_to_stop(
 
 
 def test_a_disk_that_hangs_under_the_journal_stops_nothing(
-    write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
+    calm_feed: Path, write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
 ) -> None:
     """The journal on a pipe that nobody empties, as on a network disk that went away: a write never comes back."""
     os.mkfifo(tmp_path / "events.jsonl")
     reader = os.open(tmp_path / "events.jsonl", os.O_RDONLY | os.O_NONBLOCK)
     feeder = os.open(tmp_path / "events.jsonl", os.O_WRONLY)
     os.set_blocking(feeder, False)
-    process = start(write_config(telemetry={"journal_frames": True}))
-    process.wait_for_word("WATCHDOG=1")
+    process = start(write_config(camera={"device": str(calm_feed)}, telemetry={"journal_frames": True}))
+    process.wait_until_on_the_map()
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(feeder, bytes(4096))  # until the pipe is full
-    until_s = time.monotonic() + 1.5  # the feed lasts for 4 s
-    while time.monotonic() < until_s:
-        process.wait_for_word("WATCHDOG=1", 1.0)
+    for _ in range(5):
+        process.wait_for_word("WATCHDOG=1")
     process.popen.send_signal(signal.SIGTERM)
     assert process.popen.wait(PATIENCE_S) == 0
     assert "the journal's disk hangs: " in process.told()

@@ -30,13 +30,12 @@ def measure(places: int, rounds: int) -> Section:
         rng = np.random.default_rng(dimensions)
         times = matching[dimensions] = race(_matching(rng, places, dimensions), rounds)
         over = times["ours"].ratio(times[READING])
-        note = f"{map_bytes(1, dimensions):,} bytes a place"
-        rows.append(
-            Row(f"matching {places:,} places x {REGIONS.count * dimensions}", times["ours"], READING, over, note)
-        )
+        size = f"{REGIONS.count * dimensions}"
+        rows.append(Row("bytes a place", note=f"{map_bytes(1, dimensions):,}", size=size))
+        rows.append(Row(f"matching {places:,} places", times["ours"], READING, over, size=size))
         normalizing = race({"ours": _normalizing(rng, dimensions)}, 3 * rounds)["ours"]
         share = normalizing.median_ms / times["ours"].median_ms
-        rows.append(Row(f"normalizing {REGIONS.count * dimensions}", normalizing, "matching", share))
+        rows.append(Row("normalizing", normalizing, "matching", share, size=size))
     greatest, least = DIMENSIONS[-1], DIMENSIONS[0]
     over = matching[greatest]["ours"].ratio(matching[greatest][READING])
     share = matching[least]["ours"].median_ms / matching[SHIPPED]["ours"].median_ms

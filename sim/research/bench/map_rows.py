@@ -18,6 +18,8 @@ from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_si
 from sim.bench.timing import Times, race, wall_ns
 from sim.research.bench.rows import Row, Section, Target
 
+OPENING = "opening, with its search (wall-clock time, files in the page cache)"
+VERIFYING = "checksum of the descriptors, between frames (wall-clock time)"
 RADIUS_M = 500.0
 TILES = 100
 WHOLE = 10_000
@@ -62,7 +64,11 @@ def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Sec
         need, disk = map_bytes(places, model.dimensions), shutil.disk_usage(folder).free
         if need > SHARE_OF_MEMORY * disk:
             rows.append(
-                Row(f"{places:,} places", note=f"skipped: needs {need / 1e9:.1f} GB and {disk / 1e9:.1f} GB free")
+                Row(
+                    OPENING,
+                    note=f"skipped: needs {need / 1e9:.1f} GB, {disk / 1e9:.1f} GB free",
+                    size=f"{places:,} places",
+                )
             )
             continue
         path = folder / f"{places}.map"
@@ -79,10 +85,9 @@ def measure(folder: Path, sizes: list[int], rounds: int, model: ModelKey) -> Sec
 def _tiles(path: Path, small: Path, places: int, rounds: int, model: ModelKey) -> list[Row]:
     """The same in a folder of maps."""
     write_simulated_tiles(path, places, TILES, model)
-    what = f"{places:,} places in {TILES} tiles"
+    size = f"{places:,} places in {TILES} tiles"
     opening = race({"open": lambda: PlaceSearch(open_map_set(path), Config())}, max(2, rounds // 3), wall_ns)["open"]
-    rows = [Row(f"{what}: opening, with its search", opening, note="wall-clock time, files in the page cache")]
-    rows += _frames(path, small, what, places, rounds, [])
+    rows = [Row(OPENING, opening, size=size), *_frames(path, small, size, places, rounds, [])]
     shutil.rmtree(path)
     return rows
 
@@ -98,17 +103,11 @@ def _opening(path: Path, places: int, rounds: int, targets: list[Target]) -> lis
     if places == 100_000:
         value = f"{opening.median_ms / 1e3:.2f} s, then {verifying.median_ms / 1e3:.1f} s between frames"
         targets.append(Target("opening a map of 100,000 places", "0.5 s or less", value, opening.median_ms <= 500))
-    return [
-        Row(f"{places:,} places: opening, with its search", opening, note="wall-clock time, files in the page cache"),
-        Row(f"{places:,} places: checksum of the descriptors, between frames", verifying, note="wall-clock time"),
-    ]
+    return [Row(OPENING, opening, size=f"{places:,} places"), Row(VERIFYING, verifying, size=f"{places:,} places")]
 
 
-def _frames(path: Path, small: Path, title: str, places: int, rounds: int, targets: list[Target]) -> list[Row]:
-    """A frame with a position known to 500 m, or of the whole map, against 10,000 places searched whole.
-
-    title: of the map, for people.
-    """
+def _frames(path: Path, small: Path, size: str, places: int, rounds: int, targets: list[Target]) -> list[Row]:
+    """A frame with a position known to 500 m, or of the whole map, against 10,000 places searched whole."""
     reference = Drive(open_map_set(small), 100, known=False)
     racers: dict[str, Callable[[], object]] = {"whole": reference.step}
     what = "searched whole"
@@ -120,18 +119,15 @@ def _frames(path: Path, small: Path, title: str, places: int, rounds: int, targe
     times = race(racers, rounds)
     ratio = times["known"].ratio(times["whole"])
     part = around.search.part
-    note = f"{len(part.places):,} places of it" if part else "gone through in slices: too many places for a frame"
-    rows = [Row(f"{title}, {what}: matching and search", times["known"], "10,000 places", ratio, note)]
+    searched = f"{len(part.places):,}" if part else "in slices"
+    rows = [
+        Row(f"matching and search, {what}", times["known"], "10,000 places", ratio, size=size),
+        Row(f"places searched, {what}", note=searched, size=size),
+    ]
     if "lost" in times:
         lost = times["lost"]
-        rows.append(
-            Row(
-                f"{title}, no position: a slice, or what was found in one",
-                lost,
-                "10,000 places",
-                lost.ratio(times["whole"]),
-            )
-        )
+        ratio_lost = lost.ratio(times["whole"])
+        rows.append(Row("no position: a slice, or what was found in one", lost, "10,000 places", ratio_lost, size=size))
     if places == 1_000_000:
         wanted = "1,000,000 places with a position known to 500 m, against 10,000 scanned in full"
         targets.append(Target(wanted, "1.5x or less", f"{ratio:.2f}x", ratio <= 1.5))

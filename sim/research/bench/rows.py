@@ -13,7 +13,8 @@ from sim.research.bench.machine import Machine
 class Row:
     """One measured stage. against: name of the rival or the floor; ratio: time of this row over the time of that.
 
-    size: rows of a section that differ in it alone are one line of its table, with a column for each size.
+    size: rows of a section that differ in it alone are one line of its table, with a column for each size. The cell has
+    the note of a row without times.
     """
 
     what: str
@@ -109,7 +110,9 @@ def _table_of_sizes(rows: Sequence[Row]) -> list[str]:
 
 
 def _cell(row: Row) -> str:
-    return f"{digits(row.times.median_ms)} ({_ratio(row)})" if row.times else ""
+    if row.times is None:
+        return row.note
+    return digits(row.times.median_ms) + (f" ({_ratio(row)})" if row.ratio is not None else "")
 
 
 def _ratio(row: Row) -> str:

@@ -104,17 +104,16 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
         mapping_rows.measure(tmp_path, 200, 20),
     ]
     text = page(MACHINE, sections, "Made by a test.")
-    for what in ("L = 80", "whole frame", "300 places: opening, with its search", "one that maps"):
+    for what in ("L = 80", "whole frame", "| 300 places |", "opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
 
 
 def test_every_dimension_is_matched_and_normalized() -> None:
     section = dimension_rows.measure(50, 2)
-    assert [row.what for row in section.rows if row.what.startswith("matching")] == [
-        f"matching 50 places x {values:d}" for values in (128, 1024, 8192, 65_536)
-    ]
-    assert len(section.rows) == 8
+    for what in ("bytes a place", "matching 50 places", "normalizing"):
+        assert [row.size for row in section.rows if row.what == what] == ["128", "1024", "8192", "65536"]
+    assert len(section.rows) == 12
     assert len(section.targets) == 2
 
 
