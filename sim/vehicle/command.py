@@ -8,21 +8,30 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
 
-from edge.errors import ConfigError
+from edge.errors import ConfigError, FeedError
+from edge.feed import Feed, read_feed
 from edge.telemetry import open_link
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 if TYPE_CHECKING:
     from edge.telemetry.link import Link
 
 PRINT_S = 0.1
+EAGER_US = 50_000
+FURTHEST_M = 50_000.0
+"""From the simulation's origin: farther away, its flat east and north are meters wrong."""
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -34,6 +43,10 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
+    parser.add_argument(
+        "--follow", metavar="FEED", type=Path,
+        help="drive as in this simulated recording, from the companion computer's first heartbeat on",
+    )  # fmt: skip
     parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
     parser.add_argument("--no-origin", action="store_true", help="no origin at boot: until it is set, or GPS has a fix")
     parser.add_argument(
@@ -45,20 +58,29 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 def run(arguments: argparse.Namespace) -> int:
     """Print received messages as JSON lines on stdout until Ctrl-C; the connection is printed on stderr."""
+    start = Start()
+    if arguments.follow is not None:
+        pose_at = recorded_drive(read_feed(arguments.follow), start)
+    else:
+        pose_at = straight_line(arguments.speed, arguments.heading, time.monotonic())
     link = _open(arguments.udp)
     autopilot = SimulatedAutopilot(
         link,
-        straight_line(arguments.speed, arguments.heading, time.monotonic()),
+        pose_at,
         firmware=arguments.firmware,
         gps=not arguments.no_gps,
         has_origin=not arguments.no_origin,
         drift_percent=arguments.drift,
     )
+    if arguments.follow is not None:
+        # Over UDP the other end answers what it hears: the sooner it does, the less its camera is ahead.
+        often = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, mavlink.MAVLINK_MSG_ID_HEARTBEAT, EAGER_US
+        autopilot.handle(mavlink.MAVLink_command_long_message(1, 1, *often, *[0] * 5))
     stop = threading.Event()
     thread = threading.Thread(target=autopilot.run, args=(stop,))
     thread.start()
     try:
-        _print_received(autopilot, thread, arguments.seconds)
+        _print_received(autopilot, thread, arguments.seconds, start)
     except KeyboardInterrupt:
         pass
     finally:
@@ -80,6 +102,35 @@ def straight_line(speed_mps: float, heading_deg: float, start_s: float) -> Calla
     return pose_at
 
 
+@dataclass
+class Start:
+    """When a recorded drive begins, in seconds of CLOCK_MONOTONIC: the vehicle stands at its first place until then."""
+
+    time_s: float = math.inf
+
+
+def recorded_drive(feed: Feed, start: Start) -> Callable[[float], Pose]:
+    """The drive of a feed, in its own time. FeedError unless its positions are near the simulation's origin."""
+    placed = [row for row in feed.rows if row.lat_deg is not None and row.lon_deg is not None]
+    at_m = np.array([east_north_m(row.lat_deg or 0.0, row.lon_deg or 0.0) for row in placed]).reshape(-1, 2)
+    if len(placed) < 2 or np.abs(at_m).max() > FURTHEST_M:
+        raise FeedError(f"--follow: {feed.path}: not a recording of `lookback dev sim drive`, with its positions")
+    at_s = np.array([row.stamp_ns - placed[0].stamp_ns for row in placed]) / 1e9
+    driven_m = np.r_[0.0, np.hypot(*np.diff(at_m, axis=0).T).cumsum()]
+    speed_mps, (east_mps, north_mps) = np.gradient(driven_m, at_s), np.gradient(at_m, at_s, axis=0).T
+    heading_rad = np.unwrap(np.arctan2(east_mps, north_mps))
+
+    def pose_at(time_s: float) -> Pose:
+        since_s = max(0.0, time_s - start.time_s)
+        east_m, north_m, heading, mps, meters = (
+            float(np.interp(since_s, at_s, values)) for values in (*at_m.T, heading_rad, speed_mps, driven_m)
+        )
+        moves = 0.0 < since_s < at_s[-1]
+        return Pose(east_m, north_m, math.degrees(heading) % 360.0, mps if moves else 0.0, meters)
+
+    return pose_at
+
+
 def _open(udp: str | None) -> Link:
     if udp is not None:
         try:
@@ -93,11 +144,13 @@ def _open(udp: str | None) -> Link:
     return pty
 
 
-def _print_received(autopilot: SimulatedAutopilot, thread: threading.Thread, seconds: float) -> None:
+def _print_received(autopilot: SimulatedAutopilot, thread: threading.Thread, seconds: float, start: Start) -> None:
     end_s = time.monotonic() + seconds
     while thread.is_alive() and time.monotonic() < end_s:
         batch = autopilot.received[:]
         for received in batch:
+            if received.message.get_type() == "HEARTBEAT":
+                start.time_s = min(start.time_s, received.time_s)
             line = {"time_s": round(received.time_s, 4), **received.message.to_dict()}
             print(msgspec.json.encode(line).decode(), flush=True)
         del autopilot.received[: len(batch)]  # the thread only appends
