@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 PYTHON_OF_TESTS ?= $(BIN)/python
+# Kept even where the environment says otherwise: each worker collects in 5 s of CPU instead of 11, each daemon of the
+# tests imports in 0.4 s instead of 0.6.
+export PYTHONDONTWRITEBYTECODE :=
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py
