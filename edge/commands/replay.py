@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 import msgspec
+from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
@@ -121,13 +122,20 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     lines = replay(recognizer, feed, sampling)
     if args.output:
         with args.output.open("w", encoding="utf-8") as stream:
-            _write(lines, stream, every=args.all)
+            _write(lines, stream, feed, every=args.all)
     else:
-        _write(lines, sys.stdout, every=args.all)
+        _write(lines, sys.stdout, feed, every=args.all)
     return 0
 
 
-def _write(lines: Iterator[FrameUsed], stream: TextIO, *, every: bool) -> None:
-    for line in lines:
-        if every or line.emitted:
-            stream.write(as_line(line))
+def _write(lines: Iterator[FrameUsed], stream: TextIO, feed: Feed, *, every: bool) -> None:
+    """Write the lines, with a bar unless they go to the terminal themselves; a closing line goes to standard error."""
+    used = believed = events = 0
+    hidden = True if stream.isatty() else None
+    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=hidden, leave=False) as bar:
+        for line in lines:
+            used, believed, events = used + 1, believed + line.accepted, events + line.emitted
+            bar.update(line.frame + 1 - bar.n)
+            if every or line.emitted:
+                stream.write(as_line(line))
+    print(f"{feed.path}: {believed} of {used} used frames believed, {events} events", file=sys.stderr)

@@ -68,7 +68,10 @@ def _stamp_ns(file: Path, image: Mapping[int, Any], exif: Mapping[int, Any]) -> 
     """Nanoseconds since 1970, if the clock that wrote the tag was on UTC."""
     text = exif.get(ExifTags.Base.DateTimeOriginal) or image.get(ExifTags.Base.DateTime)
     if not text:
-        raise FeedError(f"{file}: no DateTimeOriginal in its EXIF data")
+        raise FeedError(
+            f"{file}: no DateTimeOriginal in its EXIF data; a CSV file beside the pictures may give their times and"
+            " positions (file,time,lat,lon)"
+        )
     seconds = datetime.strptime(str(text).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=timezone.utc).timestamp()
     fraction = str(exif.get(ExifTags.Base.SubsecTimeOriginal, "")).strip() or "0"
     return int(seconds) * 1_000_000_000 + round(float(f"0.{fraction}") * 1e9)
