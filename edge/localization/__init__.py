@@ -3,10 +3,10 @@
 `consensus` believes a place or not; `position_estimator` is what follows from a match. `place_fix` makes positions of
 matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
 `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
-`gps_referee` judges GPS by the places, and `unseen_road` where none is recognized. `dead_reckoning` integrates what the
-autopilot reports of its motion, and `velocity_error` finds what is wrong with that where nothing measures it;
-`integrity` decides what may be published, by the rules of `refusals` and by what was observed (`claims`), and
-`protection_level` says how far off that may be, also by what `bound`s a position without places.
+`gps_judge` says what follows from the places for GPS, by the test of `gps_referee`. `report` is what an autopilot
+reports, `dead_reckoning` integrates its motion, and `velocity_error` finds what is wrong with that where nothing
+measures it; `integrity` decides what may be published, by the rules of `refusals` and by what was observed (`claims`),
+and `protection_level` says how far off that may be, also by what `bound`s a position without places.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from edge.localization.dead_reckoning import DeadReckoning, Displacement, Report
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
     GPS_SIGMA_M,
-    GpsState,
     Integrity,
     Limits,
     Situation,
     distance_from,
     offset_m,
 )
-from edge.localization.position_estimator import PositionEstimator, Report
+from edge.localization.position_estimator import PositionEstimator
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
+from edge.localization.report import GpsState, Report
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 from edge.localization.velocity_error import PULLED_NS
 

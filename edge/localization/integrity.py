@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
@@ -28,9 +27,9 @@ from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Cl
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Unnoticed, Wrong, protection_level
 from edge.localization.refusals import Reason, Refusal
+from edge.localization.report import GpsState
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
-GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 GPS_SIGMA_M = 3.0
 """The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
 BOUND_WRONG, ONE_MORE = 0.1, 20.0

@@ -7,65 +7,33 @@
 
 Pure: no link, no clock, no file; what is reported comes in as a `Report`. The daemon, and with it the trial and the
 replays of recorded drives, and the hours of the protection level call this object alike.
-
-A match says how far along the map's drive the vehicle is; across it, only that the vehicle is on the road, in its lane.
-Neither uses GPS or the autopilot's velocity, which a spoofed GPS would carry along. So GPS is compared with the newest
-place of the line, although its middle is known better: the middle would have to be moved on by that velocity.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-
-from edge.config import Config, RigConfig
-from edge.geodesy import VehiclePosition, moved, moved_left
+from edge.config import Config
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.localization.bound import Anchor, Bound, Reckoned
 from edge.localization.dead_reckoning import Displacement, ReportedMotion
-from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
-from edge.localization.integrity import BOUND_WRONG, GpsState, Integrity, Limits, Situation
+from edge.localization.gps_judge import GpsJudge
+from edge.localization.gps_referee import GpsFix, GpsVerdict
+from edge.localization.integrity import BOUND_WRONG, Integrity, Limits, Situation
 from edge.localization.place_fix import (
     LEAST_SHARPNESS,
     frame_used,
     line_middle,
-    map_error_m,
-    match_position,
     untracked_fix,
 )
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
+from edge.localization.report import Report
 from edge.localization.route_filter import RouteFilter
-from edge.localization.unseen_road import UnseenRoad, along_and_left_m
 from edge.localization.velocity_error import VelocityError
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 
-MOST_ASIDE_RAD = math.radians(60)
-"""Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
-the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """What an autopilot reports at `now_ns`; None: not known.
-
-    gps_sigma_m: of `position` while GPS bounds it, in each direction. displacement: by its velocity at the position's
-    moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether anything
-    besides our positions measures its velocity.
-    """
-
-    now_ns: int
-    gps: GpsState = "unknown"
-    gps_sigma_m: float | None = None
-    position: VehiclePosition | None = None
-    displacement: Displacement | None = None
-    accuracy_m: float | None = None
-    speed_mps: float | None = None
-    driven_m: float | None = None
-    is_aided: bool = True
 
 
 class PositionEstimator:
@@ -76,18 +44,14 @@ class PositionEstimator:
         self._config = config
         self._route: Route | None = None
         self._filter: RouteFilter | None = None
-        self._unseen_road: UnseenRoad | None = None
-        self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
+        self._gps = GpsJudge(config)
         self.velocity_error = VelocityError(config.sequence.length)
         self._integrity = Integrity(gates)
         self._bound: Bound | None = None  # of the autopilot's position
-        self._by_gps: tuple[Anchor, float] | None = None  # of the vehicle, and the meters driven by then
+        self._by_gps: Anchor | None = None  # where GPS had the vehicle last
+        self._by_gps_m = 0.0  # driven by then
         self._drift = gates.drift_percent / 100
         self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
-        self._acts_on_gps = gates.doubted_gps != "report"
-        self._gps_error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
-        self.gps_is_wrong = False
-        """Whether GPS was called wrong, and has not agreed since."""
         self.newest: PlaceMatch | None = None
         """The newest believed match."""
 
@@ -95,7 +59,7 @@ class PositionEstimator:
         """Follow the vehicle along the drives of these maps; what is known of GPS and of the autopilot stays."""
         self._route = Route(maps)
         self._filter = RouteFilter(self._route, self._config)
-        self._unseen_road = UnseenRoad(self._route, self._config.rig)
+        self._gps.use_route(self._route)
         self.newest = None
 
     def grow(self, maps: MapSet) -> None:
@@ -105,9 +69,9 @@ class PositionEstimator:
 
     def reset(self) -> None:
         """Begin anew: no position is published that rests on frames from before. What is known of GPS stays."""
-        if self._filter is not None and self._unseen_road is not None:
+        if self._filter is not None:
             self._filter.reset()
-            self._unseen_road.reset()
+        self._gps.reset()
         self.velocity_error.clear()
         self.newest = None
 
@@ -142,56 +106,42 @@ class PositionEstimator:
 
         displacement, gps: at its exposure. missed: see `RouteFilter.update`. stands: it shows what the last one did.
         """
-        assert self._filter is not None and self._unseen_road is not None
-        heard, report = report, self._believed(report)
+        assert self._filter is not None
+        believed = self._gps.believed(report)
         self._filter.update(match, stamp_ns, displacement, missed)
         if match is not None and match.accepted:
             self.newest = match
         self._correct_velocity(match, stamp_ns, motion, stands=stands)
-        is_unseen = False
-        if not stands:
-            self._judge_gps(match, gps, displacement, report, missed)
-            is_unseen = self._unseen_road.update(match, gps)
-        verdict = self._referee.verdict
+        if not stands and self._gps.update(match, gps, displacement, believed, self._by_gps, missed):
+            self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
-        own, sigma_m = report.position, report.gps_sigma_m
-        if own is not None and sigma_m is not None and verdict.state not in ("doubtful", "wrong"):
+        own, sigma_m = believed.position, believed.gps_sigma_m
+        if own is not None and sigma_m is not None and not self._gps.is_doubted:
             self._filter.bind(own, sigma_m)
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == stamp_ns:
-            self._integrity.observe(fix, self._situation(fix, displacement, report, None))
-        verdict = GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
-        return verdict if stands else self.use_verdict(verdict, heard)
+            self._integrity.observe(fix, self._situation(fix, displacement, believed, None))
+        return self._gps.verdict if stands else self.use_verdict(self._gps.verdict, report)
 
     def use_verdict(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
         """What the places say of GPS from now on; the verdict, which stays "wrong" until GPS agrees again."""
-        was_wrong = self.gps_is_wrong
-        self.gps_is_wrong = verdict.state == "wrong" or (was_wrong and verdict.state != "agrees")
-        if not self.gps_is_wrong:
-            self._gps_error_m = None
-            return verdict
-        if report.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
-            self._gps_error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
-        if self.ignores_gps and not was_wrong:
+        ignored = self.ignores_gps
+        verdict = self._gps.use(verdict, report)
+        if self.ignores_gps and not ignored:
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M, report)
             self._by_gps = None
-        return replace(verdict, state="wrong", doubt=1.0)
+        return verdict
+
+    @property
+    def gps_is_wrong(self) -> bool:
+        """Whether GPS was called wrong, and has not agreed since."""
+        return self._gps.is_wrong
 
     @property
     def ignores_gps(self) -> bool:
         """Whether positions are published as if GPS were lost."""
-        return self.gps_is_wrong and self._acts_on_gps
-
-    def _believed(self, report: Report) -> Report:
-        """A report without a GPS that is ignored, and without the error of GPS that the autopilot has followed."""
-        if self.ignores_gps:
-            report = replace(report, gps="not healthy", gps_sigma_m=None)
-        own = report.position
-        if own is None or self._gps_error_m is None:
-            return report
-        lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, -self._gps_error_m[0], -self._gps_error_m[1])
-        return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
+        return self._gps.is_ignored
 
     def _correct_velocity(
         self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
@@ -209,46 +159,22 @@ class PositionEstimator:
             sign = 1 if match.direction == "forward" else -1
             error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
 
-    def _judge_gps(
-        self,
-        match: PlaceMatch | None,
-        gps: GpsFix | None,
-        displacement: Displacement | None,
-        report: Report,
-        missed: int,
-    ) -> None:
-        """Compare GPS with the place of a frame at which the vehicle moved."""
-        assert self._filter is not None and self._route is not None
-        own = report.position
-        if report.gps_sigma_m is None and self._by_gps is not None:
-            self._referee.keep_until_lost(self._by_gps[0])
-        comparison = None
-        if match is not None:
-            comparison = compare(match, gps, self._route, self._config.rig, self._config.sequence.length)
-        if comparison is not None:
-            heading_deg = None if own is None else own.heading_deg
-            heads = heading_deg is None or _heads_along(comparison.heading_rad, math.radians(heading_deg))
-            comparison = replace(comparison, displacement=displacement) if heads else None
-        was_wrong = self._referee.verdict.state == "wrong"
-        if self._referee.update(comparison, missed).state == "wrong" and not was_wrong:
-            self._filter.reject_gps()
-
     def bind_by_gps(self, report: Report) -> None:
         """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
-        report = self._believed(report)
+        report = self._gps.believed(report)
         if report.gps_sigma_m is None:
             return
         self._bind(report.gps_sigma_m, report, by_gps=True)
         own, then = report.position, report.displacement
         if own is not None and report.driven_m is not None:
-            here = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
-            self._by_gps = None if here is None else (here, report.driven_m)
+            self._by_gps = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
+            self._by_gps_m = report.driven_m
 
     def bind(self, sigma_m: float, report: Report) -> None:
         """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows."""
         if report.is_aided:
             self._bind(sigma_m, report)
-            self._gps_error_m = None  # no longer in its position
+            self._gps.bound()
 
     def _bind(self, sigma_m: float, report: Report, *, by_gps: bool = False) -> None:
         if report.driven_m is not None:
@@ -294,7 +220,7 @@ class PositionEstimator:
 
         last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
         """
-        situation = self._situation(fix, displacement, self._believed(report), last_sent_ns)
+        situation = self._situation(fix, displacement, self._gps.believed(report), last_sent_ns)
         return self._integrity.refusal(fix, situation, limits)
 
     @property
@@ -331,9 +257,8 @@ class PositionEstimator:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self._by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
             return None
-        anchor, then_m = self._by_gps
         drift = max(self._drift, fix.velocity_error, displacement.drift)
-        return anchor.reckoned(fix, displacement, drift, max(0.0, report.driven_m - then_m))
+        return self._by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:
         """An event: with the position of the vehicle if it is followed, else with the place's own."""
@@ -347,39 +272,3 @@ class PositionEstimator:
         """The record of a frame and of its match. missed: places passed without a frame before it."""
         assert self._route is not None
         return frame_used(frame, stamp_ns, match, self._route, self._config.rig, missed)
-
-
-def _heads_along(road_rad: float, heading_rad: float) -> bool:
-    """Whether a vehicle heads along the road of a place: a match may go on through a turn of the map's drive."""
-    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
-
-
-def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:
-    """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
-
-    length: frames in a sequence.
-    """
-    if not match.accepted or line_middle(match, route, length) is None:
-        return None
-    place = match_position(match, route, rig)
-    if place is None or place.heading_deg is None:
-        return None
-    drive, lane_m = route.drive(match.place_index), rig.left_m(match.direction)
-    lat_deg, lon_deg = moved_left(place.lat_deg, place.lon_deg, place.heading_deg, lane_m)
-    heading_rad = math.radians(place.heading_deg)
-    match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
-    off_along_m = off_left_m = None
-    if gps is not None:
-        off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
-    return Comparison(
-        recording=drive.recording,
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        spacing_m=drive.spacing_m,
-        heading_rad=heading_rad,
-        off_along_m=off_along_m,
-        off_left_m=off_left_m,
-        along_sigma_m=math.hypot(match_m, map_m, gps_m),
-        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
-        match_sigma_m=match_m,
-    )

@@ -286,7 +286,8 @@ class PositionSender:
             self._send_text("Lookback: GPS lost before the autopilot used it")
         self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
         self._choose_sources(works=receivers == "healthy")
-        messages += self.sources.due(now_ns)
+        if self.sources.wanted is not None:
+            messages += self.sources.due(now_ns)
         self._remember(report)
         self._use.check(now_ns)
         return messages + self._send_again(now_ns)

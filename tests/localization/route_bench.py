@@ -21,7 +21,8 @@ from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, Sequence
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ReportedMotion
-from edge.localization.position_estimator import PositionEstimator, Report
+from edge.localization.position_estimator import PositionEstimator
+from edge.localization.report import Report
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, RegionsKey, open_map

@@ -10,7 +10,8 @@ import pytest
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import GpsFix, ReportedMotion
-from edge.localization.position_estimator import PositionEstimator, Report
+from edge.localization.position_estimator import PositionEstimator
+from edge.localization.report import Report
 from edge.reference_map import MapSet
 from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, match, settings
 

@@ -20,8 +20,8 @@ from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.feed.sampling import Sampler
 from edge.localization import GPS_SIGMA_M, GpsFix
+from edge.localization.gps_judge import compare
 from edge.localization.gps_referee import GpsReferee
-from edge.localization.position_estimator import compare
 from edge.recognizer import model_key
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.builder import MapBuilder, Place

@@ -10,8 +10,9 @@ import pytest
 from edge.config import RigConfig
 from edge.geodesy import moved
 from edge.localization import GpsFix, ReportedMotion
-from edge.localization.position_estimator import PositionEstimator, Report
-from edge.localization.unseen_road import FIRM, UNSEEN_M, UnseenRoad
+from edge.localization.gps_judge import FIRM, UNSEEN_M, UnseenRoad
+from edge.localization.position_estimator import PositionEstimator
+from edge.localization.report import Report
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 from tests.localization.straight_road import LAT_DEG, SPACING_M, match, settings

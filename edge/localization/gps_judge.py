@@ -1,0 +1,227 @@
+"""What the places say of GPS, whether it is ignored then, and what is left of a report without it. Pure.
+
+A match says how far along the map's drive the vehicle is; across it, only that the vehicle is on the road, in its lane.
+Neither uses GPS or the autopilot's velocity, which a spoofed GPS would carry along. So GPS is compared with the newest
+place of the line, although its middle is known better: the middle would have to be moved on by that velocity.
+
+An autopilot that steers by a GPS that is dragged across the road leaves the road, and GPS stays on it. Then no place is
+believed that could contradict GPS. What is left is that GPS goes on along the mapped drive of the last believed place,
+and nothing of that drive is recognized. That is no call: a changed road looks the same to the daemon.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from edge.config import Config, RigConfig
+from edge.geodesy import east_north_of, moved, moved_left
+from edge.localization.bound import Anchor
+from edge.localization.dead_reckoning import Displacement
+from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
+from edge.localization.place_fix import line_middle, map_error_m, match_position, position_on_route
+from edge.localization.report import Report
+from edge.localization.route_estimate import CORRELATION_M
+from edge.reference_map import Position, Route
+from edge.sequence import PlaceMatch
+
+MOST_ASIDE_RAD = math.radians(60)
+"""Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
+the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
+FIRM = 0.85
+"""Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
+At 0.8, two of five simulated drives in snow that were hardly recognized were warned of."""
+UNSEEN_M = 80.0
+"""What is not recognized before that is said. With honest GPS the longest stretch on 18 km was 56 m, in snow."""
+BESIDE_SIGMAS = 2.0
+"""Beside the lane, of the road, the map and GPS: as far GPS is on the drive."""
+MOST_PLACES = 2
+"""A frame says something of so many places at most: what was driven without frames says nothing."""
+
+
+class GpsJudge:
+    """GPS against the places of one map. GPS that was called wrong counts as wrong until it agrees again."""
+
+    def __init__(self, config: Config) -> None:
+        gates = config.gates
+        self._rig, self._length = config.rig, config.sequence.length
+        self._acts = gates.doubted_gps != "report"
+        self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
+        self._route: Route | None = None
+        self._unseen_road: UnseenRoad | None = None
+        self._is_unseen = False
+        self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
+        self.is_wrong = False
+        """Whether GPS was called wrong, and has not agreed since."""
+
+    def use_route(self, route: Route) -> None:
+        """Compare with the places of other maps; what is known of GPS stays."""
+        self._route, self._unseen_road = route, UnseenRoad(route, self._rig)
+
+    def reset(self) -> None:
+        """No frame from before counts. What is known of GPS stays."""
+        if self._unseen_road is not None:
+            self._unseen_road.reset()
+
+    def update(
+        self,
+        match: PlaceMatch | None,
+        gps: GpsFix | None,
+        displacement: Displacement | None,
+        report: Report,
+        anchor: Anchor | None,
+        missed: int,
+    ) -> bool:
+        """Compare GPS with the place of a frame at which the vehicle moved; True where it is called wrong by that.
+
+        anchor: where GPS had the vehicle last, by the autopilot's filter.
+        """
+        assert self._route is not None and self._unseen_road is not None
+        if report.gps_sigma_m is None and anchor is not None:
+            self._referee.keep_until_lost(anchor)
+        comparison = None
+        if match is not None:
+            comparison = compare(match, gps, self._route, self._rig, self._length)
+        if comparison is not None:
+            heading_deg = None if report.position is None else report.position.heading_deg
+            heads = heading_deg is None or _heads_along(comparison.heading_rad, math.radians(heading_deg))
+            comparison = replace(comparison, displacement=displacement) if heads else None
+        was_wrong = self._referee.verdict.state == "wrong"
+        is_wrong = self._referee.update(comparison, missed).state == "wrong"
+        self._is_unseen = self._unseen_road.update(match, gps)
+        return is_wrong and not was_wrong
+
+    @property
+    def verdict(self) -> GpsVerdict:
+        """By the frames so far."""
+        verdict = self._referee.verdict
+        return GpsVerdict("not recognized", doubt=verdict.doubt) if self._is_unseen else verdict
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether places speak against GPS now."""
+        return self._referee.verdict.state in ("doubtful", "wrong")
+
+    @property
+    def is_ignored(self) -> bool:
+        """Whether positions are published as if GPS were lost."""
+        return self.is_wrong and self._acts
+
+    def use(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
+        """Go by a verdict from now on; it stays "wrong" until GPS agrees again."""
+        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and verdict.state != "agrees")
+        if not self.is_wrong:
+            self._error_m = None
+            return verdict
+        if report.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
+            self._error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
+        return replace(verdict, state="wrong", doubt=1.0)
+
+    def bound(self) -> None:
+        """The autopilot is where a position has put it: the error of GPS is no longer in it."""
+        self._error_m = None
+
+    def believed(self, report: Report) -> Report:
+        """A report without a GPS that is ignored, and without the error of GPS that the autopilot has followed."""
+        if self.is_ignored:
+            report = replace(report, gps="not healthy", gps_sigma_m=None)
+        own = report.position
+        if own is None or self._error_m is None:
+            return report
+        lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, -self._error_m[0], -self._error_m[1])
+        return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
+
+
+def _heads_along(road_rad: float, heading_rad: float) -> bool:
+    """Whether a vehicle heads along the road of a place: a match may go on through a turn of the map's drive."""
+    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
+
+
+def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:
+    """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
+
+    length: frames in a sequence.
+    """
+    if not match.accepted or line_middle(match, route, length) is None:
+        return None
+    place = match_position(match, route, rig)
+    if place is None or place.heading_deg is None:
+        return None
+    drive, lane_m = route.drive(match.place_index), rig.left_m(match.direction)
+    lat_deg, lon_deg = moved_left(place.lat_deg, place.lon_deg, place.heading_deg, lane_m)
+    heading_rad = math.radians(place.heading_deg)
+    match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
+    off_along_m = off_left_m = None
+    if gps is not None:
+        off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
+    return Comparison(
+        recording=drive.recording,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        spacing_m=drive.spacing_m,
+        heading_rad=heading_rad,
+        off_along_m=off_along_m,
+        off_left_m=off_left_m,
+        along_sigma_m=math.hypot(match_m, map_m, gps_m),
+        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
+        match_sigma_m=match_m,
+    )
+
+
+class UnseenRoad:
+    """Follows GPS along the drive of the last believed place, while no place is believed."""
+
+    def __init__(self, route: Route, rig: RigConfig) -> None:
+        self._route, self._rig = route, rig
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known of where the vehicle was recognized last."""
+        self._last: PlaceMatch | None = None
+        self._firm_m = self._ahead_m = self._unseen_m = 0.0
+
+    def update(self, match: PlaceMatch | None, gps: GpsFix | None) -> bool:
+        """After the answer to one more frame: whether the vehicle is not recognized where GPS has it.
+
+        gps: at the exposure.
+        """
+        if match is None:
+            self.reset()  # a sequence begins anew, and cannot be recognized yet
+        elif match.accepted:
+            self._see(match)
+        elif self._last is not None and gps is not None:
+            self._follow(self._last, gps)
+        return self._unseen_m >= UNSEEN_M
+
+    def _see(self, match: PlaceMatch) -> None:
+        spacing_m = self._route.drive(match.place_index).spacing_m
+        gained_m = (spacing_m if match.confidence >= FIRM else -spacing_m) - self._unseen_m
+        self._firm_m = min(CORRELATION_M, max(0.0, self._firm_m + gained_m))
+        is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
+        self._last = match if is_firm else None
+        self._ahead_m = self._unseen_m = 0.0
+
+    def _follow(self, last: PlaceMatch, gps: GpsFix) -> None:
+        sign, rig = (1 if last.direction == "forward" else -1), self._rig
+        seen_m, behind_m = sign * self._ahead_m, sign * rig.ahead_m(last.direction, last.order)
+        here = position_on_route(self._route, last.place_index, seen_m - behind_m, last.direction)
+        is_mapped = self._route.reaches(last.place_index, self._route.route_m(last.place_index) + seen_m)
+        if here is None or here.heading_deg is None or not is_mapped:
+            self.reset()
+            return
+        ahead_m, left_m = along_and_left_m(gps, here, rig.left_m(last.direction))
+        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_across_m, map_error_m(here), gps.sigma_m):
+            self.reset()
+            return
+        most_m = MOST_PLACES * self._route.drive(last.place_index).spacing_m
+        self._ahead_m += ahead_m
+        self._unseen_m += max(-most_m, min(ahead_m, most_m))
+
+
+def along_and_left_m(gps: GpsFix, place: Position, lane_m: float) -> tuple[float, float]:
+    """How far GPS is ahead of a place, and to the left of the lane that is `lane_m` to the left of it."""
+    heading_deg = place.heading_deg or 0.0
+    lane = moved_left(place.lat_deg, place.lon_deg, heading_deg, lane_m)
+    east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, lane)
+    sin, cos = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
+    return east_m * sin + north_m * cos, north_m * sin - east_m * cos
