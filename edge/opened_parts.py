@@ -122,7 +122,7 @@ class OpenedParts:
             driven_m = self.mapper.driven_m() if self.mapper is not None else None
             return plan_way_home(self._maps_to_here(), replace(start, route_m=driven_m), home, left_m)
 
-        self.autopilot.plan_home_by(plan)
+        self.autopilot.home.plan = plan
         self.home_socket: LocalSocket | None = None
         if home.enabled and home.socket:
             self.home_socket = parts.enter_context(closing(LocalSocket(Path(home.socket))))

@@ -122,7 +122,7 @@ def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
     link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""), home=config)
     answers: list[Answer] = []
     with closing(link):
-        link.plan_home_by(plan)
+        link.home.plan = plan
         deadline_s = time.monotonic() + CONNECT_S
         while not link.is_ready_for_home:
             if time.monotonic() > deadline_s:

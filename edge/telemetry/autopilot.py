@@ -17,7 +17,7 @@ from edge.journal.records import LinkChanged, Record
 from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report, ReportedMotion
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.home_requests import Answer, HomeRequests, Plan
+from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol, StatusTexts
 from edge.telemetry.port import Port
@@ -65,8 +65,8 @@ class AutopilotConnection:
         self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
         self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
-        self._home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
-        self._home.position = lambda: (self.position(), self.uncertainty_m)
+        self.home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
+        self.home.position = lambda: (self.position(), self.uncertainty_m)
         self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
@@ -175,10 +175,6 @@ class AutopilotConnection:
         for link in self._report_links:
             link.publish_place(fix)
 
-    def plan_home_by(self, plan: Plan) -> None:
-        """Plan the way home, when it is requested, by this function."""
-        self._home.plan = plan
-
     @property
     def is_ready_for_home(self) -> bool:
         """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
@@ -190,7 +186,7 @@ class AutopilotConnection:
 
         restore: the mission that it has replaced instead.
         """
-        self._send(self._home.request(reply, self._clock_ns(), restore=restore))
+        self._send(self.home.request(reply, self._clock_ns(), restore=restore))
 
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
@@ -240,7 +236,7 @@ class AutopilotConnection:
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
         self.restore_sources()
-        abandoned = self._home.abandon(self._clock_ns())
+        abandoned = self.home.abandon(self._clock_ns())
         self._send(abandoned)
         if abandoned:
             time.sleep(DRAIN_S)
@@ -259,7 +255,7 @@ class AutopilotConnection:
                 self._answer(message)
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                     self._keep_position(now_ns)
-            self._send(self._home.read(message, now_ns))
+            self._send(self.home.read(message, now_ns))
         self.vehicle.expire(now_ns)
         if self._port.is_open and not self.vehicle.connected:
             self._set_state("waiting")
@@ -314,7 +310,7 @@ class AutopilotConnection:
 
     def _send_due(self, now_ns: int) -> None:
         self._send(self.protocol.heartbeat(self._system_status, now_ns))
-        self._send(self._home.due(now_ns))
+        self._send(self.home.due(now_ns))
         if self.state != "up":
             return
         if self._session != self.vehicle.session:

@@ -6,7 +6,7 @@ requests. Streams are requested one by one, since an acknowledgement does not sa
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable
 from itertools import chain
 
@@ -51,46 +51,37 @@ REFUSALS_MOST = 2
 FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
 
 
-class Stream:
-    """One message that the autopilot is to send at a rate."""
-
-    def __init__(self, message_id: int) -> None:
-        self.message_id = message_id
-        self.back_off = BackOff(AGAIN_NS, AGAIN_LAST_NS)
-        self.was_requested = False
-        self.refusals = 0
-
-    def is_due(self, heard_ns: int | None, now_ns: int) -> bool:
-        """Whether to request it: once, and again while it is silent. heard_ns: when it came last."""
-        if heard_ns is not None and now_ns - heard_ns <= SILENT_NS:
-            self.back_off.reset()
-            return not self.was_requested
-        return self.refusals < REFUSALS_MOST and self.back_off.is_over(now_ns)
-
-
 class StreamRequests:
-    """Requests the streams of one session, one at a time."""
+    """Requests the streams of one session, one at a time: each once, and again while it is silent."""
 
     def __init__(self) -> None:
-        self._streams = [Stream(message_id) for message_id in STREAMS_HZ]
-        self._asked: tuple[Stream, int] | None = None
+        self._back_offs = {message_id: BackOff(AGAIN_NS, AGAIN_LAST_NS) for message_id in STREAMS_HZ}
+        self._requested: set[int] = set()
+        self._refusals: Counter[int] = Counter()
+        self._asked: tuple[int, int] | None = None  # which message, and when
 
     def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
         """The next request, unless one is waiting for its answer."""
         if self._asked is not None and now_ns - self._asked[1] <= ANSWER_NS:
             return []
-        due = next((one for one in self._streams if one.is_due(vehicle.heard_ns(one.message_id), now_ns)), None)
-        if due is None:
-            return []
-        self._asked = due, now_ns
-        due.was_requested = True
-        due.back_off.failed(now_ns)
-        return [encoders.stream_request(system_id, due.message_id, STREAMS_HZ[due.message_id])]
+        for message_id, back_off in self._back_offs.items():
+            if self._is_due(message_id, back_off, vehicle.heard_ns(message_id), now_ns):
+                self._asked = message_id, now_ns
+                self._requested.add(message_id)
+                back_off.failed(now_ns)
+                return [encoders.stream_request(system_id, message_id, STREAMS_HZ[message_id])]
+        return []
+
+    def _is_due(self, message_id: int, back_off: BackOff, heard_ns: int | None, now_ns: int) -> bool:
+        if heard_ns is not None and now_ns - heard_ns <= SILENT_NS:
+            back_off.reset()
+            return message_id not in self._requested
+        return self._refusals[message_id] < REFUSALS_MOST and back_off.is_over(now_ns)
 
     def read_acknowledgement(self, result: int) -> None:
         """COMMAND_ACK of a stream request: any refusal counts, since firmware differs in how it refuses."""
         if self._asked is not None:
-            self._asked[0].refusals += result != mavlink.MAV_RESULT_ACCEPTED
+            self._refusals[self._asked[0]] += result != mavlink.MAV_RESULT_ACCEPTED
             self._asked = None
 
 

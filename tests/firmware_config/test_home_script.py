@@ -390,7 +390,7 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
     """The real script, the real connection and the simulated autopilot: from the switch to the mode."""
     rig = Rig(tmp_path, home=HomeConfig(enabled=True))
     maps = open_map_set(map_along(straight(400.0, 60.0)))
-    rig.connection.plan_home_by(lambda start: plan_way_home(maps, start, HomeConfig()))
+    rig.connection.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
     scripting = Scripting(LKH_ENABLE=1, LKH_MODE=AUTO)
     read = 0
 

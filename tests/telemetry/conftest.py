@@ -51,7 +51,7 @@ def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
             # The simulated vehicle drives away from home, which is only a warning.
             return plan_way_home(maps, start, config)
 
-        rig.connection.plan_home_by(plan)
+        rig.connection.home.plan = plan
         assert rig.run(12.0, lambda: rig.connection.is_ready_for_home and rig.now_ns > START_NS + 9e9)
         return rig
 

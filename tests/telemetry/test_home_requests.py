@@ -75,7 +75,7 @@ def test_the_way_home_begins_at_its_first_item(home: Rig) -> None:
 def test_the_same_way_home_begins_at_its_first_item_again(home: Rig) -> None:
     """PX4 does not look at which item is marked in a mission that it has already."""
     way = WayHome("drive 1", ((-27.4772, 153.0283), (-27.4762, 153.0283)), (0.0, 110.0), 50, ())
-    home.connection.plan_home_by(lambda start: way)
+    home.connection.home.plan = lambda start: way
     for number in (1, 2):
         home.autopilot.send(command())
         assert home.run(10.0, accepted(home, number))
