@@ -18,9 +18,9 @@ from edge.config import TelemetryConfig
 from edge.errors import LookbackError
 from edge.telemetry import stream_check
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, velocity_aid
 from edge.telemetry.position_messages import autopilot_name, suitable_message
 from edge.telemetry.vehicle import DOUBLED, Vehicle
-from edge.telemetry.velocity_aid import NO_AID, PARAMETERS, velocity_aid
 
 TURN_S = 0.01
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
@@ -113,7 +113,7 @@ def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
         return set()
     others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE,)}.get(vehicle.autopilot or 0, ())
     names = {one.parameter for one in requirements(config, vehicle)}
-    return {*names, *others, *PARAMETERS.get(vehicle.autopilot or 0, ())}
+    return {*names, *others, *AID_PARAMETERS.get(vehicle.autopilot or 0, ())}
 
 
 def check_autopilot(examined: Examined) -> Iterator[Found]:

@@ -2,14 +2,14 @@
 
 `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` opens it
 again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `vehicle_motion` for
-how it moves, `gps` for its receivers and `velocity_aid` for what measures its velocity without them; `link_protocol`
-has the heartbeats, requests and lines of text that are due. `position_messages` says which message carries a position
-to which firmware, `doubted_gps` publishes what the places say of GPS, `encoders` writes all that is sent,
-`acknowledgements` says what an answer means, `position_use` and `stream_check` whether positions are used,
-`source_selection` selects ArduPilot's sources, `remembered_bound` outlives a restart, and `position_sender` joins
-those. `position_history` has the position at an exposure. `report_link` is for people. `home_requests` answers requests
-for the way home, which come by MAVLink or by `local_socket`, and `mission_transfer` uploads it. `autopilot` joins all
-into the one object that the daemon polls.
+how it moves, and `gps` for its receivers; `link_protocol` has the heartbeats, requests and lines of text that are due,
+and says what measures the velocity without GPS. `position_messages` says which message carries a position to which
+firmware, `doubted_gps` publishes what the places say of GPS, `encoders` writes all that is sent, `acknowledgements`
+says what an answer means, `position_use` and `stream_check` whether positions are used, `source_selection` selects
+ArduPilot's sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `position_history` has
+the position at an exposure. `report_link` is for people. `home_requests` answers requests for the way home, which come
+by MAVLink or by `local_socket`, and `mission_transfer` uploads it. `autopilot` joins all into the one object that the
+daemon polls.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, LinkProtocol, StatusTexts
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, NO_AID, LinkProtocol, StatusTexts, velocity_aid
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_messages import TimeBase
@@ -27,7 +27,6 @@ from edge.telemetry.position_sender import PositionSender
 from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import DOUBLED, Vehicle
-from edge.telemetry.velocity_aid import NO_AID, velocity_aid
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3

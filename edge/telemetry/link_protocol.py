@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from itertools import chain
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
 from edge.localization import PlaceFix
-from edge.telemetry import encoders, stream_check, velocity_aid
+from edge.telemetry import encoders, stream_check
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.vehicle import Vehicle
@@ -48,6 +47,15 @@ AGAIN_LAST_NS = 60_000_000_000
 PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
 """After so many a stream is requested no more: no firmware knows all of them. One may be an answer that came late."""
+ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
+AID_PARAMETERS: dict[int, tuple[str, ...]] = {
+    ARDUPILOT: ("EK3_SRC1_VELXY", "EK3_SRC2_VELXY", "WENC_TYPE", "FLOW_TYPE"),
+    PX4: ("EKF2_EV_CTRL", "EKF2_OF_CTRL", "EKF2_OF0_CTRL"),
+}
+ON_WINGS = {mavlink.MAV_TYPE_FIXED_WING, *range(mavlink.MAV_TYPE_VTOL_DUOROTOR, mavlink.MAV_TYPE_VTOL_RESERVED5 + 1)}
+AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
+NO_AID = "none"
+EV_VELOCITY = 1 << 2  # of EKF2_EV_CTRL
 FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
 
 
@@ -137,8 +145,9 @@ class LinkProtocol:
         self._due_ns.update(version=0, origin=0)
         self._streams = StreamRequests()
         # What aids the velocity, and whether positions are used, matters only where some are sent.
-        names = (one.PARAMETERS.get(self._vehicle.autopilot or 0, ()) for one in (velocity_aid, stream_check))
-        self.parameters = ParameterRequests(chain.from_iterable(names) if self._moves else ())
+        autopilot = self._vehicle.autopilot or 0
+        names = *AID_PARAMETERS.get(autopilot, ()), *stream_check.PARAMETERS.get(autopilot, ())
+        self.parameters = ParameterRequests(names if self._moves else ())
         self._origin_requested = False
 
     def heartbeat(self, system_status: int, now_ns: int) -> list[Message]:
@@ -212,3 +221,42 @@ class StatusTexts:
             return []
         self._next_ns = now_ns + TEXT_NS
         return self._queue.popleft()
+
+
+def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:
+    """What measures the velocity when GPS is gone, by the autopilot's parameters: an aid, or `NO_AID`; None: not known.
+
+    source_set: of ArduPilot's sets, that without GPS. Without an aid an estimator loses its position within seconds,
+    and a position that we send comes back as its velocity: the two agree with each other and not with the truth. The
+    estimator's flags do not show it, since they return while our position is fused.
+    """
+    if vehicle.kind in ON_WINGS:
+        return AIRSPEED
+    if vehicle.autopilot == ARDUPILOT:
+        return _ardupilot(vehicle, source_set)
+    return _px4(vehicle) if vehicle.autopilot == PX4 else None
+
+
+def _ardupilot(vehicle: Vehicle, source_set: int) -> str | None:
+    source = vehicle.parameters.get(f"EK3_SRC{source_set}_VELXY")
+    if source is None:
+        return None
+    sensors = {5: ("FLOW_TYPE", FLOW), 7: ("WENC_TYPE", WHEELS)}
+    if round(source) not in sensors:
+        return {4: BEACONS, 6: VISION}.get(round(source), NO_AID)
+    parameter, aid = sensors[round(source)]
+    kind = vehicle.parameters.get(parameter)
+    return None if kind is None else aid if kind else NO_AID
+
+
+def _px4(vehicle: Vehicle) -> str | None:
+    """Flow is enabled by default, with or without a sensor, so that it has to be heard."""
+    vision = vehicle.parameters.get("EKF2_EV_CTRL")
+    if vision is None:
+        return None
+    if round(vision) & EV_VELOCITY:
+        return VISION
+    if vehicle.heard_ns(mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD) is None:
+        return NO_AID
+    controls = [vehicle.parameters.get(name) for name in ("EKF2_OF_CTRL", "EKF2_OF0_CTRL")]
+    return FLOW if any(controls) else None if controls == [None, None] else NO_AID
