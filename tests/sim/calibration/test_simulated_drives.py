@@ -36,6 +36,7 @@ from sim.world.scenario import Scenario
 
 STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
 CONFIG = Config(sequence=SequenceConfig(length=20))
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 
 def record(scenario: Scenario, path: Path) -> Feed:
@@ -44,24 +45,29 @@ def record(scenario: Scenario, path: Path) -> Feed:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("drives")
-
-
-@pytest.fixture(scope="module")
-def maps(folder: Path, network: Network) -> dict[str, ReferenceMap]:
+def maps(make_once: MakeOnce, network: Network) -> dict[str, ReferenceMap]:
     """One map of the street with a front camera, and one with a rear camera."""
-    for view in ("front", "rear"):
-        feed = record(replace(STREET, view=view), folder / view)
-        build_map([feed], folder / f"{view}.map", DescriptorConfig(), SamplingConfig(), network=network)
+
+    def build(folder: Path) -> None:
+        for view in ("front", "rear"):
+            feed = record(replace(STREET, view=view), folder / view)
+            build_map([feed], folder / f"{view}.map", DescriptorConfig(), SamplingConfig(), network=network)
+
+    folder = make_once("calibration_maps", build)
     return {view: open_map(folder / f"{view}.map") for view in ("front", "rear")}
 
 
 @pytest.fixture(scope="module")
-def again(folder: Path) -> dict[float, Feed]:
+def again(make_once: MakeOnce) -> dict[float, Feed]:
     """The same way again with a front camera, at the antenna and 8 m ahead of it."""
     ahead = {0.0: "again", 8.0: "again_ahead"}
-    return {m: record(replace(STREET, drive_seed=2, camera_ahead_m=m), folder / name) for m, name in ahead.items()}
+
+    def fill(folder: Path) -> None:
+        for m, name in ahead.items():
+            record(replace(STREET, drive_seed=2, camera_ahead_m=m), folder / name)
+
+    folder = make_once("calibration_drives", fill)
+    return {m: read_feed(folder / name) for m, name in ahead.items()}
 
 
 Measure = Callable[[ReferenceMap, Feed], Offset]
@@ -86,25 +92,24 @@ def test_the_same_way_with_cameras_that_look_alike(
     assert offset.ahead_m == pytest.approx(8.0, abs=2.0)
 
 
-def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], folder: Path, measure: Measure) -> None:
+def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], tmp_path: Path, measure: Measure) -> None:
     home = replace(STREET, direction="reverse", lane_m=-STREET.lane_m, drive_seed=3, camera_ahead_m=-6.0)
-    offset = measure(maps["rear"], record(home, folder / "home"))
+    offset = measure(maps["rear"], record(home, tmp_path / "home"))
     assert (offset.direction, offset.order) == ("reverse", "same")
     assert offset.ahead_m == pytest.approx(-6.0, abs=2.0)
 
 
-def test_a_front_camera_over_a_rear_camera_map(folder: Path, network: Network, measure: Measure) -> None:
+def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network, measure: Measure) -> None:
     """What the two see at different times depends on the street; what the mounting adds to it does not.
 
     Cameras that look opposite ways are believed after a longer way than this module's street has.
     """
     street = replace(STREET, seed=8, length_m=480.0)
-    rear = record(replace(street, view="rear"), folder / "long_rear")
-    build_map([rear], folder / "long.map", DescriptorConfig(), SamplingConfig(), network=network)
+    rear = record(replace(street, view="rear"), tmp_path / "long_rear")
+    build_map([rear], tmp_path / "long.map", DescriptorConfig(), SamplingConfig(), network=network)
+    long_map = open_map(tmp_path / "long.map")
     at_antenna, ahead = (
-        measure(
-            open_map(folder / "long.map"), record(replace(street, drive_seed=2, camera_ahead_m=m), folder / f"long{m}")
-        )
+        measure(long_map, record(replace(street, drive_seed=2, camera_ahead_m=m), tmp_path / f"long{m}"))
         for m in (0.0, 8.0)
     )
     assert {(one.direction, one.order) for one in (at_antenna, ahead)} == {("forward", "swapped")}
@@ -113,12 +118,12 @@ def test_a_front_camera_over_a_rear_camera_map(folder: Path, network: Network, m
 
 
 def test_the_sigma_that_a_drive_gives_is_honest_on_another(
-    maps: dict[str, ReferenceMap], network: Network, folder: Path
+    maps: dict[str, ReferenceMap], network: Network, tmp_path: Path
 ) -> None:
     """The way home by day tells what the daemon will say of itself on the way home at dusk."""
     home = replace(STREET, direction="reverse", drive_seed=5)
-    offsets, _ = command.measure_rig(maps["rear"], [record(home, folder / "home_day")], CONFIG, network)
-    dusk = record(replace(home, drive_seed=6, light="dusk"), folder / "home_dusk")
+    offsets, _ = command.measure_rig(maps["rear"], [record(home, tmp_path / "home_day")], CONFIG, network)
+    dusk = record(replace(home, drive_seed=6, light="dusk"), tmp_path / "home_dusk")
     tracker = RouteFilter(Route(MapSet.of(maps["rear"])), msgspec.structs.replace(CONFIG, rig=rig_config(offsets)))
     recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))
     in_sigmas: list[float] = []
@@ -135,7 +140,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
             heading_rad = math.radians(found.heading_deg or 0.0)
             along_m = east_m * math.sin(heading_rad) + north_m * math.cos(heading_rad)
             in_sigmas.append(along_m / found.sigma_along_m)
-    assert len(in_sigmas) > 30
+    assert len(in_sigmas) > 20, "of a short drive; lines that are not sharp give no position"
     # Of about four independent errors, the drive being so long, 99 in 100 have a root mean square below 1.8.
     assert 0.5 <= np.sqrt(np.mean(np.square(in_sigmas))) <= 1.8
 
