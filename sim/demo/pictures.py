@@ -98,7 +98,7 @@ def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
             if place:
                 off_m = road_m - np.asarray(place[-1][1], dtype=np.float64)
                 found = day.picture(float(route_m[np.hypot(*off_m.T).argmin()]))
-            above = _from_above(draft.way, at_m, left_m, alone_left_m)
+            above = from_above(draft.way, at_m, left_m, alone_left_m)
             lines = (
                 "the camera at night",
                 "the place that it recognizes, by day" if place else "no place recognized yet",
@@ -109,7 +109,7 @@ def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
             yield _composed((here, found, above), lines)
 
 
-def _from_above(way: Way, at_m: float, left_m: float, alone_left_m: float) -> NDArray[np.uint8]:
+def from_above(way: Way, at_m: float, left_m: float, alone_left_m: float) -> NDArray[np.uint8]:
     """The road around the vehicle, north up, and both vehicles as far along it; to the scale of WINDOW_M."""
     width, height = PANEL_PX
     center = np.array(way.at(at_m)[:2])

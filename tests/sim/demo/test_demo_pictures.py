@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import msgspec
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
@@ -16,7 +17,18 @@ pytest.importorskip("matplotlib")
 from edge.config import PageConfig
 from edge.page import MapView
 from edge.page.server import StatusPage
-from sim.demo.pictures import DRAWN_BY, MADE_OF, ROOT, checksum_of_sources, photograph_page
+from sim.demo.pictures import (
+    DRAWN_BY,
+    MADE_OF,
+    PANEL_PX,
+    ROOT,
+    WINDOW_M,
+    checksum_of_sources,
+    from_above,
+    photograph_page,
+)
+from sim.demo.story import COURSE, LENGTH_M
+from sim.trial.run import drafted
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium: apt-get install chromium")
@@ -28,6 +40,16 @@ def test_the_page_is_photographed_at_the_width_that_is_asked_for(tmp_path: Path)
     picture: Any = cv2.imread(str(tmp_path / "pictures/page.png"))
     assert picture.shape == (500, 700, 3)
     assert picture.std() > 5
+
+
+def test_from_above_the_vehicles_are_as_far_apart_as_they_were() -> None:
+    """10 m to the left of the lane and 2 m to the right, 300 m along the way."""
+    way = drafted(COURSE, 1, LENGTH_M, 21).way
+    picture = from_above(way, 300.0, -2.0, 10.0).astype(int)
+    blue, green, red = picture.transpose(2, 0, 1)
+    middles = [np.argwhere(mask).mean(axis=0) for mask in ((green - red > 60) & (blue < 100), red - green > 100)]
+    apart_m = np.hypot(*(middles[0] - middles[1])) * WINDOW_M / PANEL_PX[0]
+    assert apart_m == pytest.approx(12.0, abs=0.5)
 
 
 @pytest.mark.parametrize("name", DRAWN_BY)
