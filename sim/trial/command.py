@@ -94,6 +94,8 @@ def _run(args: argparse.Namespace) -> int:
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
+        if len(runs) < len(planned):
+            what += f" --minutes {args.minutes:g}"
         put_between(MARKS, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
     return 1 if any(score.failures for score in scores) else 0
 
