@@ -16,7 +16,7 @@ from edge.reference_map.store import ReferenceMap
 from sim.demo.review import Review, stages_ms
 from sim.demo.story import headline, sections_of
 from sim.evaluation import figures, report
-from sim.evaluation.figures import BLUE, ORANGE, to_png
+from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import TOLERANCE_M, precision_recall
 from sim.trial.rules import Run
 from sim.vehicle.daemon_drive import DaemonDrive
@@ -95,8 +95,9 @@ def _section(reference_map: ReferenceMap, live: DaemonDrive, review: Review) -> 
 
 
 def _curves(lives: list[DaemonDrive], reviews: list[Review]) -> report.Figure:
-    note = "Over all used frames, the warm-up included; the dots are the threshold in use."
-    return report.Figure("precision_recall", "Every confidence", to_png(curves(lives, reviews)), note)
+    found = {_name(live): precision_recall(review.answers) for live, review in zip(lives, reviews, strict=True)}
+    plot = figures.precision_recall_plot(found, least=0.9)
+    return report.Figure("precision_recall", "Every confidence", plot, "Over all used frames, the warm-up included.")
 
 
 def _pairs(reference_map: ReferenceMap, review: Review) -> list[list[report.Picture]]:
@@ -129,16 +130,3 @@ def route(reference_map: ReferenceMap, review: Review) -> Figure:
     road_m, fixes_m = np.split(east_north(lat, lon), [len(places)])
     right = np.array([error_m <= TOLERANCE_M for _, error_m in fixed], dtype=bool)
     return figures.route_plot(road_m, fixes_m[right], fixes_m[~right], np.zeros((0, 2)), TOLERANCE_M)
-
-
-def curves(lives: list[DaemonDrive], reviews: list[Review]) -> Figure:
-    """Precision and recall of all drives, and the threshold in use."""
-    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    axes = figure.subplots()
-    for live, review, color in zip(lives, reviews, (ORANGE, BLUE), strict=True):
-        curve = precision_recall(review.answers)
-        axes.plot(curve.recall_of_places, curve.precision, color=color, label=_name(live))
-        axes.plot(review.recall, review.precision, "o", color=color)
-    axes.set(xlabel="recall (of all frames)", ylabel="precision", xlim=(0, 1), ylim=(0.9, 1.005))
-    axes.legend(loc="lower left")
-    return figure

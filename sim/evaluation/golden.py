@@ -21,16 +21,16 @@ import msgspec
 import tomli_w
 
 from edge.commands.map_build import add_spacing_options, build_map, sampling_from
-from edge.commands.replay import as_line, replay
+from edge.commands.replay import as_line
 from edge.config import Config, SamplingConfig, SequenceConfig, checked_option
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from edge.feed import Feed, read_feed
 from edge.journal.records import FrameUsed
-from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 from edge.toml_file import read_toml
+from sim.evaluation.recognition import recognize
 
 SETTINGS, EXPECTED = "golden.toml", "expected.jsonl"
 
@@ -83,13 +83,11 @@ def replay_on_new_map(
 
     sampling: of the query, where it is not that of the map. network: instead of the one that the config names.
     """
-    camera = msgspec.structs.replace(config.camera, view=query.header.view)
-    config = msgspec.structs.replace(config, camera=camera)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "map"
         build_map(reference, path, config.descriptor, config.sampling, network=network)
-        recognizer = open_recognizer(config, network=network, map_set=MapSet.of(open_map(path)))
-        return list(replay(recognizer, query, sampling or config.sampling))
+        config = msgspec.structs.replace(config, sampling=sampling or config.sampling)
+        return recognize(MapSet.of(open_map(path)), query, config, network).used
 
 
 def first_difference(expected: str, now: str) -> str:
