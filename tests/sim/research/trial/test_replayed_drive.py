@@ -40,7 +40,8 @@ def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], Replayed])
     assert found.replayed_frames.believed == pytest.approx(found.recorded_frames.believed, rel=0.25)
     assert found.recorded_frames.false == found.replayed_frames.false == 0
     assert np.median(now.error_m) == pytest.approx(np.median(then.error_m), abs=0.7)
-    assert now.error_m.max() == pytest.approx(then.error_m.max(), abs=2.0)
+    # Today's first positions come 190 m sooner, when they are less certain.
+    assert np.percentile(now.error_m, 95) == pytest.approx(np.percentile(then.error_m, 95), abs=1.5)
     assert (now.error_m / now.own_sigma_m).max() < 3.0
     assert now.share == pytest.approx(then.share, abs=0.2)
 
