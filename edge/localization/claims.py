@@ -36,10 +36,12 @@ class Observation(Anchor):
     """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
     before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
+    is_first: of a claim, or after a silence.
     """
 
     recording: str
     before: Reckoned | None
+    is_first: bool
 
 
 Stretch: TypeAlias = list[Observation]
@@ -73,7 +75,6 @@ class Claims:
 
     def observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool) -> Claim:
         """Keep what the fix says; the claim that it belongs to."""
-        assert fix.lat_deg is not None and fix.lon_deg is not None
         alike = (one for one in reversed(self._claims) if _moved_alike(one.observations[-1], fix, displacement))
         claim = next(alike, None)
         if claim is None:
@@ -81,15 +82,25 @@ class Claims:
             self._claims.append(claim)
         claim.likelihood = min(claim.likelihood, likelihood)
         claim.may_be_shifted |= may_be_shifted
-        newest = claim.observations[-1] if claim.observations else None
-        is_after_gap = newest is not None and displacement.unknown_since(newest.displacement) > 0
+        before = claim.observations[-1] if claim.observations else None
+        is_after_gap = before is not None and displacement.unknown_since(before.displacement) > 0
         if is_after_gap or all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
-            drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-            before = None if newest is None else newest.reckoned(fix, displacement, drift)
-            here = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-            claim.observations.append(Observation(*here, fix.recording, before))
+            claim.observations.append(self._observed(fix, displacement, before))
             del claim.observations[:-KEPT]
+        elif before is not None and before.is_first and fix.sigma_m < before.sigma_m:
+            # The first fixes of a track are the least certain ones, and move by more than fixes of one claim may.
+            older = claim.observations[-2] if len(claim.observations) > 1 else None
+            claim.observations[-1] = self._observed(fix, displacement, older)
         return claim
+
+    def _observed(self, fix: PlaceFix, displacement: Displacement, older: Observation | None) -> Observation:
+        assert fix.lat_deg is not None and fix.lon_deg is not None
+        drift = max(self._gates.drift_percent / 100, fix.velocity_error)
+        before = None if older is None else older.reckoned(fix, displacement, drift)
+        is_first = older is None or displacement.unknown_since(older.displacement) > 0
+        return Observation(
+            fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, fix.recording, before, is_first=is_first
+        )
 
     def wrong(self, claim: Claim) -> float:
         """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.

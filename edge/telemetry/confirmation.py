@@ -51,6 +51,10 @@ class AnotherClock:
         self._has_position = self._has_position or has_position
         return now_ns - self._since_ns >= UNDISPUTED_NS
 
+    def has_begun_by(self, now_ns: int) -> bool:
+        """Whether its first stamp, of those that nothing contradicted, had come by then."""
+        return self._since_ns is not None and self._since_ns <= now_ns
+
     def contradict(self) -> bool:
         """A stamp of the known clock came; whether a position of the other one was between."""
         took_turns, self._since_ns, self._has_position = self._has_position, None, False

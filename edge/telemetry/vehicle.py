@@ -53,6 +53,7 @@ class Vehicle(VehicleMotion):
         self.session = 0
         """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
         self.version: tuple[int, int] | None = None
+        self._version_ns = 0
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
         self._origins, self._another_clock = Origins(), AnotherClock()
         self.is_doubled = False
@@ -179,7 +180,9 @@ class Vehicle(VehicleMotion):
         self._newest_boot_ms = -1
         self.gps = Gps()
         self._accuracy = self._position = None
-        self._origins, self._another_clock, self.version = Origins(), AnotherClock(), None
+        if not self._another_clock.has_begun_by(self._version_ns):  # a version may come before the reboot is sure
+            self.version = None
+        self._origins, self._another_clock = Origins(), AnotherClock()
 
     def _read_boot_time(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC.
@@ -261,6 +264,7 @@ class Vehicle(VehicleMotion):
             self._origins.add(origin, self.position(now_ns), now_ns)
 
     def _read_version(self, message: Message, now_ns: int) -> None:
+        self._version_ns = now_ns
         self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
     def _read_parameter(self, message: Message, now_ns: int) -> None:

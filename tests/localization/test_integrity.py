@@ -192,6 +192,18 @@ def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown
         assert one.protection_level.along_m > unknown_m, "the place may be wrong, by as much"
 
 
+def test_evidence_outlives_first_fixes_after_a_silence_that_are_far_off() -> None:
+    """On a recorded drive they were 9 m off (12 m sigma), and right 10 m further on, which was another claim."""
+    one = Integrity(GatesConfig())
+    assert drive(one, range(0, 600), uncertainty_m=None)[-1] is None
+    for driven_m in range(640, 660, 2):
+        sigma_m = max(3.0, 12.0 - (driven_m - 640))
+        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + sigma_m - 3.0) * METRE_DEG, sigma_along_m=sigma_m)
+        rebooted = Displacement(2, 0.0, driven_m - 40.0, unknown_m=60.0)
+        why = reason(fix, one, uncertainty_m=None, position=None, displacement=rebooted)
+    assert why is None
+
+
 @pytest.mark.parametrize("other", [Displacement(2, 0.0, 0.0, unknown_m=2e7), Displacement(1, 0.0, 400.0)])
 def test_observations_that_moved_otherwise_confirm_nothing(other: Displacement) -> None:
     """Of another vehicle; and 300 m less than the fixes say."""
