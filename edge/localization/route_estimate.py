@@ -44,8 +44,6 @@ of it, which are not of the line alone and are in what else is estimated, it is 
 """
 LEAST_CONTRAST = 0.01
 """At a lower one a line says nothing anyway."""
-LEARNS = 0.95
-"""Of the variance that was expected: a line that would leave more than this says nothing."""
 DOUBTED, DOUBT_M = 0.5, 2.0
 """Below which support the line of a region contradicts what is expected, and by how much less certain the position
 becomes then, in each direction, before the line is judged again."""
@@ -235,7 +233,7 @@ class RouteEstimate:
             weights, before = expected.weights / expected.weights.sum(), expected.variance
             mean_m = float(weights @ lines.beyond_m)
             after = float(weights @ (lines.beyond_m - mean_m) ** 2)
-            if expected.support >= DOUBTED and 0 < after < LEARNS * before:
+            if expected.support >= DOUBTED and 0 < after < before:
                 variance = 1 / (1 / after - 1 / before)
                 off_m = (mean_m - expected.at_m) * (before + variance) / before
                 # Lines less than a correlation length apart share most of what they are wrong by.

@@ -31,12 +31,11 @@ from edge.localization.track import Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
-STOOD_NS = 30_000_000_000
-"""A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 SHOWN = 3.0
-"""What `RouteEstimate.support` must be of a match that is not believed."""
+"""What `RouteEstimate.support` must be of a match that is not believed. Without such matches 10 instead of 6
+of 270 positions on laps 12 m apart were beyond three standard deviations."""
 DISAGREE = 3
 """Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
 
@@ -99,7 +98,7 @@ class RouteFilter:
             self.reset()
         if displacement is None:
             return
-        if stamp_ns - self._last_ns > STOOD_NS or missed > self._length // 2:
+        if missed > self._length // 2:
             self._sightings.clear()
         self._last_ns = stamp_ns
         self._move(displacement)
