@@ -18,12 +18,7 @@ from edge.localization.dead_reckoning import Displacement, ReportedMotion
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import BOUND_WRONG, Integrity, Limits, Situation
-from edge.localization.place_fix import (
-    LEAST_SHARPNESS,
-    frame_used,
-    line_middle,
-    untracked_fix,
-)
+from edge.localization.place_fix import LEAST_SHARPNESS, frame_used, line_middle, untracked_fix
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
 from edge.localization.report import Report
