@@ -31,6 +31,9 @@ from edge.localization.track import Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
+STOOD_NS = 30_000_000_000
+"""A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that.
+Without it, vehicles that reversed for long or were ferried were up to 5 and 501 standard deviations off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 SHOWN = 3.0
@@ -98,7 +101,7 @@ class RouteFilter:
             self.reset()
         if displacement is None:
             return
-        if missed > self._length // 2:
+        if stamp_ns - self._last_ns > STOOD_NS or missed > self._length // 2:
             self._sightings.clear()
         self._last_ns = stamp_ns
         self._move(displacement)
