@@ -54,6 +54,16 @@ def test_a_pull_does_not_stall_the_velocity_filter(replayed: Callable[[str], Rep
     assert found.replayed_frames.apart_m[-15:].mean() < 2.6, "the line that spans the pull says nothing wrong"
 
 
+@pytest.mark.soak
+def test_positions_come_again_after_a_reboot_far_from_the_origin(replayed: Callable[[str], Replayed]) -> None:
+    """342 m from it, 5713 s after the computer's start; then there was none for 558 m."""
+    found = replayed("ardupilot_reboot913")
+    assert not (found.recorded.time_s > 5713.0).any()
+    again = found.replayed.time_s > 5713.0
+    assert again.sum() >= 10
+    assert (found.replayed.error_m / found.replayed.own_sigma_m)[again].max() < 3.0
+
+
 def test_a_folder_without_a_recording_is_named_with_what_it_lacks(tmp_path: Path) -> None:
     with pytest.raises(FeedError, match=r"no recorded drive of the daemon, it has no truth\.csv\.gz and no auto"):
         read_drive(tmp_path)
