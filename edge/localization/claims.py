@@ -36,12 +36,10 @@ class Observation(Anchor):
     """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
     before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
-    is_first: of a claim, or after a silence.
     """
 
     recording: str
     before: Reckoned | None
-    is_first: bool
 
 
 Stretch: TypeAlias = list[Observation]
@@ -82,14 +80,14 @@ class Claims:
             self._claims.append(claim)
         claim.likelihood = min(claim.likelihood, likelihood)
         claim.may_be_shifted |= may_be_shifted
-        before = claim.observations[-1] if claim.observations else None
-        is_after_gap = before is not None and displacement.unknown_since(before.displacement) > 0
-        if is_after_gap or all(_apart_m(one, displacement) >= CORRELATION_M for one in claim.observations):
-            claim.observations.append(self._observed(fix, displacement, before))
+        older, newest = [None, None, *claim.observations][-2:]
+        if _is_after_silence(newest, displacement) or all(
+            _apart_m(one, displacement) >= CORRELATION_M for one in claim.observations
+        ):
+            claim.observations.append(self._observed(fix, displacement, newest))
             del claim.observations[:-KEPT]
-        elif before is not None and before.is_first and fix.sigma_m < before.sigma_m:
-            # The first fixes of a track are the least certain ones, and move by more than fixes of one claim may.
-            older = claim.observations[-2] if len(claim.observations) > 1 else None
+        # The first fixes of a track are the least certain ones, and move by more than fixes of one claim may.
+        elif newest and fix.sigma_m < newest.sigma_m and (older is None or _is_after_silence(older, displacement)):
             claim.observations[-1] = self._observed(fix, displacement, older)
         return claim
 
@@ -97,10 +95,7 @@ class Claims:
         assert fix.lat_deg is not None and fix.lon_deg is not None
         drift = max(self._gates.drift_percent / 100, fix.velocity_error)
         before = None if older is None else older.reckoned(fix, displacement, drift)
-        is_first = older is None or displacement.unknown_since(older.displacement) > 0
-        return Observation(
-            fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, fix.recording, before, is_first=is_first
-        )
+        return Observation(fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, fix.recording, before)
 
     def wrong(self, claim: Claim) -> float:
         """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.
@@ -140,6 +135,11 @@ def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement)
     driven_m = math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
     most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(then)
     return before.reckoned(fix, displacement, 0.0).distance_m <= most_m
+
+
+def _is_after_silence(before: Observation | None, displacement: Displacement) -> bool:
+    """Whether the velocity was unknown for a while since an observation."""
+    return before is not None and displacement.unknown_since(before.displacement) > 0
 
 
 def alike_m(driven_m: float, velocity_error: float) -> float:

@@ -53,8 +53,8 @@ class Vehicle(VehicleMotion):
         self.session = 0
         """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
         self.version: tuple[int, int] | None = None
-        self._version_ns = 0
         """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
+        self._version_ns = 0  # when it arrived
         self._origins, self._another_clock = Origins(), AnotherClock()
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
