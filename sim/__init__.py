@@ -1,16 +1,21 @@
-"""Everything that runs at a desk. `sim` imports `edge`, never the reverse; `edge` finds it through entry points.
+"""Everything that runs at a desk. `sim` imports `edge`, never the reverse; `edge` only has the names of its commands.
 
 world        the street world: routes, drives, scenarios, a camera, drives recorded as feeds
 vehicle      the simulated autopilot: firmware, dead reckoning, position inputs, a pseudo-terminal
 trial        `lookback dev sim fixes`: many seeded drives, judged by the truth
+maps         `lookback map`: build, extend, inspect, split, keep, sign
+home         `lookback home`: the way home as a file or a mission; a request to the daemon
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
-evaluation   `lookback eval`: a map's precision and recall in your recordings; `lookback dev golden`
+evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall; `lookback dev golden`
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback dev model`: import, quantize, verify
 bench        `lookback dev bench`: this board
 research     what was measured to build Lookback: the paper's comparisons, training, `make bench`; not in the wheel
+journal      reads a journal
+traverse     a feed as the places of a traverse
+completion   `lookback completion`
 commands     the list of `lookback dev sim` commands
 """
 

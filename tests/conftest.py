@@ -15,7 +15,6 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.normalize import normalize
@@ -24,6 +23,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
+from sim.maps.command import build_map
 from sim.model_tools.onnx_graph import MEAN_RGB, PAD_LEVEL, STD_RGB, alexnet_info
 from sim.model_tools.weights import Weights
 

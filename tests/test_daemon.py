@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from edge.journal.journal import R, records_of
 from edge.journal.records import FixAnswered, FixSent, LinkChanged, PlaceFix, Stopped
+from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty

@@ -16,9 +16,9 @@ import tomli_w
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import east_north_of
-from edge.journal.journal import records_of
 from edge.journal.records import HomeAnswered
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
 

@@ -19,9 +19,9 @@ from edge.config import (
     TelemetryConfig,
 )
 from edge.daemon import Daemon
-from edge.journal.journal import records_of
 from edge.journal.records import HomeAnswered
 from sim import geodetic
+from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
 from tests.test_drive_mapper import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to

@@ -17,13 +17,13 @@ import tomli_w
 from edge.config import SamplingConfig
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
-from edge.journal.journal import records_of
 from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
-from edge.reference_map.tiles import split_map
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.journal import records_of
+from sim.maps.tiles import split_map
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
 

@@ -15,10 +15,10 @@ import pytest
 import tomli_w
 
 from edge.config import SamplingConfig
-from edge.journal.journal import records_of
 from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link_protocol import STREAMS_HZ
+from sim.journal import records_of
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]

@@ -25,10 +25,10 @@ from edge.config import (
 )
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
-from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed, MappingChanged
 from edge.mapping.completion import logs_in
 from sim import Pose
+from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
 

@@ -18,7 +18,7 @@ from edge.map_agreement import as_uncertain, disagreements
 from edge.reference_map import Route, open_map, open_map_set
 from edge.reference_map.builder import NAN, MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
-from edge.reference_map.tiles import split_map
+from sim.maps.tiles import split_map
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 64)
 PLACES, SPACING_M = 200, 2.0

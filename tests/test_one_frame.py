@@ -21,10 +21,10 @@ from edge.config import TelemetryConfig as Telemetry
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.journal import read_journal
 from edge.journal.records import FixSent, FrameUsed, PlaceFix
 from edge.telemetry import open_link
 from sim import Pose
+from sim.journal import read_journal
 from sim.vehicle.autopilot import SimulatedAutopilot
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.udp_port import free_port

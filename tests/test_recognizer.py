@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.commands.map_build import build_map
 from edge.config import (
     AcceptanceConfig,
     CameraConfig,
@@ -28,6 +27,7 @@ from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence import PlaceMatch
+from sim.maps.command import build_map
 
 LENGTH = 8
 CONFIG = Config(

@@ -17,18 +17,35 @@ from edge.extras import install_command
 COMMANDS = {
     "run": "edge.commands.run",
     "record": "edge.commands.record",
-    "map": "edge.commands.map_build",
-    "replay": "edge.commands.replay",
-    "home": "edge.commands.home",
+    "map": "sim.maps.command",
+    "replay": "sim.evaluation.replay",
+    "home": "sim.home.command",
     "doctor": "edge.commands.doctor",
-    "completion": "edge.commands.completion",
+    "calibrate": "sim.calibration.command",
+    "completion": "sim.completion",
+    "demo": "sim.demo.command",
+    "eval": "sim.evaluation.command",
+    "export": "sim.datasets.export",
+    "import": "sim.datasets.commands",
+    "try": "sim.first_try.command",
 }
-"""Module of each command of a vehicle, with its `add_arguments`; entry points `lookback.commands` name further ones,
-and `lookback.map` those below `lookback map`."""
+"""Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
+ones. Names only: edge imports nothing of sim."""
+DEV_COMMANDS = {
+    "bench": "sim.bench.board",
+    "flights": "sim.research.trial.flights_command",
+    "golden": "sim.evaluation.golden",
+    "gps": "sim.research.trial.gps_command",
+    "mcap": "sim.datasets.mcap_file",
+    "model": "sim.model_tools.command",
+    "paper": "sim.research.evaluation.commands",
+    "sim": "sim.commands",
+    "train": "sim.research.training.command",
+}
+"""The same, below `lookback dev`."""
 RESEARCH = "sim.research"
 ONLY_IN_A_CLONE = "only in a clone of the repository, not in the package"
 DEV = "dev"
-"""The command above those of entry points `lookback.dev`."""
 MOVED = {
     "check --default": "doctor --default",
     "check": "doctor --offline",
@@ -60,21 +77,13 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     asked = None if words is None else [word for word in words if not word.startswith("-")]
-    fill_all(commands, {**COMMANDS, **plug_ins("lookback.commands")}, asked)
+    plug_ins = {point.name: point.module for point in entry_points(group="lookback.commands")}
+    fill_all(commands, {**COMMANDS, **plug_ins, **COMMANDS}, asked)  # ours first, and none of them replaced
     about = "for work on Lookback itself: simulation, networks, benchmarks, recordings as tests"
     dev = commands.add_parser(DEV, help=about, description=about)
     if asked is None or asked[:1] == [DEV]:
-        modules = plug_ins("lookback.dev")
-        if not modules:  # a clone was updated, and what pip knows of it was not
-            raise ConfigError(f"{DEV}: the installation is of an older version; repeat it: {install_command('sim')}")
-        fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), modules, asked and asked[1:])
+        fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), DEV_COMMANDS, asked and asked[1:])
     return parser
-
-
-def plug_ins(group: str) -> dict[str, str]:
-    """Modules by name, in the order of the names."""
-    # By name: an installation from before the distribution was renamed may still be beside this one.
-    return dict(sorted({point.name: point.module for point in entry_points(group=group)}.items()))
 
 
 def fill_all(

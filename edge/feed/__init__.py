@@ -1,7 +1,7 @@
 """The feed: a recorded traverse that every tool reads and writes.
 
 `format` is the two text files, `reader` and `writer` the folder with its images, `sampling` chooses the frames that are
-places, `traverse` goes through a feed by it, and `recorder` writes a feed while frames come from a camera. `Frame` is
+places, and `recorder` writes a feed while frames come from a camera. `Frame` is
 the record that feeds and live cameras hand on.
 """
 

@@ -2,15 +2,14 @@
 
 A crash can tear the last line and no other: each line goes out in a single write, and a file that ends in half a
 line gets a new line started at the next opening. A disk that is full or read-only costs the lines that it does not
-take, and is reported; the daemon runs on. A file that has grown to its share of the journal's space is renamed
-(`rotation`), and the next one begins.
+take, and is reported; the daemon runs on. A file that has grown to its share of the journal's space is renamed: PATH
+is the one that is written, and PATH.1, PATH.2, ... are those before it, the newest first. `sim.journal` reads them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import itertools
 import logging
 import math
 import os
@@ -18,28 +17,18 @@ import queue
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
 
 import msgspec
 
 import edge
 from edge.errors import ConfigError
-from edge.journal.records import (
-    SCHEMA,
-    FrameUsed,
-    JournalLine,
-    JournalOpened,
-    JournalResumed,
-    Record,
-    UnknownRecord,
-)
-from edge.journal.rotation import FILES, open_all, rotate
+from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record
 
 log = logging.getLogger(__name__)
-R = TypeVar("R", bound=Record)
+FILES = 10
+"""How many files share the space that a journal may take."""
 QUEUE_RECORDS = 1000
 """Of the daemon's journal: about 20 s of a drive with [telemetry] journal_frames, minutes without."""
 FLUSH_S = 3.0
@@ -222,39 +211,25 @@ def _ends_torn(fd: int) -> bool:
     return stat.S_ISREG(status.st_mode) and status.st_size > 0 and os.pread(fd, 1, status.st_size - 1) != b"\n"
 
 
-def read_journal(path: Path) -> Iterator[JournalLine]:
-    """The records of a journal, with those of its earlier files, or of what `lookback replay` wrote, in order.
-
-    Lines that a crash or a full disk has torn are skipped. What this schema does not know is an `UnknownRecord`: other
-    values of `event`, and everything that a run with a newer schema has written.
-    """
-    is_known = True
-    with ExitStack() as parts:
-        for line in itertools.chain.from_iterable(open_all(path, parts)):
-            try:
-                fields = _decode_fields(line)
-            except (msgspec.DecodeError, UnicodeDecodeError):
-                continue
-            record = _as_record(fields)
-            if isinstance(record, JournalOpened):
-                is_known = record.schema <= SCHEMA
-            elif not is_known:
-                record = UnknownRecord(fields)
-            yield JournalLine(fields.get("unix_s"), record)
+def earlier_files(path: Path) -> list[Path]:
+    """PATH.1, PATH.2, ...: those that exist, the newest first; a crash while they were renamed leaves a gap."""
+    if not path.parent.is_dir():
+        return []
+    suffixes = (file.name.removeprefix(f"{path.name}.") for file in path.parent.iterdir())
+    numbers = sorted(int(suffix) for suffix in suffixes if suffix.isdecimal() and suffix[0] != "0")
+    return [path.with_name(f"{path.name}.{number}") for number in numbers]
 
 
-_decode_fields = msgspec.json.Decoder(dict[str, Any]).decode
-
-
-def _as_record(fields: dict[str, Any]) -> Record | UnknownRecord:
-    # The lines of replay are frames without a tag.
-    of_replay = "event" not in fields
-    try:
-        return msgspec.convert(fields, FrameUsed) if of_replay else msgspec.convert(fields, Record)
-    except msgspec.ValidationError:
-        return UnknownRecord(fields)
-
-
-def records_of(path: Path, kind: type[R]) -> Iterator[R]:
-    """The records of one kind, in order."""
-    return (line.record for line in read_journal(path) if isinstance(line.record, kind))
+def rotate(path: Path) -> None:
+    """Make PATH free: it becomes PATH.1, PATH.1 becomes PATH.2, and so on. Beyond FILES the oldest are deleted."""
+    if not path.exists():  # the last time, the next file could not be begun
+        return
+    existing = set(earlier_files(path))
+    number = 1
+    while path.with_name(f"{path.name}.{number}") in existing:
+        number += 1
+    for earlier in range(number, 1, -1):
+        path.with_name(f"{path.name}.{earlier - 1}").rename(path.with_name(f"{path.name}.{earlier}"))
+    path.rename(path.with_name(f"{path.name}.1"))
+    for file in earlier_files(path)[FILES - 1 :]:
+        file.unlink()

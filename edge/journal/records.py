@@ -11,7 +11,7 @@ Places are given in map coordinates everywhere: `place` is a row of a map, and `
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -272,16 +272,3 @@ Record = (
     | GpsJudged
     | Stopped
 )
-
-
-class UnknownRecord(msgspec.Struct, frozen=True):
-    """A line that is whole, but no record of this schema; `fields` is all that it says."""
-
-    fields: dict[str, Any]
-
-
-class JournalLine(NamedTuple):
-    """A record, and when it was written: Unix time in seconds, None in the output of `lookback replay`."""
-
-    unix_s: float | None
-    record: Record | UnknownRecord

@@ -2,17 +2,15 @@
 
 `drive_line`  the positions of one drive of a map, as a line on the ground, and fewer points of it
 `passes`      which pass of that drive the vehicle is on
-`way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome
+`way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome; and that as items
+              of a MAVLink mission, as ArduPilot or PX4 number them
 `checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
-`items`       WayHome -> items of a MAVLink mission, as ArduPilot or PX4 number them; or a file: QGC WPL 110,
-              QGroundControl plan or GeoJSON
 
 Nothing in here communicates with an autopilot: `edge.telemetry` uploads missions.
 """
 
 from __future__ import annotations
 
-from edge.mission.items import MissionItem, mission_items
-from edge.mission.way_home import Start, WayHome, plan_way_home
+from edge.mission.way_home import MissionItem, Start, WayHome, mission_items, plan_way_home
 
 __all__ = ["MissionItem", "Start", "WayHome", "mission_items", "plan_way_home"]

@@ -9,7 +9,6 @@
 `gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
-`tiles`    one map cut into several
 """
 
 from edge.reference_map.builder import MapBuilder, Normalize, Place, thumbnail

@@ -25,10 +25,10 @@ from edge.files import AtomicFolder
 from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
-from edge.reference_map.costs import encode, principal_directions, project, squared_norms
+from edge.reference_map.costs import encode, project, squared_norms
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import Bounds, bounds_of
-from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
+from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
 
 BLOCK = 256
 USABLE_SIGMA_M = 25.0
@@ -37,6 +37,10 @@ NAN = float("nan")
 
 Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
 """Equation 1, as the descriptor stage has it: raw (n, R, D), mean (R, D), deviation (R, D) -> (n, R, D)."""
+Blocks = Callable[[], Iterator[NDArray[np.float32]]]
+"""Goes through the normalized set, a block (n, R, D) at a time."""
+Shrink = Callable[[Blocks], NDArray[np.float32]]
+"""The directions (K, D) of a set along which its descriptors are shrunk."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +77,12 @@ class MapBuilder:
         regions: RegionsKey,
         sampling: SamplingConfig,
         *,
-        dimensions: int | None = None,
+        shrink: Shrink | None = None,
         replace: bool = False,
     ) -> None:
         """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False.
 
-        dimensions: shrink the descriptors of each region to so many, at most the model's (None: as they are).
+        shrink: the descriptors of each region; None: as they are.
         """
         if path.exists() and not replace:
             raise MapError(f"{path}: already exists; name another folder, or use --replace")
@@ -86,7 +90,7 @@ class MapBuilder:
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
         self._path = path
         self._model, self._regions, self._sampling = model, regions, sampling
-        self._kept = model.dimensions if dimensions is None else dimensions
+        self._shrink, self._kept = shrink, model.dimensions
         self._records: list[tuple[float | int, ...]] = []
         self._segments: list[Segment] = []
         self._thumbnail_at = 0
@@ -117,28 +121,6 @@ class MapBuilder:
         self._thumbnail_at += len(place.thumbnail)
         self._segments[-1] = msgspec.structs.replace(self._segments[-1], end=len(self._records))
 
-    def add_map(self, other: ReferenceMap) -> None:
-        """Add all places of another map, with its segments and raw descriptors, as if driven again."""
-        if (other.header.model, other.header.regions) != (self._model, self._regions):
-            raise MapError(f"{other.path}: made with another model or other regions, so it cannot be added")
-        raw = other.raw()
-        for segment in other.header.segments:
-            self.begin_segment(segment.source, segment.view)
-            for index in range(segment.start, segment.end):
-                record = other.places[index]
-                place = Place(
-                    row=int(record["row"]),
-                    lat_deg=float(record["lat_deg"]),
-                    lon_deg=float(record["lon_deg"]),
-                    alt_m=float(record["alt_m"]),
-                    heading_deg=float(record["heading_deg"]),
-                    route_m=float(record["route_m"]),
-                    thumbnail=other.thumbnail(index),
-                    position_sigma_m=float(record["position_sigma_m"]),
-                    position_source=POSITION_SOURCES[record["position_source"]],
-                )
-                self.add(raw[index].astype(np.float32), place)
-
     def finish(self, normalize: Normalize, lookback_version: str) -> MapHeader:
         """Normalize the whole set, write, sync, and rename into place. MapError if no place was added."""
         self._segments = [segment for segment in self._segments if segment.end > segment.start]
@@ -156,19 +138,19 @@ class MapBuilder:
         self._new.put_in_place()
         return header
 
-    def _write_descriptors(self, blocks: Callable[[], Iterator[NDArray[np.float32]]]) -> NDArray[np.int32]:
+    def _write_descriptors(self, blocks: Blocks) -> NDArray[np.int32]:
         """Shrink and encode the set, and write it plane by plane; the squared norm (N,) of every place."""
-        dimensions, planes = self._model.dimensions, self._regions.count
         projection = None
-        if self._kept < dimensions:
-            projection = principal_directions(blocks, dimensions, self._kept)
+        if self._shrink is not None:
+            projection = self._shrink(blocks)
+            self._kept = len(projection)
             projection.astype("<f4").tofile(self._folder / store.PROJECTION)
         norms_sq: list[NDArray[np.int32]] = []
         at = 0
         with (self._folder / store.DESCRIPTORS).open("wb") as file:
             for block in blocks():
                 encoded = encode(block if projection is None else project(block, projection))
-                for plane in range(planes):
+                for plane in range(self._regions.count):
                     file.seek((plane * len(self._records) + at) * self._kept)
                     file.write(encoded[plane].tobytes())
                 norms_sq.append(squared_norms(encoded))

@@ -10,21 +10,19 @@ import contextlib
 import logging
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 import msgspec
 
-from edge.errors import ConfigError, LinkLost
+from edge.errors import ConfigError
 from edge.telemetry.home_requests import Answer
 
 Request: TypeAlias = Literal["home", "restore"]
 REQUESTS: dict[bytes, Request] = {b"home\n": "home", b"restore\n": "restore"}
 SILENT_NS = 1_000_000_000
 """How long a client may be connected without a request, while others wait."""
-ANSWER_S = 180.0
-"""How long a client waits; an upload that is repeated and cleared takes less."""
 MODE = 0o660
 log = logging.getLogger(__name__)
 
@@ -102,32 +100,3 @@ class LocalSocket:
         if self._client is not None:
             self._client.close()
             self._client = None
-
-
-def ask_for_home(path: Path, on_text: Callable[[str], object], request: Request = "home") -> bool:
-    """Request a mission from the daemon that listens on a socket; whether the autopilot now has it.
-
-    on_text: gets each line for people. LinkLost where no daemon answers.
-    """
-    accepted = False
-    for answer in _answers(path, request):
-        on_text(answer.text)
-        accepted = answer.final and answer.accepted
-    return accepted
-
-
-def _answers(path: Path, request: Request) -> Iterator[LocalAnswer]:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(ANSWER_S)
-        try:
-            connection.connect(str(path))
-            connection.sendall(f"{request}\n".encode())
-            with connection.makefile("rb") as lines:
-                for line in lines:
-                    answer = msgspec.json.decode(line, type=LocalAnswer)
-                    yield answer
-                    if answer.final:
-                        return
-        except (OSError, msgspec.DecodeError) as error:
-            raise LinkLost(f"{path}: no daemon answers there: {error}; is `lookback run` running?") from None
-    raise LinkLost(f"{path}: the daemon ended before it answered")

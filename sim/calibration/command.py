@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from edge.commands.replay import config_for_map
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
@@ -36,6 +35,7 @@ from sim.calibration.offset import (
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.metrics import TOLERANCE_M
+from sim.evaluation.replay import config_for_map
 
 Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""

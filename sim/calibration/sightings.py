@@ -13,7 +13,6 @@ from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
-from edge.feed.traverse import traverse
 from edge.geodesy import east_north
 from edge.localization.place_fix import LineReadings, line_middle, moved_alike
 from edge.localization.region_lines import lag_places
@@ -21,6 +20,7 @@ from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order, PlaceMatch
+from sim.traverse import traverse
 
 DRIFT = 0.1
 """Share by which the odometer of a recorded drive may be wrong."""

@@ -15,13 +15,13 @@ from tqdm import tqdm
 from edge.config import Config, GatesConfig
 from edge.errors import ConfigError, FeedError, MapError, SetupError
 from edge.extras import install_command
-from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
 from sim.coverage.aliases import Span
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import SOON_M, Stretch, spans_of
+from sim.journal import records_of
 
 POINTS = 12
 """Of a stretch on the page."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from edge.commands.map_build import add_spacing_options, sampling_from
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import read_feed
@@ -17,6 +16,7 @@ from sim.datasets import KINDS, ReadOptions, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.datasets.summary import summarize
+from sim.maps.command import add_spacing_options, sampling_from
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from edge.errors import ConfigError, FeedError
 from edge.extras import install_command
 from edge.geodesy import east_north
-from edge.journal.journal import read_journal
-from edge.journal.records import FrameUsed, JournalLine, PlaceFix
+from edge.journal.records import FrameUsed, PlaceFix
+from sim.journal import JournalLine, read_journal
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
 from edge.feed.format import MEASURES, SOURCE
 from edge.feed.sampling import Sampler
-from edge.feed.traverse import driven_m
 from sim.datasets import Traverse
+from sim.traverse import driven_m
 
 log = logging.getLogger(__name__)
 

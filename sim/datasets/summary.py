@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from edge.feed import Feed
-from edge.feed.traverse import driven_m
+from sim.traverse import driven_m
 
 UNIX_FROM_NS = 10**18
 """Stamps from September 2001 on are Unix times; smaller ones count from the start of a computer or a video."""

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from edge.commands.map_build import build_map
 from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
 from edge.errors import ConfigError, LookbackError
 from edge.extras import install_command
@@ -25,6 +24,7 @@ from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import measure_parallax, rig_config
 from sim.demo.review import Review, review_drive
+from sim.maps.command import build_map
 from sim.vehicle.daemon_drive import START_S, DaemonDrive, ReceivedFix, start_daemon_drive
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario

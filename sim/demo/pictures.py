@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from edge.descriptor.network import Network
-from edge.journal.journal import records_of
 from edge.journal.records import PlaceFix
 from sim.demo.story import COURSE, LENGTH_M
+from sim.journal import records_of
 from sim.trial.rules import Run
 from sim.trial.run import drafted, map_scenario
 from sim.trial.simulation import UP_S

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.journal.journal import records_of
 from edge.journal.records import FrameUsed, Stopped
 from sim.evaluation.metrics import TOLERANCE_M, Answers
+from sim.journal import records_of
 from sim.vehicle.daemon_drive import DaemonDrive
 from sim.world.camera import open_renderer
 

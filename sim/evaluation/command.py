@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from edge.commands.replay import config_for_map
 from edge.config import load_config
 from edge.errors import ConfigError
 from edge.extras import install_command
@@ -15,6 +14,7 @@ from edge.feed import read_feed
 from edge.reference_map import open_map_set
 from sim.evaluation.metrics import TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
+from sim.evaluation.replay import config_for_map
 
 OFFSET_SHARE = 0.5
 """Share of the tolerance by which half of the believed places may lie ahead of the vehicle, or behind it, without a

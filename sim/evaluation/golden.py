@@ -20,8 +20,6 @@ from pathlib import Path
 import msgspec
 import tomli_w
 
-from edge.commands.map_build import add_spacing_options, build_map, sampling_from
-from edge.commands.replay import as_line
 from edge.config import Config, SamplingConfig, SequenceConfig, checked_option
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
@@ -31,6 +29,8 @@ from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 from edge.toml_file import read_toml
 from sim.evaluation.recognition import recognize
+from sim.evaluation.replay import as_line
+from sim.maps.command import add_spacing_options, build_map, sampling_from
 
 SETTINGS, EXPECTED = "golden.toml", "expected.jsonl"
 

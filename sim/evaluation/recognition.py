@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands.replay import replay
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
@@ -19,6 +18,7 @@ from edge.journal.records import FrameUsed
 from edge.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
 from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.replay import replay
 
 Value = str | int | float
 DRAWN_PLACES = 4000

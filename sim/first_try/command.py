@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from edge.camera.picture_check import FrozenPictureDetector
-from edge.commands.map_build import add_spacing_options, build_map, sampling_from
-from edge.commands.replay import as_line, config_for_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.extras import install_command
@@ -28,7 +26,9 @@ from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.evaluation.metrics import TOLERANCE_M
 from sim.evaluation.recognition import judge, recognize
+from sim.evaluation.replay import as_line, config_for_map
 from sim.first_try.verdict import Tried, verdict
+from sim.maps.command import add_spacing_options, build_map, sampling_from
 
 MARKER = ".lookback-try"
 ROLES = ("reference", "query")

@@ -6,12 +6,12 @@ import numpy as np
 
 import edge
 from edge.feed import FeedImages
-from edge.feed.traverse import driven_m
 from sim.calibration.command import Lines
 from sim.datasets.summary import summarize
 from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
 from sim.first_try.verdict import Tried, Verdict, distances_m
+from sim.traverse import driven_m
 
 PAIRS = 8
 """Matched pairs on the page, spread over the believed frames."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.commands.map_files import LIGHTS
 from edge.config import Config
 from edge.feed import Feed
-from edge.feed.traverse import driven_m
 from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
 from sim.calibration.offset import Offset
 from sim.evaluation.recognition import Judged, Recognition
+from sim.maps.files import LIGHTS
+from sim.traverse import driven_m
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

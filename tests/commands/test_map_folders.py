@@ -16,17 +16,17 @@ import tomli_w
 
 from edge.__main__ import main
 from edge.commands.doctor import examine
-from edge.commands.replay import config_for_map, replay
 from edge.config import MapConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from edge.journal.journal import records_of
 from edge.journal.records import MapExcluded, PlaceFix
 from edge.page import map_view
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.signature import SIGNATURE
 from edge.reference_map.store import DESCRIPTORS, open_map
+from sim.evaluation.replay import config_for_map, replay
+from sim.journal import records_of
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 60
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import SHIPPED_MODEL, ModelFile, read_model_file
 from edge.descriptor.network import Network
@@ -16,6 +15,7 @@ from edge.descriptor.open_network import check_agreement, open_network
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.reference_map import open_map
+from sim.maps.command import build_map
 
 
 def test_a_provider_that_is_not_there_is_named_with_those_that_are() -> None:

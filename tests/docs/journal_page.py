@@ -31,7 +31,7 @@ TABLE_HEAD = "\n| key | type, unit | meaning |\n|---|---|---|\n"
 HEAD = f"""# The journal
 
 `[telemetry] journal` names a file to which the daemon appends one JSON object per line: version {SCHEMA} of the
-records. `lookback export` makes maps and tracks of it. In Python, `edge.journal.journal.read_journal` skips lines that
+records. `lookback export` makes maps and tracks of it. In Python, `sim.journal.read_journal` skips lines that
 a crash has torn.
 
 - Each line begins with `unix_s`, the time of writing (seconds since 1970, UTC), and `event`, the kind of the record.

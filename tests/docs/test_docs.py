@@ -24,7 +24,8 @@ import edge
 from edge.config import Config, parse_config
 from edge.feed.format import MEASURES, SOURCE
 from edge.geodesy import POSITION_SOURCES
-from edge.journal.records import JournalLine, Record
+from edge.journal.records import Record
+from sim.journal import JournalLine
 from sim.world.scenario import Scenario
 
 if sys.version_info >= (3, 11):

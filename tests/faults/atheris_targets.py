@@ -16,11 +16,11 @@ with atheris.instrument_imports(include=["edge", "pymavlink"]):
     from edge.config import parse_config
     from edge.errors import LookbackError
     from edge.feed import read_feed
-    from edge.journal.journal import read_journal
     from edge.reference_map.store import read_header
     from edge.telemetry.codec import MavlinkCodec
     from edge.telemetry.vehicle import Vehicle
     from edge.warm_start import Moment, StateFile, StateKey
+    from sim.journal import read_journal
 
 NOW = Moment(1000.0, "boot", 10.0)
 TARGET, FOLDER = sys.argv[1], Path(sys.argv[2])

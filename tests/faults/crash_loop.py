@@ -24,13 +24,14 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import LookbackError
-from edge.journal.journal import Journal, records_of
+from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from sim.journal import records_of
 
 NOW = Moment(1000.0, "boot", 10.0)
 SHAPE = (2, 4096)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import read_journal, records_of
 from edge.journal.records import FrameUsed, PlaceFix
+from sim.journal import read_journal, records_of
 
 HOUR_S, TEN_YEARS_S = 3600, 10 * 365 * 86400
 HOLD_OFF_S = 0.3

@@ -13,8 +13,8 @@ import pytest
 
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.journal import records_of
 from edge.journal.records import PlaceFix
+from sim.journal import records_of
 
 ROWS = 80
 LAP = 2 * (ROWS - 1)

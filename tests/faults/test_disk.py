@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import read_journal
 from edge.journal.records import FrameUsed, Stopped
+from sim.journal import read_journal
 
 WORDS = "journal: File too large"
 

@@ -16,8 +16,8 @@ from edge.__main__ import main
 from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import read_feed
-from edge.reference_map.signature import make_key, sign_map
 from edge.reference_map.store import HEADER, encode_header, open_map, read_header
+from sim.maps.keys import make_key, sign_map
 
 EDGE = Path(__file__).parents[2] / "edge"
 OUT = ["../secret", "/etc/passwd", "frames/../../secret", "./../secret", "a\0b", "frames/..", "..", ""]

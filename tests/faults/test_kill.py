@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.journal.journal import Journal, records_of
+from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from sim.journal import records_of
 
 CRASH_LOOP = Path(__file__).with_name("crash_loop.py")
 

@@ -23,8 +23,8 @@ from edge.descriptor.network import Network
 from edge.errors import CameraLost
 from edge.feed import FeedImages, read_feed
 from edge.health.health import MAV_STATES, Health
-from edge.journal.journal import records_of
 from edge.journal.records import StateChanged
+from sim.journal import records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE
 
 LENGTH = 10

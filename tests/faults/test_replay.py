@@ -16,11 +16,11 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import records_of
 from edge.journal.records import LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import STORED_AHEAD, TICKS_PER_S, Signer
 from sim import Pose
+from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
 

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from edge.journal.journal import read_journal
+from sim.journal import read_journal
 
 LATEST_S = 2.0
 BURST_S = 0.2

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from edge.journal.journal import records_of
 from edge.journal.records import PlaceFix
+from sim.journal import records_of
 
 CALLS = (
     "connect,sendto,sendmsg,bind,openat,open,creat,mkdir,mkdirat,rename,renameat,renameat2,"

@@ -19,8 +19,8 @@ from edge.config import CameraConfig
 from edge.feed import read_feed
 from edge.feed.recorder import QUEUE_FRAMES, FramesAwaitingPosition, Recorder, run_folder
 from edge.geodesy import VehiclePosition
-from edge.journal.journal import records_of
 from edge.journal.records import Stopped
+from sim.journal import records_of
 
 PATIENCE_S = 60.0
 NOON_S = 1_700_000_000.0

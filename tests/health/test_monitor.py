@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import Config, MapConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.errors import MapError
-from edge.journal.journal import records_of
 from edge.journal.records import StateChanged
 from edge.telemetry.codec import MavlinkCodec
+from sim.journal import records_of
 from sim.vehicle.pty_link import open_pty
 
 

@@ -14,9 +14,8 @@ import msgspec
 import pytest
 
 import edge
-from edge.commands.replay import as_line
 from edge.errors import ConfigError
-from edge.journal.journal import Journal, QueuedJournal, read_journal, records_of
+from edge.journal.journal import Journal, QueuedJournal, earlier_files, rotate
 from edge.journal.records import (
     SCHEMA,
     DrivesDisagree,
@@ -27,7 +26,6 @@ from edge.journal.records import (
     FrameUsed,
     GpsJudged,
     HomeAnswered,
-    JournalLine,
     JournalOpened,
     JournalResumed,
     LinkChanged,
@@ -39,9 +37,9 @@ from edge.journal.records import (
     SourceSetAnswered,
     StateChanged,
     Stopped,
-    UnknownRecord,
 )
-from edge.journal.rotation import earlier_files, rotate
+from sim.evaluation.replay import as_line
+from sim.journal import JournalLine, UnknownRecord, read_journal, records_of
 
 
 @pytest.fixture
@@ -164,7 +162,8 @@ def test_a_journal_that_cannot_be_opened_is_a_config_error(tmp_path: Path) -> No
 READ_ONLY = """
 import subprocess, sys
 from pathlib import Path
-from edge.journal.journal import Journal, records_of
+from edge.journal.journal import Journal
+from sim.journal import records_of
 from edge.journal.records import StateChanged
 disk = Path(sys.argv[1])
 mount = lambda *options: subprocess.run(["mount", *options], check=True)

@@ -28,9 +28,9 @@ pytest.importorskip("selenium")
 from selenium import webdriver
 from selenium.webdriver.support.wait import WebDriverWait
 
-from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedWriter, read_feed
+from sim.maps.command import build_map
 from tests.udp_port import free_port
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -18,7 +18,6 @@ from edge.camera import CameraHealth, Frame
 from edge.config import Config, PageConfig, RigConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from edge.feed.traverse import traverse
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
 from edge.mapping import MappingStatus, MappingView, WayHome
@@ -26,6 +25,7 @@ from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
+from sim.traverse import traverse
 
 FRAMES, LENGTH = 30, 10
 MAPPING = MappingView(

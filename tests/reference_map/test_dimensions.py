@@ -15,6 +15,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from sim.maps.shrinking import shrink_to
 
 PLACES, LENGTH = 40, 10
 
@@ -28,7 +29,11 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     key = RegionsKey(descriptor.regions, descriptor.region_width, "set")
     raw = rng.gamma(0.5, 3.0, (PLACES, key.count, dimensions)).astype(np.float32)  # positive and skewed, as after ReLU
     with MapBuilder(
-        tmp_path / "map", ModelKey("any", "0" * 64, "tap", dimensions), key, SamplingConfig(), dimensions=kept
+        tmp_path / "map",
+        ModelKey("any", "0" * 64, "tap", dimensions),
+        key,
+        SamplingConfig(),
+        shrink=shrink_to(kept or dimensions, dimensions),
     ) as builder:
         builder.begin_segment("drive", "front")
         for row, one in enumerate(raw):

@@ -25,11 +25,11 @@ from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
-from edge.reference_map.tiles import split_map
 from edge.sequence import PlaceMatch
 from edge.sequence.parallax import NO_LAGS, Lanes
 from edge.sequence.place_search import Near, PlaceSearch
 from edge.sequence.submap import GlobalSearch
+from sim.maps.tiles import split_map
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800

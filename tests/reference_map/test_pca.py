@@ -11,8 +11,9 @@ from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.costs import COST_ONE, CostMatcher, principal_directions, project
+from edge.reference_map.costs import COST_ONE, CostMatcher, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
+from sim.maps.shrinking import principal_directions, shrink_to
 from sim.research.evaluation.shrinking import cost_of_shrinking
 
 DIMENSIONS = 64
@@ -30,7 +31,8 @@ def street(places: int, *, carriers: int, noise: float = 0.05, seed: int = 0) ->
 
 def build(path: Path, raw: np.ndarray, dimensions: int | None, *, segments: int = 1) -> ReferenceMap:
     regions = RegionsKey("left-right", 0.4, "set")
-    with MapBuilder(path, MODEL, regions, SamplingConfig(), dimensions=dimensions) as builder:
+    shrink = shrink_to(dimensions or DIMENSIONS, DIMENSIONS)
+    with MapBuilder(path, MODEL, regions, SamplingConfig(), shrink=shrink) as builder:
         for part in np.array_split(raw, segments):
             builder.begin_segment("drive", "rear")
             for index, descriptor in enumerate(part):

@@ -34,6 +34,8 @@ from edge.reference_map.store import (
     open_unverified,
     read_header,
 )
+from sim.maps.command import add_map
+from sim.maps.shrinking import shrink_to
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 16)
 REGIONS = RegionsKey("left-right", 0.4, "set")
@@ -94,7 +96,7 @@ def test_a_map_grows_without_its_images(tmp_path: Path) -> None:
     build(tmp_path / "whole", raw, segments=1)
     first = open_map(tmp_path / "first")
     with MapBuilder(tmp_path / "first", MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
-        builder.add_map(first)
+        add_map(builder, first)
         for index in range(12, 20):
             builder.add(raw[index], Place(row=index))
         builder.finish(normalize, "test")
@@ -123,8 +125,10 @@ def test_the_accuracy_and_source_of_each_position_are_kept(tmp_path: Path) -> No
     given = [place(row, position_sigma_m=row + 0.5, position_source=source) for row, source in enumerate(sources)]
     build_of(tmp_path / "map", given)
     whole = open_map(tmp_path / "map", every_file=True)
-    with MapBuilder(tmp_path / "again", MODEL, REGIONS, SamplingConfig(), dimensions=4) as builder:
-        builder.add_map(whole)
+    with MapBuilder(
+        tmp_path / "again", MODEL, REGIONS, SamplingConfig(), shrink=shrink_to(4, MODEL.dimensions)
+    ) as builder:
+        add_map(builder, whole)
         builder.finish(normalize, "test")
     for path in ("map", "again"):
         found = open_map(tmp_path / path).places
@@ -170,7 +174,7 @@ def test_a_map_of_format_3_is_read_with_the_assumed_accuracy(small_map: Path, tm
     assert position and position.sigma_m == ASSUMED_SIGMA_M
     assert MapSet.of(old).thumbnail(8) == b"222"
     with MapBuilder(tmp_path / "grown", MODEL, REGIONS, SamplingConfig()) as builder:
-        builder.add_map(old)
+        add_map(builder, old)
         builder.finish(normalize, "test")
     assert open_map(tmp_path / "grown").header.version == 4
 

@@ -89,7 +89,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.commands.map_build import build_map
+from sim.maps.command import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedHeader, FeedWriter, read_feed
 

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.commands.map_build import build_map
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
 from edge.extras import install_command
 from edge.feed import FeedHeader, FeedWriter, read_feed
-from edge.journal.journal import read_journal
 from edge.journal.records import Stopped
+from sim.journal import read_journal
+from sim.maps.command import build_map
 
 UNIT = (Path(__file__).parents[2] / "systemd" / "lookback.service").read_text()
 WATCHDOG_S, STOP_S = (

@@ -81,7 +81,7 @@ def test_every_command_of_the_readme_is_one(python: Path) -> None:
     assert {
         "sim.first_try.command",
         "sim.coverage.command",
-        "edge.commands.replay",
+        "sim.evaluation.replay",
         "edge.commands.doctor",
     } <= set(modules)
     lacks_an_extra = [words for words, module in zip(commands, modules, strict=True) if module.endswith(".parser")]

@@ -8,10 +8,11 @@ from typing import Any
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
-from edge.journal.journal import Journal, R, records_of
+from edge.journal.journal import Journal
 from edge.localization import GpsVerdict, PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
+from sim.journal import R, records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty

@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import ConfigError, LinkLost
 from edge.telemetry.home_requests import Answer
-from edge.telemetry.local_socket import LocalSocket, ask_for_home
+from edge.telemetry.local_socket import LocalSocket
+from sim.home.client import ask_for_home
 
 UPLOADING = Answer(mavlink.MAV_RESULT_IN_PROGRESS, "uploading 300 m")
 VERIFIED = Answer(mavlink.MAV_RESULT_ACCEPTED, "uploaded and verified", 5)

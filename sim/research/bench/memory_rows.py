@@ -15,11 +15,11 @@ import tomli_w
 
 from edge.errors import FeedError
 from edge.feed import FeedHeader, FeedWriter
-from edge.journal.journal import records_of
 from edge.journal.records import Stopped
 from edge.reference_map.store import ModelKey
 from sim.bench.frames import smooth_picture
 from sim.bench.simulated_map import write_simulated_map
+from sim.journal import records_of
 from sim.research.bench.rows import Row, Section, Target
 
 SIZE_PX = (640, 480)

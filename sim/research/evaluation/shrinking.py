@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map.costs import principal_directions, project
+from edge.reference_map.costs import project
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence.evidence import Neighborhood
 from edge.sequence.submap import RowMatcher
+from sim.maps.shrinking import principal_directions
 from sim.research.evaluation.matching import int8_matcher
 
 LENGTH = 5

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, FeedImages, FeedRow, Pictures, read_feed
-from edge.feed.traverse import driven_m, traverse
 from sim.datasets import TruthKind
 from sim.datasets.truth import Truth, truth_between
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.seqslam import describe
+from sim.traverse import driven_m, traverse
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, Mappi
 from edge.daemon import Daemon
 from edge.descriptor.normalize import normalize
 from edge.geodesy import moved
-from edge.journal.journal import records_of
 from edge.journal.records import FixSent, FrameUsed
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
@@ -38,6 +37,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge.telemetry.vehicle import Vehicle
 from sim import ORIGIN_ALT_M, geodetic
+from sim.journal import records_of
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.rules import SENT_WITHIN_S, Array

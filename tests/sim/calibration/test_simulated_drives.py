@@ -14,13 +14,11 @@ from msgspec.structs import replace
 
 pytest.importorskip("panda3d")
 
-from edge.commands.map_build import build_map
 from edge.commands.parser import build_parser
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, read_feed
-from edge.feed.traverse import traverse
 from edge.geodesy import east_north_of
 from edge.localization import Displacement
 from edge.localization.route_filter import RouteFilter
@@ -31,6 +29,8 @@ from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
 from sim.calibration.threshold import DEFAULT
+from sim.maps.command import build_map
+from sim.traverse import traverse
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.commands.replay import as_line
 from edge.config import Config, SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.journal.records import FrameUsed
@@ -20,6 +19,7 @@ from edge.reference_map.store import ModelKey, RegionsKey
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
 from sim.coverage.rehearsal import Light, Way
 from sim.coverage.sheet import longest_gap, spans_of
+from sim.evaluation.replay import as_line
 from tests.sim.coverage.roads import road, walk
 
 PLACES = 200

@@ -15,9 +15,9 @@ pytest.importorskip("simplekml")
 import gpxpy
 
 from edge.__main__ import main
-from edge.commands.replay import as_line
 from edge.journal.journal import Journal
 from edge.journal.records import FrameUsed, PlaceFix, StateChanged
+from sim.evaluation.replay import as_line
 
 FRAME = FrameUsed(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)
 EVENT = PlaceFix(10_000_000_000, 4, -27.001, 153.0, 180.0, 3.0, 1.0, "forward", "same", 1.3, "street")

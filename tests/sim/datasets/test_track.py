@@ -8,8 +8,8 @@ import pytest
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedHeader
-from edge.feed.traverse import driven_m
 from sim.datasets.track import Fix, Track
+from sim.traverse import driven_m
 
 SECOND = 1_000_000_000
 EPOCH = 1_714_557_600 * SECOND

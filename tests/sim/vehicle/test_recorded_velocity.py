@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.journal.journal import records_of
 from edge.journal.records import FixSent
 from edge.localization.velocity_error import PULLED_MPS_PER_M, PULLED_NS, VelocityError
+from sim.journal import records_of
 from sim.research.trial.recorded_drive import read_columns
 from sim.trial.courses.streams import WANDER_MPS
 

@@ -10,18 +10,23 @@ from tqdm import tqdm
 
 import edge
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands import map_files
-from edge.commands.parser import fill_all, plug_ins
+from edge.commands.parser import fill_all
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network, cut_regions
 from edge.descriptor.normalize import normalize
 from edge.descriptor.open_network import open_network
-from edge.errors import ConfigError
+from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedOptions, read_feed
-from edge.feed.traverse import TraverseFrame, driven_m, traverse
+from edge.geodesy import POSITION_SOURCES
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
-from edge.reference_map.store import MapHeader, RegionsKey, open_map
+from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
+from sim.maps import files as map_files
+from sim.maps.shrinking import shrink_to
+from sim.traverse import TraverseFrame, driven_m, traverse
+
+KEPT = ("row", "lat_deg", "lon_deg", "alt_m", "heading_deg", "route_m", "position_sigma_m")
+"""What records of places have as `Place` has it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
-    fill_all(actions, plug_ins("lookback.map"))
+    fill_all(actions, {"coverage": "sim.coverage.command"})
 
 
 def add_spacing_options(parser: argparse.ArgumentParser) -> None:
@@ -127,7 +132,8 @@ def build_map(
     if dimensions is not None and not 1 <= dimensions <= network.info.dimensions:
         raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
     key = model_key(network)
-    with MapBuilder(output, key, regions, sampling, dimensions=dimensions, replace=replace) as builder:
+    shrink = shrink_to(dimensions or network.info.dimensions, network.info.dimensions)
+    with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace) as builder:
         for feed in feeds:
             _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
         header = builder.finish(normalize, edge.__version__)
@@ -157,6 +163,18 @@ def _add_feed(
             builder.add(raw, _place(item))
             progress.update(item.frame.index + 1 - progress.n)
         progress.update(len(feed.rows) - progress.n)
+
+
+def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
+    """Add all places of a map of the same model and regions, with segments and raw descriptors, as if driven again."""
+    raw, records = other.raw(), other.places
+    for segment in other.header.segments:
+        builder.begin_segment(segment.source, segment.view)
+        for index in range(segment.start, segment.end):
+            known = {name: records[name][index].item() for name in KEPT}
+            source = POSITION_SOURCES[records["position_source"][index]]
+            place = Place(**known, thumbnail=other.thumbnail(index), position_source=source)
+            builder.add(raw[index].astype(np.float32), place)
 
 
 def _place(item: TraverseFrame) -> Place:
@@ -215,9 +233,12 @@ def _extend(args: argparse.Namespace) -> int:
     feeds = [read_feed(path) for path in args.feeds]
     header = old.header
     network = open_network(DescriptorConfig(model=str(args.model or ""), provider=header.model.provider))
-    key, kept = model_key(network), header.dimensions
-    with MapBuilder(args.map, key, header.regions, header.sampling, dimensions=kept, replace=True) as builder:
-        builder.add_map(old)
+    key = model_key(network)
+    if key != header.model:
+        raise MapError(f"{args.map}: made with another model, so nothing can be added; name the map's with --model")
+    shrink = shrink_to(header.dimensions, key.dimensions)
+    with MapBuilder(args.map, key, header.regions, header.sampling, shrink=shrink, replace=True) as builder:
+        add_map(builder, old)
         for feed in feeds:
             _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
         header = builder.finish(normalize, edge.__version__)

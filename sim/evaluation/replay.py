@@ -12,17 +12,17 @@ import msgspec
 from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.commands.map_build import add_feed_options, add_spacing_options, feed_options, sampling_from
 from edge.config import Config, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
-from edge.feed.traverse import traverse
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
+from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
+from sim.traverse import traverse
 
 CHECK_BYTES = 64 << 20
 

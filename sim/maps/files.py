@@ -19,9 +19,9 @@ from edge.mapping.completion import logs_in, map_of
 from edge.mapping.quota import KEEP_FILE, StoredMap, stored_maps
 from edge.reference_map import ReferenceMap, open_map, open_map_set
 from edge.reference_map.place_records import spell_accuracy
-from edge.reference_map.signature import make_key, sign_map
 from edge.reference_map.store import HEADER, MapHeader
-from edge.reference_map.tiles import split_map
+from sim.maps.keys import make_key, sign_map
+from sim.maps.tiles import split_map
 
 SAMPLED_PICTURES = 16
 LIGHTS = ((40.0, "dark"), (80.0, "dim"), (256.0, "bright"))

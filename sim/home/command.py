@@ -10,12 +10,13 @@ from pathlib import Path
 from edge.config import HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
 from edge.errors import ConfigError, LinkLost
 from edge.mission import Start, WayHome, plan_way_home
-from edge.mission.items import encoder_of, write_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.home_requests import Answer, Plan
 from edge.telemetry.link import parse_connection
-from edge.telemetry.local_socket import Request, ask_for_home
+from edge.telemetry.local_socket import Request
+from sim.home.client import ask_for_home
+from sim.home.files import encoder_of, write_way_home
 
 TURN_S = 0.02
 CONNECT_S = 20.0

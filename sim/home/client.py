@@ -1,0 +1,44 @@
+"""A request to the daemon that runs on this computer, over its socket: see `edge.telemetry.local_socket`."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from edge.errors import LinkLost
+from edge.telemetry.local_socket import LocalAnswer, Request
+
+ANSWER_S = 180.0
+"""How long to wait; an upload that is repeated and cleared takes less."""
+
+
+def ask_for_home(path: Path, on_text: Callable[[str], object], request: Request = "home") -> bool:
+    """Request a mission from the daemon that listens on a socket; whether the autopilot now has it.
+
+    on_text: gets each line for people. LinkLost where no daemon answers.
+    """
+    accepted = False
+    for answer in _answers(path, request):
+        on_text(answer.text)
+        accepted = answer.final and answer.accepted
+    return accepted
+
+
+def _answers(path: Path, request: Request) -> Iterator[LocalAnswer]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(ANSWER_S)
+        try:
+            connection.connect(str(path))
+            connection.sendall(f"{request}\n".encode())
+            with connection.makefile("rb") as lines:
+                for line in lines:
+                    answer = msgspec.json.decode(line, type=LocalAnswer)
+                    yield answer
+                    if answer.final:
+                        return
+        except (OSError, msgspec.DecodeError) as error:
+            raise LinkLost(f"{path}: no daemon answers there: {error}; is `lookback run` running?") from None
+    raise LinkLost(f"{path}: the daemon ended before it answered")

@@ -1,0 +1,86 @@
+"""Reads what the daemon's journal, or `lookback replay`, has written."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, TypeVar
+
+import msgspec
+
+from edge.journal.journal import earlier_files
+from edge.journal.records import SCHEMA, FrameUsed, JournalOpened, Record
+
+R = TypeVar("R", bound=Record)
+
+
+class UnknownRecord(msgspec.Struct, frozen=True):
+    """A line that is whole, but no record of this schema; `fields` is all that it says."""
+
+    fields: dict[str, Any]
+
+
+class JournalLine(NamedTuple):
+    """A record, and when it was written: Unix time in seconds, None in the output of `lookback replay`."""
+
+    unix_s: float | None
+    record: Record | UnknownRecord
+
+
+def read_journal(path: Path) -> Iterator[JournalLine]:
+    """The records of a journal, with those of its earlier files, or of what `lookback replay` wrote, in order.
+
+    Lines that a crash or a full disk has torn are skipped. What this schema does not know is an `UnknownRecord`: other
+    values of `event`, and everything that a run with a newer schema has written.
+    """
+    is_known = True
+    with ExitStack() as parts:
+        for line in itertools.chain.from_iterable(_open_all(path, parts)):
+            try:
+                fields = _decode_fields(line)
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                continue
+            record = _as_record(fields)
+            if isinstance(record, JournalOpened):
+                is_known = record.schema <= SCHEMA
+            elif not is_known:
+                record = UnknownRecord(fields)
+            yield JournalLine(fields.get("unix_s"), record)
+
+
+_decode_fields = msgspec.json.Decoder(dict[str, Any]).decode
+
+
+def _as_record(fields: dict[str, Any]) -> Record | UnknownRecord:
+    # The lines of replay are frames without a tag.
+    of_replay = "event" not in fields
+    try:
+        return msgspec.convert(fields, FrameUsed) if of_replay else msgspec.convert(fields, Record)
+    except msgspec.ValidationError:
+        return UnknownRecord(fields)
+
+
+def records_of(path: Path, kind: type[R]) -> Iterator[R]:
+    """The records of one kind, in order."""
+    return (line.record for line in read_journal(path) if isinstance(line.record, kind))
+
+
+def _open_all(path: Path, parts: ExitStack) -> list[BinaryIO]:
+    """All files of a journal for reading, the oldest first; `parts` closes them.
+
+    PATH is opened first: if it is renamed while the others are opened, it is met again, and not opened twice.
+    """
+    streams: dict[tuple[int, int], BinaryIO] = {}
+    for file in (path, *earlier_files(path)):
+        try:
+            stream = parts.enter_context(file.open("rb"))
+        except FileNotFoundError:
+            if file == path and not earlier_files(path):
+                raise
+            continue  # a crash between two renames, or the oldest file, which was deleted meanwhile
+        status = os.fstat(stream.fileno())
+        streams.setdefault((status.st_dev, status.st_ino), stream)
+    return list(reversed(streams.values()))
