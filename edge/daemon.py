@@ -256,6 +256,8 @@ class Daemon:
             link=self._autopilot.state,
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
+            withheld=self._autopilot.why_no_position,
+            driven_m=self._autopilot.driven_m,
         )
         hang = self._device.hang(self._clock_ns()) if self._device else ""
         return self.monitor.update(inputs, self._camera.health, hang)

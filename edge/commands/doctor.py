@@ -47,6 +47,7 @@ CHECKS = (
     Check("clock", ("devices",), doctor_computer.check_clock),
     Check("page", ("devices",), doctor_computer.check_page),
     Check("service", ("config",), doctor_computer.check_home_folders),
+    Check("last run", ("config",), doctor_setup.check_last_state),
     Check("model", ("config",), doctor_setup.check_model, 'set [descriptor] model = "" for the shipped model'),
     Check("map", ("network",), doctor_setup.check_map, "record a drive, then: lookback map build FEED -o {map}"),
     Check("map accuracy", ("maps",), doctor_setup.check_accuracy),

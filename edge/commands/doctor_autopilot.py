@@ -157,7 +157,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
     if status.lat_deg is None:
         yield note("it reports no position", "recordings have no positions until it has GPS or an origin")
     if status.gps != "healthy":
-        words = f"its GPS is {status.gps}" + (f": {status.gps_why}" if status.gps_why else "")
+        words = f"GPS is {status.gps}" + (f": {status.gps_why}" if status.gps_why else "")
         yield note(words, "recordings for a map or for `lookback calibrate` need GPS")
     if config.emit != "report":
         yield from _judge_velocity_aid(examined, vehicle)

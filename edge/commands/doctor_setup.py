@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from edge.descriptor.network import Head, Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
 from edge.feed.sampling import spell_spacing
+from edge.journal.journal import newest_state
 from edge.map_agreement import disagreements
 from edge.mission import plan_way_home
 from edge.recognizer import open_recognizer
@@ -44,6 +47,17 @@ def check_config(examined: Examined) -> Iterator[Found]:
     examined.config = config
     yield good(f"{path}: every key is valid")
     yield from (note(one, f"edit {path}") for one in outdated)
+
+
+def check_last_state(examined: Examined) -> Iterator[Found]:
+    """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
+    path = examined.settings.telemetry.journal
+    with contextlib.suppress(OSError):
+        newest = newest_state(Path(path)) if path else None
+        if newest is not None:
+            unix_s, record = newest
+            when = "" if unix_s is None else f" at {datetime.fromtimestamp(unix_s):%Y-%m-%d %H:%M:%S}"
+            yield note(f"the last run was{when}: {record}")
 
 
 def check_model(examined: Examined) -> Iterator[Found]:

@@ -1,12 +1,13 @@
 """The daemon's state, and why: decided by pure functions, followed and published in the same words; and stage times.
 
-The journal, systemd's STATUS=, the heartbeat's system_status and the pilot's status text all show one `Health`:
+The journal, systemd's STATUS=, the heartbeat's system_status, the pilot's status text, the page and doctor show one
+`Health`. Its reason says why no position comes, wherever none does:
 
     starting     no image has been used yet
     warming up   fewer frames than a sequence needs, or a large map is still being searched
     on the map   the newest match is accepted
     off the map  it is rejected
-    degraded     something is missing that may come back; "blind" if no place can be recognized
+    degraded     something is missing that may come back
     failed       the program ends: an error that it cannot recover from
 
 A vehicle that stands keeps the state in which it stopped.
@@ -45,6 +46,8 @@ LINK_GRACE_S = 5.0
 """Autopilots send every second; a link that has just been opened is not yet silent."""
 SLOW_FRAME_S = 1.0
 """The result of a slower frame is about a place that the vehicle has left."""
+OFF_STEPS_M = (20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+"""Meters without a recognized place at which the reason changes: each change is a line for the pilot."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ class HealthInputs:
     recognizer: its state, as in `edge.recognizer`. frames_used: since the start, or since the last blindness.
     camera: running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed | waiting |
     up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how long the
-    last frame took. gps: what is wrong with it by the places, "" if nothing is.
+    last frame took. gps: what is wrong with it by the places, "" if nothing is. withheld: why no position is sent, ""
+    while one is. driven_m: by the odometer, None if unknown. off_m: of that since a place was recognized.
     """
 
     recognizer: str = "warming up"
@@ -85,6 +89,9 @@ class HealthInputs:
     journal: str = ""
     frame_s: float = 0.0
     gps: str = ""
+    withheld: str = ""
+    driven_m: float | None = None
+    off_m: float | None = None
 
     @property
     def blind(self) -> str:
@@ -94,7 +101,13 @@ class HealthInputs:
         return f"camera: {self.picture}" if self.picture else ""
 
 
-STARTING = Health("starting")
+NOT_YET = {
+    "starting": "no picture has been used yet",
+    "warming up": "more frames are needed",
+    "searching": "the whole map is searched",
+}
+"""Why no place can be recognized yet."""
+STARTING = Health("starting", NOT_YET["starting"])
 
 
 def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
@@ -102,10 +115,21 @@ def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
     able = _able(signs, before)
     troubles = [one for one in (signs.gps, _link_trouble(signs), _journal_trouble(signs), _slow(signs)) if one]
     if signs.blind:
-        return Health("degraded", "; ".join([f"blind, {signs.blind}", *troubles]), "starting")
+        return Health("degraded", "; ".join([f"not recognized: {signs.blind}", *troubles]), "starting")
+    why = _why_no_position(signs, able)
     if troubles:
-        return Health("degraded", "; ".join([*troubles, able]), able)
-    return Health(able, "", able)
+        return Health("degraded", "; ".join([*troubles, str(Health(able, why))]), able)
+    return Health(able, why, able)
+
+
+def _why_no_position(signs: HealthInputs, able: Able) -> str:
+    """In a sentence for people; "" while positions are sent."""
+    if able == "on the map":
+        return f"no position: {signs.withheld}" if signs.withheld else ""
+    if able != "off the map":
+        return NOT_YET["searching" if signs.recognizer == "searching" else able]
+    passed = [step_m for step_m in OFF_STEPS_M if signs.off_m is not None and signs.off_m >= step_m]
+    return f"not recognized for {passed[-1]} m" if passed else "not recognized"
 
 
 def _able(signs: HealthInputs, before: Health) -> Able:
@@ -133,7 +157,8 @@ def _slow(signs: HealthInputs) -> str:
 
 
 TEXT_NS = 5_000_000_000
-"""At most one line about each state in this time: at the edge of a map it changes with every frame."""
+"""At most one line about each state in this time: at the edge of a map it changes with every frame. As long on the map,
+a vehicle has had time for its first position."""
 JOURNAL_RETRY_NS = 5_000_000_000
 SEVERITIES: dict[HealthState, int] = {"degraded": mavlink.MAV_SEVERITY_WARNING, "failed": mavlink.MAV_SEVERITY_CRITICAL}
 log = logging.getLogger(__name__)
@@ -163,6 +188,8 @@ class HealthMonitor:
         self._reopened = 0
         self._link_up_ns = clock_ns()
         self._link_was_up = False
+        self._off_map_ns = clock_ns()  # when the vehicle was last
+        self._recognized_m: float | None = None  # driven then
         self._published: Health | None = None
         self._published_text = ""
         self._text_due_ns: dict[HealthState, int] = {}
@@ -196,6 +223,8 @@ class HealthMonitor:
             link_down_s=self._link_down_s(is_up=inputs.link == "up"),
             journal=self._journal_fault(),
             frame_s=inputs.frame_s if frames_used > self._frames_before_gap else 0.0,
+            withheld=inputs.withheld if self._clock_ns() - self._off_map_ns >= TEXT_NS else "",
+            off_m=self._off_m(inputs.driven_m),
         )
         is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)
         self._was_blind, self._reopened = bool(inputs.blind), camera.reopened
@@ -203,6 +232,8 @@ class HealthMonitor:
             self._frames_before_gap = frames_used
             inputs = replace(inputs, frames_used=0, frame_s=0.0)
         self._publish(derive(inputs, self.health))
+        if self.health.able != "on the map":
+            self._off_map_ns = self._clock_ns()
         return is_gap
 
     @contextlib.contextmanager
@@ -215,6 +246,15 @@ class HealthMonitor:
             self._publish(Health("failed", words.splitlines()[0]))
             self._links.send_last_words(f"Lookback {self.health}", SEVERITIES["failed"])
             raise
+
+    def _off_m(self, driven_m: float | None) -> float | None:
+        """Meters driven since a place was recognized, or since the odometer began; None where it is not known."""
+        if driven_m is None:
+            return None
+        # An odometer that restarts begins at 0.
+        if self._recognized_m is None or self.health.able == "on the map" or driven_m < self._recognized_m:
+            self._recognized_m = driven_m
+        return driven_m - self._recognized_m
 
     def _link_down_s(self, *, is_up: bool) -> float:
         now_ns = self._clock_ns()

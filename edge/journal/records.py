@@ -60,7 +60,10 @@ class StateChanged(_Tagged, frozen=True, tag="state"):
     """The daemon's state, or the reason for it, changed; docs/vehicle.md lists the states."""
 
     state: Annotated[str, unit("", "starting, warming up, on the map, off the map, degraded or failed")]
-    why: Annotated[str, unit("", 'the reason, "" where there is nothing to say')] = ""
+    why: Annotated[str, unit("", 'the reason, and why no position is sent; "" where there is nothing to say')] = ""
+
+    def __str__(self) -> str:
+        return f"{self.state}: {self.why}" if self.why else self.state
 
 
 class MapExcluded(_Tagged, frozen=True, tag="map_excluded"):

@@ -42,7 +42,7 @@ class Status(msgspec.Struct, frozen=True):
 
     stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s identifies the run of the daemon. newest: the newest
     used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames per
-    second over the recent ones. category: of the last event. stages_ms: medians. history: oldest first.
+    second over the recent ones. stages_ms: medians. history: oldest first.
     """
 
     stamp_ns: int
@@ -57,7 +57,6 @@ class Status(msgspec.Struct, frozen=True):
     frames_used: int
     events: int
     fps: float
-    category: str
     confidence_min: float
     stages_ms: dict[str, float]
     journal_lost: int
@@ -121,7 +120,6 @@ class LiveStatus:
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
         self._match: PlaceMatch | None = None
-        self._category = ""
         self._frames_used = self._events = 0
 
     def add(self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, vehicle: tuple[float, float] | None) -> None:
@@ -129,7 +127,6 @@ class LiveStatus:
         self._frame, self._match = frame, match
         self._frames_used += 1
         self._events += used.emitted
-        self._category = used.category or self._category
         self._history.append(HistoryFrame(used, vehicle))
 
     def snapshot(self, state: str, why: str) -> Snapshot:
@@ -153,7 +150,6 @@ class LiveStatus:
             frames_used=self._frames_used,
             events=self._events,
             fps=self._fps(now_ns),
-            category=self._category,
             confidence_min=self._confidence_min,
             stages_ms=sources.stages_ms(),
             journal_lost=sources.journal_lost(),

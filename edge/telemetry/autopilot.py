@@ -105,6 +105,18 @@ class AutopilotConnection:
         self.positions.judge_gps(verdict, is_aided=self._velocity_aid not in (None, NO_AID))
 
     @property
+    def why_no_position(self) -> str:
+        """Why no position is sent, for people; "" while one is, and without a link."""
+        if self.state != "up":
+            return ""
+        return DOUBLED if self.vehicle.is_doubled else self.positions.why_none(self._clock_ns())
+
+    @property
+    def driven_m(self) -> float | None:
+        """Meters that the vehicle has driven, None where nobody knows."""
+        return self.vehicle.driven_m(self._clock_ns())
+
+    @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
         return "GPS is wrong" if self._estimator.gps_is_wrong else ""

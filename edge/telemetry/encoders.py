@@ -131,10 +131,10 @@ def _position(fix: PlaceFix, sending: Sending) -> tuple[float, float]:
 
 
 def describe(fix: PlaceFix) -> str:
-    """The line that a pilot reads: at most 50 bytes for a single map and categories of up to 18 letters."""
+    """The line that a pilot reads: at most 50 bytes for a single map."""
     direction = "" if fix.direction == "forward" else " backwards"
     of = "" if fix.map is UNSET else f" of {fix.map}"
-    return f"Place {fix.place}{of}{direction}, {fix.category}, {fix.uniqueness:.2f}"
+    return f"Place {fix.place}{of}{direction}, confidence {fix.confidence:.2f}"
 
 
 def status_text(text: str, severity: int) -> list[Message]:

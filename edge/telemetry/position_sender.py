@@ -33,17 +33,16 @@ from edge.telemetry.acknowledgements import MOVED_NS
 from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
-from edge.telemetry.gps import UNSTEADY
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.position_use import PositionUse
 from edge.telemetry.remembered_bound import RememberedBound
 from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
-UNCONFIRMED = "not confirmed by another place yet"
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
 REMEMBER_NS = 1_000_000_000
+LATE_NS = 10_000_000_000  # resets that improve on the autopilot come up to so far apart
 log = logging.getLogger(__name__)
 
 
@@ -74,7 +73,7 @@ class PositionSender:
         bound = remembered and remembered.with_suffix(".bound")
         self._remembered, self._remember_due_ns = RememberedBound(bound, gates.drift_percent), 0
         self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
-        self._withheld = ""
+        self._withheld = self._withheld_words = ""
         self._recorded_ns = 0
         self._start_over()
 
@@ -83,7 +82,7 @@ class PositionSender:
         self._sent_stamp_ns: int | None = None
         self.sent_status: dict[str, Any] = {}
         """The fields of `LinkStatus` on the newest position that was sent, of a steady stream about one per second."""
-        self._had_gps = self._has_said_that_it_waits = False
+        self._had_gps = False
         self._use.new_session()
 
     def new_session(self) -> None:
@@ -160,7 +159,7 @@ class PositionSender:
         if refused is not None:
             self._withhold(fix, refused, now_ns)
             return []
-        self._withheld = ""
+        self._withheld = self._withheld_words = ""
         messages = self._encode(fix, now_ns, self.message)
         if not messages:
             return []
@@ -185,20 +184,24 @@ class PositionSender:
         displacement = self._vehicle.displacement(fix.stamp_ns)
         return self._estimator.refusal(fix, limits, self._last_sent_ns, self.report(now_ns), displacement)
 
+    def why_none(self, now_ns: int) -> str:
+        """Why no position has been sent for a while, for people; "" where one has been."""
+        if self.message is None:
+            return self.why
+        if self._use.is_off:
+            return "the autopilot refuses positions"
+        is_late = self._last_sent_ns is None or now_ns - self._last_sent_ns >= LATE_NS
+        return (self._withheld_words or "the places do not agree yet") if is_late else ""
+
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
         if refused.reason + why == self._withheld:
             return
-        self._withheld = refused.reason + why
+        self._withheld = self._withheld_words = refused.reason + why
+        if refused.reason == "impossibly far" and refused.distance_m is not None:
+            self._withheld_words += f", {refused.distance_m:.0f} m"
         distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
         self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
-        if why not in ("", f": {UNSTEADY}"):
-            self._send_text(f"Lookback: {self._withheld}")
-        if refused.reason == UNCONFIRMED and not (self._estimator.is_bounded or self._has_said_that_it_waits):
-            self._has_said_that_it_waits = True
-            self._send_text("Lookback: waits for a second place to be sure")
-        if refused.reason == "impossibly far" and refused.distance_m is not None:
-            self._send_text(f"Lookback: place {fix.place} is {refused.distance_m:.0f} m off, not sent")
 
     def _encode(self, fix: PlaceFix, now_ns: int, message: PositionMessage, *, again: bool = False) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""

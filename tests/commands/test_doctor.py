@@ -6,6 +6,7 @@ import json
 import struct
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.__main__ import main
 from edge.commands.doctor import examine
 from edge.commands.doctor_findings import Finding
+from edge.journal.journal import Journal
+from edge.journal.records import LinkChanged, StateChanged
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -283,3 +286,14 @@ def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tm
     findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
     assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")
     assert told(findings, "autopilot", "bad") == ""
+
+
+def test_the_words_of_the_last_run(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config()
+    assert not told(list(examine(config, 0.1, offline=True)), "last run", "note")
+    with closing(Journal(tmp_path / "events.jsonl", unix_time_s=lambda: 1.8e9)) as journal:
+        journal.write(StateChanged("on the map"))
+        journal.write(StateChanged("off the map", "not recognized for 100 m"))
+        journal.write(LinkChanged("up"))
+    words = told(list(examine(config, 0.1, offline=True)), "last run", "note")
+    assert words.startswith("the last run was at 2027-01-1") and ": off the map: not recognized for 100 m" in words

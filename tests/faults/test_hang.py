@@ -82,7 +82,7 @@ def test_a_camera_that_hangs_in_its_driver(
     process = start(config)
     process.wait_for_word("WATCHDOG=1")
     began_s = time.monotonic()
-    process.wait_for_word("STATUS=degraded: blind, camera: it hangs (reading)")
+    process.wait_for_word("STATUS=degraded: not recognized: camera: it hangs (reading)")
     fed_s = time.monotonic()
     allowed_s = RecordedCamera(read_feed(blocked_picture)).read_timeout_s + GRACE_S
     assert "the camera hangs (reading)" in process.told()
@@ -94,7 +94,7 @@ def test_a_camera_that_hangs_can_be_told_to_stop(
     blocked_picture: Path, write_config: Callable[..., Path], start: Callable[..., Any]
 ) -> None:
     process = start(write_config(camera={"device": str(blocked_picture)}))
-    process.wait_for_word("STATUS=degraded: blind, camera: it hangs (reading)")
+    process.wait_for_word("STATUS=degraded: not recognized: camera: it hangs (reading)")
     assert process.end()[0] == 0
 
 
@@ -208,7 +208,7 @@ def test_a_camera_that_is_not_there_is_no_hang(
     write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
 ) -> None:
     process = start(write_config(camera={"kind": "v4l2", "device": str(tmp_path / "no-camera")}))
-    process.wait_for_word("STATUS=degraded: blind, camera: ")
+    process.wait_for_word("STATUS=degraded: not recognized: camera: ")
     process.wait_for_word("READY=1")
     for _ in range(10):
         process.wait_for_word("WATCHDOG=1")

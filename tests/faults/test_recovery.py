@@ -130,9 +130,9 @@ def frozen(bench: Any, image: Image, last: Image) -> Image | None:
 @pytest.mark.parametrize(
     ("fault", "words", "told_after"),
     [
-        (lost, "blind, camera: /dev/video0: unplugged", 1),
-        (black, "blind, camera: the image is blank; is the lens covered, or the exposure wrong?", 4),
-        (frozen, "blind, camera: the image is frozen", 11),
+        (lost, "not recognized: camera: /dev/video0: unplugged", 1),
+        (black, "not recognized: camera: the image is blank; is the lens covered, or the exposure wrong?", 4),
+        (frozen, "not recognized: camera: the image is frozen", 11),
     ],
 )
 def test_a_blindness(
@@ -204,17 +204,18 @@ class HandedCamera:
 @pytest.mark.parametrize(
     ("fault", "words", "blind_from", "blind_to"),
     [
-        (gives_nothing, "blind, camera: /dev/video0: no frame for 2 s", FAULT_FROM, FAULT_TO - 1),
+        (gives_nothing, "not recognized: camera: /dev/video0: no frame for 2 s", FAULT_FROM, FAULT_TO - 1),
         (
             another_size,
-            "blind, camera: nothing but bad frames for 2 s "
+            "not recognized: camera: nothing but bad frames for 2 s "
             "(an image of 80 x 60 pixels, but the first was of 160 x 120 pixels); opened again",
             FAULT_FROM + 10,
             FAULT_TO - 1,
         ),
         (
             time_goes_back,
-            "blind, camera: nothing but bad frames for 2 s (timestamp not after the last frame's); opened again",
+            "not recognized: camera: nothing but bad frames for 2 s (timestamp not after the last frame's);"
+            " opened again",
             FAULT_FROM + 10,
             FAULT_FROM + 10,
         ),

@@ -63,7 +63,6 @@ def snapshot(number: int) -> Snapshot:
         frames_used=number,
         events=1,
         fps=4.0,
-        category="street",
         confidence_min=0.5,
         stages_ms={"network": 9.5},
         journal_lost=0,

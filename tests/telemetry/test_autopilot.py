@@ -102,7 +102,7 @@ def test_report_sends_text_and_no_position(rig: Rig) -> None:
     assert rig.connection.position_due() is None
     assert not rig.connection.send_position(rig.fix())
     rig.run(2.0)
-    assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, street, 1.31"]
+    assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, confidence 0.90"]
     values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}
     assert values == {"uniqueness": pytest.approx(1.31), "fix_sigma": pytest.approx(3.0)}
     assert [(message.name, message.value) for message in rig.received("NAMED_VALUE_INT")] == [("place", 42)]

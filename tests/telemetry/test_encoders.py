@@ -18,7 +18,7 @@ from edge.telemetry.confirmation import Origin
 from edge.telemetry.encoders import Sending
 from edge.telemetry.position_messages import suitable_message
 
-FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, "residential_street", 5)
+FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
 ORIGIN = Origin(-27.478, 153.028, 20.0)
 SENDING = Sending(5, 12345.678, 0.42, 3, ORIGIN, -1.5, 7)
 
@@ -75,9 +75,9 @@ def test_a_position_without_its_time_or_height_is_not_sent(field: str) -> None:
 
 def test_a_fix_fits_into_one_status_text() -> None:
     of_tile = replace(FIX, map="tile-3", place=7)
-    assert encoders.describe(of_tile) == "Place 7 of tile-3 backwards, residential_street, 1.23"
+    assert encoders.describe(of_tile) == "Place 7 of tile-3 backwards, confidence 0.87"
     text = encoders.describe(FIX)
-    assert text == "Place 1207 backwards, residential_street, 1.23"
+    assert text == "Place 1207 backwards, confidence 0.87"
     assert len(encoders.status_text(text, 6)) == 1
 
 
@@ -86,8 +86,8 @@ def test_a_fix_fits_into_one_status_text() -> None:
     [
         ("x" * 50, ["x" * 50]),
         (
-            "Lookback degraded: blind, camera: the picture is black; warming up",
-            ["Lookback degraded: blind, camera: the picture is", "black; warming up"],
+            "Lookback degraded: not recognized: camera: the picture is black",
+            ["Lookback degraded: not recognized: camera: the", "picture is black"],
         ),
         ("/a" * 30, ["/a" * 25, "/a" * 5]),
     ],

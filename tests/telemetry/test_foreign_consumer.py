@@ -149,7 +149,9 @@ def tell_time_and_speed(setting: Setting) -> None:
 
 
 def place_fix(stamp_ns: int) -> PlaceFix:
-    return PlaceFix(stamp_ns, 812, -27.4772, 153.0283, 90.0, 6.3, 1.6, "reverse", "same", 1.25, "street", matches=20)
+    return PlaceFix(
+        stamp_ns, 812, -27.4772, 153.0283, 90.0, 6.3, 1.6, "reverse", "same", 1.25, matches=20, confidence=0.87
+    )
 
 
 def test_every_message_of_ours_is_decoded_with_the_right_fields(setting: Setting) -> None:
@@ -186,7 +188,7 @@ def test_every_message_of_ours_is_decoded_with_the_right_fields(setting: Setting
         "system_status": 4,
     }
     first, *lines = texts()
-    assert first["text"] == "Place 812 backwards, street, 1.25"
+    assert first["text"] == "Place 812 backwards, confidence 0.87"
     assert " ".join(line["text"] for line in lines) == LONG_TEXT
 
     command, *_ = foreigner.read("COMMAND_INT")  # tried again after a second, since MAVSDK does not answer

@@ -68,7 +68,7 @@ def test_a_further_link_gets_events_and_never_a_position(open_rig: OpenRig, stat
     assert {message.get_srcSystem() for message in station.heard[-5:]} == {7}
     assert {message.get_srcComponent() for message in station.heard} == {191}
     texts = [message.text for message in station.heard if message.get_type() == "STATUSTEXT"]
-    assert texts == ["Place 42 backwards, street, 1.31", "for everybody"]
+    assert texts == ["Place 42 backwards, confidence 0.90", "for everybody"]
     states = {(record.link, record.state) for record in rig.journalled(LinkChanged)}
     assert (f"udp:127.0.0.1:{station.port}", "up") in states
 

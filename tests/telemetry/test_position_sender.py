@@ -107,9 +107,12 @@ def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) ->
     (withheld,) = rig.journalled(FixWithheld)
     assert withheld.reason == "impossibly far"
     assert withheld.distance_m is not None and withheld.distance_m > 200
-    texts = [message.text for message in rig.received("STATUSTEXT")]
-    assert len([text for text in texts if "not sent" in text]) == 1
+    why = [rig.connection.why_no_position]
     assert offer_for(rig, 2.0) >= 2, "a good one goes at once"
+    why.append(rig.connection.why_no_position)
+    rig.run(11.0)
+    why.append(rig.connection.why_no_position)
+    assert why == [f"impossibly far, {withheld.distance_m:.0f} m", "", "the places do not agree yet"]
 
 
 def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig: OpenRig) -> None:
