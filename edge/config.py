@@ -229,11 +229,12 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[page]: the live page, read-only."""
+    """[page]: the live page; read-only without a token."""
 
     bind: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65535)] = 8642
     hosts: tuple[str, ...] = ()
+    token: Annotated[str, Meta(pattern="^$|^[!-~]{12,200}$")] = ""
 
 
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):

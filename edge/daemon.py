@@ -75,9 +75,7 @@ class Daemon:
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         self._autopilot.poll()
-        request = self._home_socket.requested() if self._home_socket is not None else None
-        if self._home_socket is not None and request is not None:
-            self._autopilot.request_home(self._home_socket.reply, restore=request == "restore")
+        self._read_requests()
         waits_ns = self._clock_ns()
         frame = self._camera.take(TURN_S)
         waited_s = (self._clock_ns() - waits_ns) / 1e9
@@ -96,6 +94,22 @@ class Daemon:
         self._update_page()
         self._feed_watchdog()
         return not self._camera.ended
+
+    def _read_requests(self) -> None:
+        """Of people: `lookback home` and the page."""
+        request = self._home_socket.requested() if self._home_socket is not None else None
+        if self._home_socket is not None and request is not None:
+            self._autopilot.request_home(self._home_socket.reply, restore=request == "restore")
+        page, wanted = self._page, self._page.requested() if self._page is not None else None
+        if page is None or wanted is None:
+            return
+        if wanted in ("home", "restore"):
+            self._autopilot.request_home(lambda answer: page.reply(answer.text), restore=wanted == "restore")
+        elif self._mapper is not None:
+            self._mapper.paused = "paused on the page" if wanted == "pause" else ""
+            page.reply(f"mapping {self._mapper.paused or 'goes on'}")
+        else:
+            page.reply("nothing is mapped: [mapping] folder is empty")
 
     def _dated(self, frame: Frame) -> Frame:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""

@@ -86,6 +86,8 @@ class DriveMapper:
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
         self._gaps = autopilot.vehicle.distance_gaps
+        self.paused = ""
+        """Why a person has mapping pause; "" where nobody has."""
         self._told: tuple[str, str] = (self.status.state, self.status.why)
 
     @property
@@ -146,7 +148,7 @@ class DriveMapper:
             described = waiting.popleft()
             frame = described.frame
             position = autopilot.history.at(frame.stamp_ns)
-            known = position, described.distance_m, autopilot.gps_fault, described.missed
+            known = position, described.distance_m, self.paused or autopilot.gps_fault, described.missed
             self._notice_gap()
             self.live.add(described.raw, frame.image, *known)
         self._publish_change()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import http.client
 import math
-from collections.abc import Iterator
+import socket
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -31,6 +33,7 @@ from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.udp_port import free_port
 
 ROAD_M, SPEED_MPS, SPACING_M = 400.0, 10.0, 2.0
 STEP_NS = 100_000_000
@@ -154,6 +157,8 @@ def drive(
     *,
     gps_out_only: bool = True,
     killed_at_m: float = math.inf,
+    page: PageConfig = PageConfig(port=0),  # noqa: B008  # frozen
+    each_turn: Callable[[float], object] = lambda driven_m: None,
 ) -> None:
     """The daemon over a whole drive; GPS fails where the vehicle turns round.
 
@@ -166,7 +171,7 @@ def drive(
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
         mapping=mapping,
-        page=PageConfig(port=0),
+        page=page,
         telemetry=msgspec.structs.replace(
             TelemetryConfig(),
             connection=f"serial:{link.device}:921600",
@@ -183,6 +188,7 @@ def drive(
             daemon = opened(config, open_parts, world, front, rear)
             while not world.is_over and world.driven_m < until_m:
                 world.now_ns += STEP_NS
+                each_turn(world.driven_m)
                 for _ in range(4):
                     autopilot.step()
                     daemon.turn()
@@ -216,6 +222,38 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
         assert frame.place is not None
         assert frame.place * SPACING_M == pytest.approx(2 * ROAD_M - driven_m, abs=4 * SPACING_M)
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
+
+
+def test_mapping_pauses_and_goes_on_by_the_page(
+    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
+) -> None:
+    pytest.importorskip("starlette")
+    page, token = PageConfig(port=free_port(socket.SOCK_STREAM), token="twelve-letters"), "twelve-letters"
+    wanted = [(100.0, "pause"), (200.0, "map")]
+
+    def ask(driven_m: float) -> None:
+        if wanted and driven_m >= wanted[0][0]:
+            connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20.0)
+            with closing(connection):
+                connection.request("POST", f"/{wanted.pop(0)[1]}", headers={"X-Lookback-Token": token})
+                assert connection.getresponse().status == 202
+
+    drive(
+        World(placed_network, home=False),
+        tmp_path,
+        parts,
+        mapping_to(tmp_path / "maps", second_camera=True),
+        page=page,
+        each_turn=ask,
+    )
+    changes = list(records_of(tmp_path / "events.jsonl", MappingChanged))
+    assert [(one.state, one.why) for one in changes][-3:] == [
+        ("mapping", ""),
+        ("waiting", "paused on the page"),
+        ("mapping", ""),
+    ]
+    assert changes[-2].places == pytest.approx(100 / SPACING_M, abs=5)
+    assert changes[-1].places <= changes[-2].places + 1
 
 
 def test_a_daemon_that_was_killed_on_the_way_out_comes_home_on_one_map(

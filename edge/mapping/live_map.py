@@ -97,18 +97,18 @@ class LiveMap:
         image: NDArray[np.uint8],
         position: VehiclePosition | None,
         distance_m: float | None,
-        gps_fault: str = "",
+        fault: str = "",
         missed: int = 0,
     ) -> None:
         """A frame at a new place: its raw descriptor (R, D), and what the autopilot says of its exposure.
 
-        gps_fault: what is wrong with GPS by the places that were recognized, "" where nothing is. missed: places that
-        were passed without a frame since the last one that was handed over.
+        fault: why it is not mapped, such as GPS that is wrong by the places; "" where it is. missed: places that were
+        passed without a frame since the last one that was handed over.
         """
         if distance_m is not None:
             heading_deg = position.heading_deg if position is not None else None
             self._motion.move(self._route_m(distance_m), np.nan if heading_deg is None else heading_deg)
-        self._why = gps_fault or self._why_not(position, distance_m)
+        self._why = fault or self._why_not(position, distance_m)
         if not self._why and position is not None and self._is_elsewhere(position):
             self._why = GPS_MOVES
         if self._why or position is None or distance_m is None or self.status.state == "stopped":

@@ -18,10 +18,14 @@ State: TypeAlias = Literal["computing", "ready", "failed", "busy"]
 
 
 class CoverageAnswer(msgspec.Struct, frozen=True):
-    """What is known for some conditions. why: it failed. sheet: what the command printed, a JSON object."""
+    """What is known for some conditions. why: it failed. sheet: what the command printed, a JSON object.
+
+    done: share of the drives that have been rehearsed, 0 to 1.
+    """
 
     state: State
     why: str = ""
+    done: float = 0.0
     sheet: msgspec.Raw = msgspec.Raw(b"null")
 
 
@@ -63,7 +67,10 @@ class CoverageJob:
             self._answers[key] = CoverageAnswer("failed", f"cannot start it: {error.strerror}")
             return
         try:
-            out, err = await asyncio.wait_for(process.communicate(), LONGEST_S)
+            assert process.stdout is not None and process.stderr is not None
+            said = self._follow(key, process.stderr)
+            out, err = await asyncio.wait_for(asyncio.gather(process.stdout.read(), said), LONGEST_S)
+            await process.wait()
         except asyncio.TimeoutError:
             self._answers[key] = CoverageAnswer("failed", "it took too long")
             return
@@ -74,4 +81,15 @@ class CoverageJob:
         if process.returncode == 0:
             self._answers[key] = CoverageAnswer("ready", sheet=msgspec.Raw(out))
         else:
-            self._answers[key] = CoverageAnswer("failed", err.decode(errors="replace").strip()[-500:])
+            self._answers[key] = CoverageAnswer("failed", err.strip()[-500:])
+
+    async def _follow(self, key: tuple[Path, str, str, str], lines: asyncio.StreamReader) -> str:
+        """Keep what is done by lines such as "done 0.25"; all other lines."""
+        others = []
+        async for line in lines:
+            words = line.decode(errors="replace")
+            if words.startswith("done "):
+                self._answers[key] = CoverageAnswer("computing", done=float(words[5:]))
+            else:
+                others.append(words)
+        return "".join(others)

@@ -1,11 +1,12 @@
-"""The live page: a read-only web server in a thread of its own. This file is that thread.
+"""The live page: a web server in a thread of its own, read-only without [page] token. This file is that thread.
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
 requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A look of the page's
 takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
 
-Only GET, no files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of
-[page] hosts, so that no foreign web site can read the page by a name that it points here; nor may one have a job begun.
+No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
+so that no foreign web site can read the page by a name that it points here; nor may one have a job begun. What changes
+something is POST with [page] token in a header of its own, which a browser sends to the page's own site only.
 Who has not sent a request after HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most.
 """
 
@@ -15,6 +16,7 @@ import asyncio
 import base64
 import contextlib
 import hashlib
+import hmac
 import ipaddress
 import logging
 import re
@@ -22,10 +24,11 @@ import signal
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import cv2
 import msgspec
@@ -64,6 +67,10 @@ SERVICE = {
 """What BlueOS, a companion computer's system, asks of an extension's web server at /register_service."""
 WAYS, LIGHTS, VIEWS = ("home", "again"), ("day", "dusk", "night", "rain", "snow"), ("front", "rear")
 """Of `lookback map coverage`, whose modules a vehicle need not load."""
+PageRequest: TypeAlias = Literal["home", "restore", "pause", "map"]
+"""The way home, the mission before it, and live mapping that pauses or goes on."""
+TOKEN_HEADER, WRONG_TOKEN_S = "X-Lookback-Token", 0.5
+"""Guesses are answered one after another, each after so long: at 12 letters nobody guesses right."""
 log = logging.getLogger(__name__)
 
 
@@ -78,6 +85,9 @@ class StatusPage:
         """Whether somebody waits for a snapshot."""
         self._map = map_view
         self._coverage = CoverageJob()
+        self._token, self._guess = config.token, asyncio.Lock()
+        self._requests: deque[PageRequest] = deque(maxlen=1)
+        self._said = ""  # the newest answer to a request
         self._answer_s = answer_s
         self._snapshot: Snapshot | None = None
         self._shown_s = 0.0
@@ -100,6 +110,14 @@ class StatusPage:
     def show_map(self, map_view: MapView) -> None:
         """Show other maps from now on, after one was excluded."""
         self._map = map_view
+
+    def requested(self) -> PageRequest | None:
+        """What somebody with the token has just requested; called by the daemon's loop, and answered by `reply`."""
+        return self._requests.popleft() if self._requests else None
+
+    def reply(self, text: str) -> None:
+        """Show an answer to what was requested."""
+        self._said = text
 
     def close(self) -> None:
         """Stop serving, at once; more than once is harmless."""
@@ -152,7 +170,8 @@ class StatusPage:
                     return PlainTextResponse(f"{name}: not a stamp\n", 400)
             asked = "shown" in request.query_params and _stamp_ns(snapshot) != int(stamps["shown"])
             picture = self._picture(snapshot) if asked else b""
-            return Response(snapshot.as_json(int(stamps["since"]), picture), media_type="application/json")
+            writing = {"may_write": bool(self._token), "said": self._said}
+            return Response(snapshot.as_json(int(stamps["since"]), picture, writing), media_type="application/json")
 
         async def metrics(request: Request, snapshot: Snapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
@@ -170,8 +189,7 @@ class StatusPage:
             return Response(self._map.as_json(), media_type="application/json")
 
         async def coverage(request: Request) -> Response:
-            # Browsers name the kind of site that asks; other programs do not, and need not.
-            if request.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
+            if _is_foreign(request):
                 return PlainTextResponse("only for this page itself\n", 403)
             asked = {name: request.query_params.get(name, "") for name in ("for", "light", "view")}
             for name, allowed in (("for", WAYS), ("light", LIGHTS), ("view", VIEWS)):
@@ -179,6 +197,18 @@ class StatusPage:
                     return PlainTextResponse(f"{name}: not one of {', '.join(allowed)}\n", 400)
             found = self._coverage.answer(self._map.path, asked["for"], asked["light"], asked["view"])
             return Response(msgspec.json.encode(found), media_type="application/json")
+
+        async def write(what: PageRequest, request: Request) -> Response:
+            if _is_foreign(request) or not self._token:
+                return PlainTextResponse("only for this page itself, with [page] token\n", 403)
+            async with self._guess:
+                given = request.headers.get(TOKEN_HEADER, "")
+                if not hmac.compare_digest(given.encode(), self._token.encode()):
+                    await asyncio.sleep(WRONG_TOKEN_S)
+                    return PlainTextResponse("this is not [page] token\n", 401)
+            self._said = "requested"
+            self._requests.append(what)
+            return PlainTextResponse("requested\n", 202)
 
         async def service(request: Request) -> Response:
             return JSONResponse(SERVICE)
@@ -192,6 +222,7 @@ class StatusPage:
                 Route("/thumbnail/{place_index:int}.jpg", thumbnail),
                 Route("/route.json", route),
                 Route("/coverage.json", coverage),
+                *(Route(f"/{what}", partial(write, what), methods=["POST"]) for what in get_args(PageRequest)),
                 Route("/register_service", service),
             ]
         )
@@ -221,6 +252,11 @@ class StatusPage:
                 image = cv2.resize(image[: size[1] * parts, : size[0] * parts], size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
             self._jpeg = stamp_ns, cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
         return self._jpeg[1]
+
+
+def _is_foreign(request: Request) -> bool:
+    """Whether another site asks: browsers name the kind of site; other programs do not, and need not."""
+    return request.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none")
 
 
 def _stamp_ns(snapshot: Snapshot) -> int | None:

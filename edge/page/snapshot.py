@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,15 +74,16 @@ class Snapshot:
     image: NDArray[np.uint8] | None
     costs: CostView
 
-    def as_json(self, since_ns: int, picture: bytes = b"") -> bytes:
+    def as_json(self, since_ns: int, picture: bytes = b"", others: Mapping[str, object] = {}) -> bytes:
         """The status, its history after `since_ns`, the cost row, and the cost matrix window; as cosine distances.
 
-        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already.
+        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already. others:
+        further fields.
         """
         history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
         fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
         row, window = _cost_row(self.costs), _cost_window(self.costs)
-        return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture})
+        return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture, **others})
 
 
 @dataclass(frozen=True)

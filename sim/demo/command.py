@@ -203,7 +203,7 @@ def demo_settings(reference_map: ReferenceMap, rig: RigConfig, page_port: int = 
     )
 
 
-PAGE_PX = (1280, 1070)
+PAGE_PX = (1280, 670)
 
 
 def _page_url(number: int) -> str:

@@ -145,6 +145,8 @@ def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark:
         driver.get(url_of(config))
         until(driver, "status !== null && newestMatch() !== null && newestMatch().accepted && past.length > 20")
         until(driver, PICTURES_SHOWN)
+        assert not driver.find_element("id", "health").is_displayed()
+        driver.execute_script("document.getElementById('details').open = true")
         assert until(driver, DRAWN)
         until(driver, f"status.frames_used > {driver.execute_script('return status.frames_used')}")
         until(driver, "status.state === 'on the map'")

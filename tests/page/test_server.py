@@ -25,7 +25,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from edge.camera import CameraHealth
 from edge.config import PageConfig
 from edge.journal.records import FrameUsed
-from edge.page.server import CONNECTIONS, StatusPage
+from edge.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
 from edge.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
@@ -322,6 +322,50 @@ def test_a_foreign_site_begins_no_job(page: StatusPage) -> None:
     for site in ("cross-site", "same-site"):
         assert get(page, path, **{"Sec-Fetch-Site": site})[0] == 403
     assert get(page, path, **{"Sec-Fetch-Site": "same-origin"})[0] == 200
+
+
+TOKEN = "twelve-letters"
+
+
+@pytest.fixture
+def writable() -> Iterator[StatusPage]:
+    with closing(StatusPage(PageConfig(port=0, token=TOKEN), MAP, patience_s=CUT_OFF_S)) as page:
+        yield page
+
+
+def test_a_request_is_handed_over_and_answered(writable: StatusPage) -> None:
+    assert get(writable, "/home", "POST", **{TOKEN_HEADER: TOKEN})[0] == 202
+    assert [writable.requested(), writable.requested()] == ["home", None]
+    with closing(Loop(writable)):
+        assert json.loads(get(writable, "/status.json")[1])["said"] == "requested"
+        writable.reply("5 items uploaded")
+        status = json.loads(get(writable, "/status.json")[1])
+    assert (status["said"], status["may_write"]) == ("5 items uploaded", True)
+
+
+@pytest.mark.parametrize(
+    ("method", "headers", "code"),
+    [
+        ("POST", {}, 401),
+        ("POST", {TOKEN_HEADER: "another-token"}, 401),
+        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "cross-site"}, 403),
+        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "same-site"}, 403),
+        ("POST", {TOKEN_HEADER: TOKEN, "Host": "evil.example"}, 421),
+        ("OPTIONS", {"Origin": "http://evil.example", "Access-Control-Request-Headers": TOKEN_HEADER}, 405),
+        ("GET", {TOKEN_HEADER: TOKEN}, 405),
+    ],
+)
+def test_no_other_request_is_handed_over(writable: StatusPage, method: str, headers: dict[str, str], code: int) -> None:
+    found, _, answered = get(writable, "/pause", method, **headers)
+    assert found == code
+    assert writable.requested() is None
+    assert not [name for name in answered if name.lower().startswith("access-control")]
+
+
+def test_without_a_token_nothing_can_be_requested(page: StatusPage, loop: Loop) -> None:
+    assert get(page, "/home", "POST", **{TOKEN_HEADER: ""})[0] == 403
+    assert page.requested() is None
+    assert not json.loads(get(page, "/status.json")[1])["may_write"]
 
 
 def test_what_is_shown_to_a_page_that_has_stopped_is_dropped(page: StatusPage, loop: Loop) -> None:
