@@ -4,6 +4,7 @@ A frame goes through these stages in this order, and none calls back; each passe
 
     feed/           recorded traverses  read, written, sampled
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
+    motion/         -> CameraSpeed      the vehicle's speed from the ground that two pictures show
     descriptor/     -> (R, D) float32   R regions, raw and normalized (NSD); fc6: D = 4096
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
     mapping/        the drive becomes a map while it is driven, searched with the others

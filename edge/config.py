@@ -84,6 +84,14 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         return f"{self.kind} {device}"
 
 
+class MotionConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """[motion]: the vehicle's speed from the ground that [camera] shows."""
+
+    use: Literal["off", "report", "odometer"] = "off"
+    fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
+    pitch_deg: Annotated[float, Meta(ge=-20, le=90)] = 0.0
+
+
 class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[sampling]: which of the camera's frames are places; the paper samples at a constant 2 m."""
 
@@ -281,6 +289,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     """The whole configuration."""
 
     camera: CameraConfig = CameraConfig()
+    motion: MotionConfig = MotionConfig()
     sampling: SamplingConfig = SamplingConfig()
     descriptor: DescriptorConfig = DescriptorConfig()
     map: MapConfig = MapConfig()

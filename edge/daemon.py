@@ -63,6 +63,7 @@ class Daemon:
         self._recognizer, self._verification = opened.recognizer, opened.verification
         self._mapper, self._warm_start = opened.mapper, opened.warm_start
         self._live_status, self._page = opened.live_status, opened.page
+        self._motion = opened.motion
         self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
         self._sampler = Sampler(config.sampling)
         self._estimator = opened.estimator
@@ -129,12 +130,21 @@ class Daemon:
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
+        self._measure_motion(frame)
         motion = self._autopilot.motion(frame.stamp_ns)
         self._use_velocity_error(self._estimator.follow(frame.stamp_ns, motion))
         is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
         if is_place:
             self._process_frame(frame, motion)
         return is_place
+
+    def _measure_motion(self, frame: Frame) -> None:
+        """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
+        if self._motion is None:
+            return
+        speed = self._motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
+        if speed is not None and self._config.motion.use == "odometer":
+            self._autopilot.vehicle.use_camera_speed(speed.stamp_ns, speed.speed_mps)
 
     def _process_frame(self, frame: Frame, motion: ReportedMotion) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""

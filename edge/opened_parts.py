@@ -21,6 +21,7 @@ from edge.journal.records import Record
 from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
+from edge.motion import CameraMotion
 from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet
@@ -91,6 +92,7 @@ class OpenedParts:
         self.device: NewestFrame | None = None
         if frames is None:
             frames = self.device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
+        self.motion = CameraMotion(config, self.record) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
         self.recording: FramesAwaitingPosition | None = None
         if config.recording.folder:

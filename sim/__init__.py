@@ -34,7 +34,8 @@ ORIGIN_ALT_M = 20.0
 class Pose:
     """Where a simulated vehicle is: meters east and north of the origin, heading clockwise from north.
 
-    distance_m is what its wheels have covered since the drive began, in whichever direction it drives.
+    distance_m is what its wheels have covered since the drive began, in whichever direction it drives. pitch_deg: nose
+    up; roll_deg: right side down.
     """
 
     east_m: float
@@ -42,6 +43,8 @@ class Pose:
     heading_deg: float
     speed_mps: float
     distance_m: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
 
     def geodetic(self) -> tuple[float, float]:
         """Latitude and longitude in degrees (WGS 84)."""

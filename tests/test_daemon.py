@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from edge.journal.records import FixAnswered, FixSent, LinkChanged, PlaceFix, Stopped
+from edge.journal.records import FixAnswered, FixSent, LinkChanged, MotionMeasured, PlaceFix, Stopped
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import straight_line
@@ -40,6 +40,7 @@ def cable() -> Iterator[PtyLink]:
 def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
     config = {
         "camera": {"kind": "feed", "device": str(street / "feed")},
+        "motion": {"use": "odometer"},
         "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
         "map": {"path": str(street / "map")},
         "sequence": {"length": 10},
@@ -86,6 +87,7 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
         if item.message.get_type() == "COMMAND_INT" and item.message.command == EXTERNAL_POSITION_ESTIMATE
     ]
     assert fixes
+    assert {one.why == "" for one in journal(tmp_path, MotionMeasured)} == {False}, "pictures of no road"
     # Between places, as the journal has them: one every 2 m, due north.
     assert {fix.x for fix in fixes} == {round(sent.lat_deg * 1e7) for sent in journal(tmp_path, FixSent)}
     assert all(-270000000 <= fix.x <= -270000000 + FRAMES * 2 * 90.3 for fix in fixes)

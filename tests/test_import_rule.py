@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 STAGES = (
     "feed",
     "camera",
+    "motion",
     "descriptor",
     "reference_map",
     "mapping",

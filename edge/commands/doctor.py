@@ -52,6 +52,7 @@ CHECKS = (
     Check("map", ("network",), doctor_setup.check_map, "record a drive, then: lookback map build FEED -o {map}"),
     Check("map accuracy", ("maps",), doctor_setup.check_accuracy),
     Check("sampling", ("maps",), doctor_setup.check_sampling),
+    Check("motion", ("config",), doctor_setup.check_motion),
     Check("way home", ("maps",), doctor_setup.check_way_home),
     Check("mapping", ("config",), doctor_computer.check_mapping),
     Check("link", ("config",), doctor_setup.check_links, "correct [telemetry]"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from datetime import datetime
@@ -20,12 +21,18 @@ from edge.feed.sampling import spell_spacing
 from edge.journal.journal import newest_state
 from edge.map_agreement import disagreements
 from edge.mission import plan_way_home
+from edge.motion import CameraMotion
+from edge.motion.camera_motion import WINDOW_M, WINDOWS
+from edge.motion.ground import FARTHEST, GroundView
 from edge.recognizer import open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.place_records import spell_accuracy
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge.toml_file import read_text, toml_values
+
+LEAST_GROUND = 0.1
+"""Of the picture: of one of 4 : 3 that is level, at 80 degrees, it is 30 %."""
 
 
 def check_config(examined: Examined) -> Iterator[Found]:
@@ -141,6 +148,22 @@ def check_way_home(examined: Examined) -> Iterator[Found]:
 def _maps(examined: Examined) -> MapSet:
     assert examined.maps is not None  # the check needs them
     return examined.maps
+
+
+def check_motion(examined: Examined) -> Iterator[Found]:
+    """How much of the road the camera of [motion] shows, and whether its height is known."""
+    config = examined.settings
+    if config.motion.use == "off":
+        return
+    camera, motion = config.camera, CameraMotion(config)
+    view = GroundView(config.motion.fov_deg, camera.width, camera.height, math.radians(config.motion.pitch_deg))
+    share = view.ground_share
+    words = f"{share:.0%} of the picture are ground up to {FARTHEST:g} heights ahead"
+    yield good(words) if share >= LEAST_GROUND else note(words, "tilt the camera down, or cut off less of the picture")
+    if motion.height.height_m:
+        yield good(f"the camera is {motion.height.height_m:.2f} m above the ground, within {motion.height.share:.1%}")
+    else:
+        yield note("the height of the camera is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
 
 
 def check_links(examined: Examined) -> Iterator[Found]:

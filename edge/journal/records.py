@@ -126,6 +126,18 @@ class FrameUsed(_Tagged, frozen=True, tag="frame"):
     category: Annotated[str | None, unit("", "what kind of place it shows; of events only")] = None
 
 
+class MotionMeasured(_Tagged, frozen=True, tag="motion"):
+    """The vehicle's motion by its camera, once a second; with [motion] use."""
+
+    stamp_ns: Annotated[int, unit("ns", "exposure time of the newer picture")]
+    speed_mps: Annotated[float | None, unit("m/s", "ahead, null where it could not be measured")] = None
+    sigma_mps: Annotated[float | None, unit("m/s", "one standard deviation of it")] = None
+    turn_radps: Annotated[float | None, unit("rad/s", "turn to the right")] = None
+    gps_mps: Annotated[float | None, unit("m/s", "speed by GPS, null while GPS is not good")] = None
+    height_m: Annotated[float | None, unit("m", "of the camera above the ground, null until it is learned")] = None
+    why: Annotated[str, unit("", 'why nothing was measured, "" where it was')] = ""
+
+
 class PlaceFix(_Tagged, frozen=True, tag="place"):
     """A position of the vehicle on a map; the journal has those of events."""
 
@@ -264,6 +276,7 @@ Record = (
     | DrivesDisagree
     | LinkChanged
     | FrameUsed
+    | MotionMeasured
     | PlaceFix
     | PositionMessageChosen
     | FixWithheld

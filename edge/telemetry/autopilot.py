@@ -30,6 +30,7 @@ from edge.telemetry.vehicle import DOUBLED, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
+GPS_SPEED_NS = 500_000_000  # older, the speed is of another moment
 log = logging.getLogger(__name__)
 
 
@@ -124,6 +125,13 @@ class AutopilotConnection:
     def speed_mps(self) -> float | None:
         """How fast the vehicle moves, None where nobody knows."""
         return self.vehicle.speed_mps(self._clock_ns())
+
+    def gps_speed_mps(self) -> float | None:
+        """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
+        now_ns = self._clock_ns()
+        own = self.vehicle.position(now_ns)
+        is_good = self.vehicle.gps.state(now_ns) == "healthy" and not (self.gps_fault or self._estimator.ignores_gps)
+        return own.speed_mps if own is not None and is_good and now_ns - own.stamp_ns <= GPS_SPEED_NS else None
 
     def motion(self, stamp_ns: int) -> ReportedMotion:
         """What the autopilot reports of its motion at a moment."""

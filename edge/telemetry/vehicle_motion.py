@@ -23,6 +23,7 @@ MAY_BE = 0.5
 at a deviation of 2 m/s and a true speed of 8."""
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
+CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot
 POSITIONS_APART_S = 0.5
 PULLS_KEPT = 16
 """More than are sent within PULLED_NS."""
@@ -40,6 +41,7 @@ class VehicleMotion:
         """When positions of ours were sent, and how far they were from the autopilot's own."""
         self._wheels: tuple[int, float] | None = None
         self._wheel_speed: tuple[int, float] | None = None
+        self._camera_speed: tuple[int, float] | None = None
         self._error: tuple[int, tuple[float, float]] | None = None
         self._error_sigma_mps = 0.0
         self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
@@ -53,7 +55,7 @@ class VehicleMotion:
         """The session has ended."""
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._pulls.clear()
-        self._wheels = self._wheel_speed = self._error = None
+        self._wheels = self._wheel_speed = self._camera_speed = self._error = None
         self.is_aided = True
 
     def distance_m(self, stamp_ns: int) -> float | None:
@@ -72,7 +74,18 @@ class VehicleMotion:
         self._pulls.append((now_ns, off_m))
 
     def _is_speed_measured(self, now_ns: int) -> bool:
-        return self.is_aided or _newest(self._wheel_speed, now_ns) is not None
+        return self.is_aided or self._own_speed(now_ns) is not None
+
+    def _own_speed(self, now_ns: int) -> float | None:
+        """By the wheels, else by the camera, which is silent within a second; None where neither measures it."""
+        wheels_mps = _newest(self._wheel_speed, now_ns)
+        return wheels_mps if wheels_mps is not None else _newest(self._camera_speed, now_ns, CAMERA_FRESH_NS)
+
+    def use_camera_speed(self, stamp_ns: int, speed_mps: float) -> None:
+        """The speed ahead that the camera measured; of use where neither autopilot nor wheels report one."""
+        self._camera_speed = stamp_ns, speed_mps
+        if _newest(self._wheel_speed, stamp_ns) is None:
+            self._motion.add_speed(stamp_ns, speed_mps, source=5)
 
     def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float, now_ns: int) -> None:
         """What the velocity is wrong by, and one standard deviation of that ahead; of use while nothing measures it."""
@@ -145,7 +158,7 @@ class VehicleMotion:
             self._heading_rad = math.radians(heading_deg)
         if not self.is_aided:
             sin, cos = math.sin(self._heading_rad), math.cos(self._heading_rad)
-            speed_mps = _newest(self._wheel_speed, stamp_ns)
+            speed_mps = self._own_speed(stamp_ns)
             if speed_mps is None and self._error is not None and stamp_ns - self._error[0] <= SPEED_FRESH_NS:
                 east_error_mps, north_error_mps = self._error[1]
                 speed_mps = (east_mps - east_error_mps) * sin + (north_mps - north_error_mps) * cos
@@ -158,9 +171,9 @@ class VehicleMotion:
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps)
 
 
-def _newest(speed: tuple[int, float] | None, now_ns: int) -> float | None:
+def _newest(speed: tuple[int, float] | None, now_ns: int, fresh_ns: int = SPEED_FRESH_NS) -> float | None:
     """A speed of some moment in m/s, None where it is too old."""
-    return None if speed is None or now_ns - speed[0] > SPEED_FRESH_NS else speed[1]
+    return None if speed is None or now_ns - speed[0] > fresh_ns else speed[1]
 
 
 def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from edge.camera import Camera, Frame
 from edge.config import CameraConfig
 from edge.errors import ConfigError
@@ -36,13 +39,21 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
 
     return Renderer(
         build_world(drive.route),
-        build_traffic(drive),
+        build_traffic(drive, scenario.car_ahead_m),
         LIGHTS[scenario.light],
         view=scenario.view,
         size=(scenario.width, scenario.height),
         fov_deg=scenario.fov_deg,
         seed=scenario.drive_seed,
     )
+
+
+def picture(renderer: Renderer, scenario: Scenario, drive: Drive, time_s: float) -> NDArray[np.uint8]:
+    """What the scenario's camera sees at a time of the drive, (H, W, 3) uint8 BGR, the middle of its exposure."""
+    shares = (-0.5, -0.25, 0.25, 0.5) if scenario.exposure_s else ()
+    ahead_m = scenario.camera_ahead_m
+    others = [drive.pose(time_s + share * scenario.exposure_s, ahead_m) for share in shares]
+    return renderer.render(drive.pose(time_s, ahead_m), time_s, *others)
 
 
 RENDER_S = 5.0  # a picture on a busy computer
@@ -71,7 +82,7 @@ class SimCamera:
         )
         self.read_timeout_s = RENDER_S + 1 / config.fps
         self._drive = scenario.drive()
-        self._camera_ahead_m = scenario.camera_ahead_m
+        self._scenario = scenario
         self._renderer: Renderer | None = open_renderer(scenario, self._drive)
         self._clock_ns = clock_ns
         self._sleep = sleep
@@ -96,7 +107,7 @@ class SimCamera:
         if stamp_ns > now_ns:
             self._sleep((stamp_ns - now_ns) / 1e9)
         self._next = index + 1
-        return Frame(self._renderer.render(self._drive.pose(time_s, self._camera_ahead_m), time_s), stamp_ns, index)
+        return Frame(picture(self._renderer, self._scenario, self._drive, time_s), stamp_ns, index)
 
     def close(self) -> None:
         """Release the renderer; a later read() returns None."""

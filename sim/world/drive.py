@@ -18,6 +18,10 @@ STEP_S = 0.05
 ACCELERATION_MPS2 = 1.5
 SWAY_M = 0.25
 """Amplitude of the deviation from the middle of the lane."""
+SQUAT_DEG = 0.6
+"""By which a car's nose rises for each m/s^2 that it accelerates, and dives when it brakes."""
+BUMPS_DEG = 0.3
+"""Amplitude of pitch and roll on an uneven road."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,9 @@ class Drive:
 
     `direction` "reverse" is the way home: from the end of the route to its start. lane_m is the distance of the
     vehicle's path to the left of the road's middle as the driver sees it (left-hand traffic), so that going home
-    takes the other side of the road. times_s and distances_m (N,) sample the motion each STEP_S.
+    takes the other side of the road. shaking: how much it pitches and rolls, 1 as a car, 0 not at all.
+
+    times_s and distances_m (N,) sample the motion each STEP_S.
     """
 
     route: Route
@@ -35,6 +41,7 @@ class Drive:
     seed: int
     times_s: NDArray[np.float64]
     distances_m: NDArray[np.float64]
+    shaking: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -70,7 +77,8 @@ class Drive:
         # The sway is to the left of the road; its slope turns the vehicle against the clock.
         heading += -np.arctan(slope) + (0.0 if sign > 0 else np.pi)
         speed_mps = (self.distance_m(time_s + STEP_S) - self.distance_m(time_s - STEP_S)) / (2 * STEP_S)
-        return Pose(east, north, float(np.degrees(heading)) % 360.0, speed_mps, self.distance_m(time_s))
+        tilt_deg = self._tilt_deg(time_s) if self.shaking else (0.0, 0.0)
+        return Pose(east, north, float(np.degrees(heading)) % 360.0, speed_mps, self.distance_m(time_s), *tilt_deg)
 
     def error_m(self, time_s: float, lat_deg: float, lon_deg: float) -> float:
         """Horizontal distance of a position from where the vehicle is at `time_s`."""
@@ -79,6 +87,14 @@ class Drive:
             lat_deg, lon_deg, ORIGIN_ALT_M, true_lat_deg, true_lon_deg, ORIGIN_ALT_M
         )
         return float(np.hypot(east_m, north_m))
+
+    def _tilt_deg(self, time_s: float) -> tuple[float, float]:
+        """Pitch by the acceleration of the last half second, and bumps of 11 and 4 m, which also make it roll."""
+        ahead_m = [self.distance_m(time_s + lag_s) for lag_s in (-0.5, -0.25, 0.0)]
+        pitch_deg = SQUAT_DEG * (ahead_m[2] - 2 * ahead_m[1] + ahead_m[0]) / 0.25**2
+        bumps = [np.sin(2 * np.pi * ahead_m[2] / wave_m + self.seed + wave_m) for wave_m in (11.0, 4.0, 13.0, 5.0)]
+        roll_deg = BUMPS_DEG * (bumps[2] + bumps[3])
+        return self.shaking * float(pitch_deg + BUMPS_DEG * (bumps[0] + bumps[1])), self.shaking * float(roll_deg)
 
     def _sway(self, route_m: float) -> tuple[float, float]:
         """Distance from the lane's middle and its slope along the route: two sines of 60 and 23 m."""
@@ -98,6 +114,7 @@ def plan_drive(
     lane_m: float = 1.75,
     speed_mps: float = 10.0,
     stops: int = 0,
+    shaking: float = 0.0,
 ) -> Drive:
     """Plan the motion: the wanted speed changes every few seconds between 0.6 and 1.3 of `speed_mps`.
 
@@ -120,4 +137,4 @@ def plan_drive(
         speed = 0.0
         distances += [float(halt_m)] * max(1, round(wait_s / STEP_S))
     times = np.arange(len(distances), dtype=np.float64) * STEP_S
-    return Drive(route, direction, lane_m, seed, times, np.array(distances, np.float64))
+    return Drive(route, direction, lane_m, seed, times, np.array(distances, np.float64), shaking)

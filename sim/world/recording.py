@@ -11,7 +11,7 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.feed import FeedHeader, FeedWriter
 from sim import ORIGIN_ALT_M
-from sim.world.camera import open_renderer
+from sim.world.camera import open_renderer, picture
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario
 
@@ -62,7 +62,7 @@ def record_drive(
         renderer = open_renderer(scenario, drive)
         try:
             for time_s in progress(times_s):
-                image = renderer.render(drive.pose(time_s, scenario.camera_ahead_m), time_s)
+                image = picture(renderer, scenario, drive, time_s)
                 _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
         finally:
             renderer.close()

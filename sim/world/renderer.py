@@ -61,7 +61,7 @@ class Renderer:
         self._root = NodePath("world")
         static = build_static((*world.things, *traffic.parked), light, world.lamps_m, traffic.window_seed)
         static.reparent_to(self._root)
-        self._cars = [(car, build_moving(car.things, light)) for car in traffic.moving]
+        self._cars = [(car, build_moving(car.things, light)) for car in (*traffic.moving, traffic.ahead) if car]
         for _, node in self._cars:
             node.reparent_to(self._root)
         self._camera = self._root.attach_new_node(_perspective_camera(size, fov_deg))
@@ -72,14 +72,19 @@ class Renderer:
         self._buffer.set_clear_color((*light.sky_top, 1))
         self._buffer.make_display_region().set_camera(self._camera)
 
-    def render(self, pose: Pose, time_s: float) -> NDArray[np.uint8]:
-        """What the camera sees at a time of the drive, (H, W, 3) uint8 BGR."""
-        return self._sensor.develop(self.render_scene(pose, time_s), time_s)
+    def render(self, pose: Pose, time_s: float, *others: Pose) -> NDArray[np.uint8]:
+        """What the camera sees at a time of the drive, (H, W, 3) uint8 BGR; others: poses during the same exposure."""
+        scene = self.render_scene(pose, time_s)
+        if others:
+            scenes = [scene, *(self.render_scene(one, time_s) for one in others)]
+            scene = np.mean(scenes, axis=0).astype(np.uint8)
+        return self._sensor.develop(scene, time_s)
 
     def render_scene(self, pose: Pose, time_s: float) -> NDArray[np.uint8]:
         """The scene before the sensor, (H, W, 3) uint8 BGR."""
         self._camera.set_pos(pose.east_m, pose.north_m, CAMERA_HIGH_M)
-        self._camera.set_h(self._turn_deg - pose.heading_deg)
+        sign = 1.0 if self._turn_deg == 0.0 else -1.0  # what lifts the nose lowers the rear
+        self._camera.set_hpr(self._turn_deg - pose.heading_deg, sign * pose.pitch_deg, sign * pose.roll_deg)
         self._sky.set_pos(pose.east_m, pose.north_m, CAMERA_HIGH_M)
         self._place_cars(time_s)
         self._buffer.set_active(True)

@@ -13,6 +13,9 @@
     height = 240
     fov_deg = 80.0           # horizontal, 30 to 120
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
+    shaking = 0.0            # pitch and roll of the vehicle, 1 as a car's, 0 to 3
+    exposure_s = 0.0         # of a picture, which blurs what moves, 0 to 0.1
+    car_ahead_m = 0.0        # a car that drives so far ahead; 0 is none
     epoch_ns = 0             # CLOCK_MONOTONIC at the start; without it, the time at which the camera opens
 
 In processes that share a scenario with `epoch_ns`, the vehicle is at the same place at the same time.
@@ -50,6 +53,9 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     height: Annotated[int, Meta(ge=24, le=2048)] = 240
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
+    shaking: Annotated[float, Meta(ge=0, le=3)] = 0.0
+    exposure_s: Annotated[float, Meta(ge=0, le=0.1)] = 0.0
+    car_ahead_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
 
     def drive(self) -> Drive:
@@ -61,6 +67,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
             lane_m=self.lane_m,
             speed_mps=self.speed_mps,
             stops=self.stops,
+            shaking=self.shaking,
         )
 
 

@@ -40,16 +40,35 @@ class MovingCar:
 
 
 @dataclass(frozen=True)
+class CarAhead:
+    """A car in the lane of the drive, always as far ahead; its shape as that of a `MovingCar`."""
+
+    things: tuple[Thing, ...]
+    drive: Drive
+    ahead_m: float
+
+    def position(self, time_s: float) -> tuple[float, float, float]:
+        """East, north (m) and heading (rad) at a time of the drive."""
+        pose = self.drive.pose(time_s, self.ahead_m)
+        return pose.east_m, pose.north_m, float(np.radians(pose.heading_deg))
+
+    def on_road(self, time_s: float) -> bool:
+        """It always is."""
+        return True
+
+
+@dataclass(frozen=True)
 class Traffic:
     """The cars of one drive; `window_seed` decides which windows are lit."""
 
     parked: tuple[Thing, ...]
     moving: tuple[MovingCar, ...]
     window_seed: int
+    ahead: CarAhead | None = None
 
 
-def build_traffic(drive: Drive) -> Traffic:
-    """The traffic of a drive; its seed decides."""
+def build_traffic(drive: Drive, car_ahead_m: float = 0.0) -> Traffic:
+    """The traffic of a drive; its seed decides. car_ahead_m: of a car that drives ahead, 0 for none."""
     rng = np.random.default_rng([drive.seed, 4])
     parked: list[Thing] = []
     for side in (1, -1):
@@ -57,7 +76,9 @@ def build_traffic(drive: Drive) -> Traffic:
             if rng.random() < PARKED_SHARE[drive.route.district(float(route_m))]:
                 car = draw_car(_curb(drive.route, float(route_m), side, rng), rng)
                 parked += [replace(thing, windows=()) for thing in car]  # its lamps are off
-    return Traffic(tuple(parked), _oncoming(drive, rng), int(rng.integers(2**31)))
+    moving, window_seed = _oncoming(drive, rng), int(rng.integers(2**31))
+    ahead = CarAhead(draw_car(Plot((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)), rng), drive, car_ahead_m)
+    return Traffic(tuple(parked), moving, window_seed, ahead if car_ahead_m else None)
 
 
 def _curb(route: Route, route_m: float, side: int, rng: np.random.Generator) -> Plot:

@@ -31,6 +31,7 @@ from edge.journal.records import (
     LinkChanged,
     MapExcluded,
     MappingChanged,
+    MotionMeasured,
     PlaceFix,
     PositionMessageChosen,
     Record,
@@ -205,6 +206,7 @@ EVERY_KIND: tuple[Record, ...] = (
     MapExcluded("tile-3", "damaged"),
     MappingChanged("waiting", "no GPS", "20260101T120000Z", 12),
     LinkChanged("up", "", "udp:127.0.0.1:14550"),
+    MotionMeasured(9_000_000_000, 7.1, 0.14, -0.02, 7.0, 1.39, ""),
     FrameUsed(5, 9_000_000_000),
     FrameUsed(
         6,

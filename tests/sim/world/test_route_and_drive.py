@@ -102,3 +102,14 @@ def test_time_at_is_the_inverse_of_distance() -> None:
     motion = drive(stops=1)
     for distance_m in (0.0, 1.0, 123.4, 599.0, 600.0):
         assert motion.distance_m(motion.time_at_s(distance_m)) == pytest.approx(distance_m, abs=1e-6)
+
+
+def test_a_shaking_car_lifts_its_nose_when_it_pulls_away_and_drives_where_a_stiff_one_does() -> None:
+    stiff, shaking = drive(), drive(shaking=1.0)
+    poses = [(stiff.pose(t), shaking.pose(t)) for t in np.arange(0.0, stiff.duration_s, 0.1)]
+    assert all((a.east_m, a.north_m, a.heading_deg) == (b.east_m, b.north_m, b.heading_deg) for a, b in poses)
+    assert {(a.pitch_deg, a.roll_deg) for a, _ in poses} == {(0.0, 0.0)}
+    pulling = np.mean([b.pitch_deg for _, b in poses[10:50]])
+    braking = np.mean([b.pitch_deg for _, b in poses[-50:-10]])
+    assert pulling > 0.4 and braking < -0.4
+    assert 0.1 < np.std([b.roll_deg for _, b in poses]) < 0.6

@@ -180,6 +180,25 @@ def test_moving_cars_come_toward_the_vehicle_on_the_other_lane() -> None:
         assert np.cos(heading - np.radians(pose.heading_deg)) < -0.99
 
 
+def test_a_car_ahead_stays_ahead_and_only_where_it_is_wanted() -> None:
+    drive = plan_drive(generate_route(2, 400.0), "reverse", seed=5)
+    assert build_traffic(drive).ahead is None
+    ahead = build_traffic(drive, 12.0).ahead
+    assert ahead is not None
+    for time_s in (5.0, 20.0):
+        pose, (east_m, north_m, _) = drive.pose(time_s), ahead.position(time_s)
+        assert np.hypot(east_m - pose.east_m, north_m - pose.north_m) == pytest.approx(12.0, abs=0.7)
+
+
+def test_the_horizon_sinks_when_the_nose_rises(house_cameras: dict[str, Renderer]) -> None:
+    level, up = (Pose(0.0, 70.0, 0.0, 0.0, 0.0, pitch_deg=pitch_deg) for pitch_deg in (0.0, 3.0))
+    for name, sign in (("front", 1), ("rear", -1)):
+        before, after = (house_cameras[name].render_scene(pose, 0.0).astype(np.float32) for pose in (level, up))
+        px = sign * 3.0 / 80.0 * before.shape[1]
+        down = np.roll(before, round(px), axis=0)[20:-20]
+        assert np.abs(down - after[20:-20]).mean() < np.abs(before - after)[20:-20].mean()
+
+
 def test_two_renderers_live_side_by_side(house_cameras: dict[str, Renderer]) -> None:
     pose = Pose(0.0, 70.0, 0.0, 0.0, 0.0)
     alone = house_cameras["front"].render_scene(pose, 0.0)

@@ -1,0 +1,198 @@
+"""Forward speed and turn of the vehicle from consecutive pictures; the camera's height is learned while GPS is good."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.files import replacing
+from edge.journal.records import MotionMeasured, Record
+from edge.motion.ground import GroundView, Prior, Step, measure
+
+LEAST_NS, LONGEST_NS = 60_000_000, 500_000_000
+"""Between two pictures that are compared: of 30 a second one in two, which halves what they cost; and after the latter
+little of the ground is still to be seen, at 10 m/s and 1.4 m."""
+MOUNTED_RAD, RESTS_RAD = math.radians(2.0), math.radians(0.6)
+"""Standard deviations of the pitch: of a camera that was mounted by hand, and of a car around where it rests."""
+NODS_RAD, RESTS_S = math.radians(0.2), 2.0
+"""Standard deviation of its change between two pictures, of a car on a road; and how soon it is back where it rests."""
+WINDOW_M, WINDOWS, WINDOWS_MOST = 20.0, 5, 25
+"""Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. How many make the
+height known, and how many are remembered: 500 m, so that another mount is learned in half of that."""
+LEAST_SHARE, KNOWN_SHARE = 0.005, 0.05
+"""Standard deviations of the height, as shares of it: GPS has no better velocity; and the most that is of use."""
+STRONGEST_MPS2, LEAST_M = 10.0, 0.5
+"""No vehicle changes its speed faster by much, whose camera is at least so high: after a loss, one in five motions that
+were found was that of something else, and none twice."""
+LEARNT_MPS = 2.0
+"""Slower, the velocity of GPS is wrong by too large a share."""
+RECORDED_NS, SAVED_NS = 1_000_000_000, 60_000_000_000
+"""Between records in the journal, and between writes of the file."""
+log = logging.getLogger(__name__)
+
+
+class CameraSpeed(NamedTuple):
+    """Of the vehicle at `stamp_ns`, the middle between two exposures: ahead, and turning to the right.
+
+    sigma_mps, turn_sigma_radps: one standard deviation.
+    """
+
+    stamp_ns: int
+    speed_mps: float
+    sigma_mps: float
+    turn_radps: float
+    turn_sigma_radps: float
+
+
+class LearnedHeight(msgspec.Struct, frozen=True):
+    """Of the camera above the ground, from comparisons with GPS; and its pitch, down from the horizon.
+
+    camera: what it holds for. heights_m: by the newest comparisons.
+    """
+
+    camera: str
+    pitch_rad: float
+    heights_m: tuple[float, ...] = ()
+
+    @property
+    def height_m(self) -> float | None:
+        """None until it is known well enough."""
+        return float(np.median(self.heights_m)) if self.share <= KNOWN_SHARE else None
+
+    @property
+    def share(self) -> float:
+        """One standard deviation, as a share of the height, infinite before there are WINDOWS comparisons.
+
+        Of a median, by the median distance from it: 1.48 and 1.25 are those of normal errors.
+        """
+        if len(self.heights_m) < WINDOWS:
+            return math.inf
+        middle_m = float(np.median(self.heights_m))
+        spread = 1.48 * float(np.median(np.abs(np.array(self.heights_m) - middle_m))) / middle_m
+        return math.hypot(LEAST_SHARE, 1.25 * spread / math.sqrt(len(self.heights_m)))
+
+    def with_window(self, height_m: float, pitch_rad: float) -> LearnedHeight:
+        """With one more comparison."""
+        heights_m = (*self.heights_m, height_m)[-WINDOWS_MOST:]
+        pitch_rad = self.pitch_rad + (pitch_rad - self.pitch_rad) / len(heights_m)
+        return LearnedHeight(self.camera, pitch_rad, heights_m)
+
+
+class CameraMotion:
+    """The motion of one vehicle, from each of its camera's pictures in turn."""
+
+    def __init__(self, config: Config, record: Callable[[Record], object] = lambda record: None) -> None:
+        """Read the height that an earlier run learned. record: writes a record (`Journal.write`)."""
+        motion, camera, journal = config.motion, config.camera, config.telemetry.journal
+        self._config = motion
+        self._sign = 1.0 if camera.view == "front" else -1.0
+        self._record, self._recorded_ns, self._saved_ns = record, 0, 0
+        self._path = Path(journal).with_suffix(".height") if journal else None
+        self.height = self._read(f"{camera.source} {camera.view} {camera.preprocessing} {motion}")
+        self._gps_m = self._heights = 0.0  # since the last comparison
+        self._view: GroundView | None = None
+        self._seen: tuple[NDArray[np.uint8], int] | None = None
+        self._step: Step | None = None
+        self._stepped_ns = 0
+        self.speed: CameraSpeed | None = None
+        """The newest, None where it could not be measured."""
+        self._forget("no picture yet")
+
+    def _read(self, camera: str) -> LearnedHeight:
+        unknown = LearnedHeight(camera, math.radians(self._config.pitch_deg))
+        if self._path is None or not self._path.exists():
+            return unknown
+        try:
+            kept = msgspec.json.decode(self._path.read_bytes(), type=LearnedHeight)
+        except (OSError, ValueError) as error:
+            log.warning("%s: ignored, the camera's height is learned again: %s", self._path, error)
+            return unknown
+        return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else unknown
+
+    def _forget(self, why: str) -> None:
+        self.why, self._step = why, None
+        self._pitch_rad = self.height.pitch_rad
+        self._pitch_sigma = RESTS_RAD if self.height.height_m else MOUNTED_RAD
+
+    def follow(self, image: NDArray[np.uint8], stamp_ns: int, gps_mps: float | None) -> CameraSpeed | None:
+        """The vehicle's speed by this picture (H, W, 3) BGR and the one before; None where there is none: see `why`.
+
+        gps_mps: its speed by GPS, from which the height is learned, None while GPS is not good. A picture less than
+        LEAST_NS after the last one is passed over.
+        """
+        before = self._seen
+        if before is not None and 0 <= stamp_ns - before[1] < LEAST_NS:
+            return None
+        if self._view is None:
+            size, pitch_rad = image.shape[1::-1], math.radians(self._config.pitch_deg)
+            self._view = GroundView(self._config.fov_deg, size[0], size[1], pitch_rad)
+        now = self._seen = self._view.contrast(image), stamp_ns
+        self.speed = None
+        if before is None or not 0 < stamp_ns - before[1] <= LONGEST_NS:
+            self._forget("no picture shortly before")
+        else:
+            elapsed_s = (stamp_ns - before[1]) / 1e9
+            step = measure(self._view, before[0], now[0], elapsed_s, self._prior(elapsed_s))
+            if isinstance(step, str):
+                self.why = step
+                if stamp_ns - self._stepped_ns > LONGEST_NS:
+                    self._forget(step)
+            else:
+                self._use(step, stamp_ns, gps_mps)
+        if stamp_ns - self._recorded_ns >= RECORDED_NS:
+            self._recorded_ns = stamp_ns
+            values = self.speed[1:4] if self.speed else (None, None, None)
+            self._record(MotionMeasured(stamp_ns, *values, gps_mps, self.height.height_m, self.why))
+        return self.speed
+
+    def _prior(self, elapsed_s: float) -> Prior:
+        last, kept = self._step, math.exp(-elapsed_s / RESTS_S)
+        rests_rad = self.height.pitch_rad if self.height.height_m else self._pitch_rad
+        pitch_rad = rests_rad + kept * (self._pitch_rad - rests_rad)
+        sigma = math.hypot(kept * self._pitch_sigma, math.sqrt(1 - kept**2) * RESTS_RAD)
+        share = elapsed_s / last.elapsed_s if last is not None else 0.0
+        ahead, turn_rad = (last.ahead * share, last.turn_rad * share) if last is not None else (None, 0.0)
+        return Prior(ahead, turn_rad, pitch_rad, sigma, NODS_RAD)
+
+    def _use(self, step: Step, stamp_ns: int, gps_mps: float | None) -> None:
+        before, self._step = self._step, step
+        since_s, self._stepped_ns = (stamp_ns - self._stepped_ns) / 1e9, stamp_ns
+        self._pitch_rad, self._pitch_sigma = step.pitch_rad, step.pitch_sigma
+        height_m = self.height.height_m
+        jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * (height_m or LEAST_M)
+        if jump_mps > STRONGEST_MPS2 * since_s:
+            self.why = "the ground has not moved alike twice in a row"
+            return
+        if gps_mps is not None and gps_mps >= LEARNT_MPS:
+            self._learn(gps_mps * step.elapsed_s, abs(step.ahead), step.pitch_rad, stamp_ns)
+        self.why = "" if height_m else "the height of the camera is not learned yet"
+        if height_m:
+            per_s = height_m / step.elapsed_s
+            sigma_mps = math.hypot(step.ahead_sigma, self.height.share * step.ahead) * per_s
+            turn_radps, turn_sigma_radps = step.turn_rad / step.elapsed_s, step.turn_sigma / step.elapsed_s
+            middle_ns = stamp_ns - round(step.elapsed_s * 1e9 / 2)
+            speed_mps = self._sign * step.ahead_per_s * height_m
+            self.speed = CameraSpeed(middle_ns, speed_mps, sigma_mps, turn_radps, turn_sigma_radps)
+
+    def _learn(self, gps_m: float, heights: float, pitch_rad: float, stamp_ns: int) -> None:
+        """Compare what was driven by GPS with the same in heights, over WINDOW_M; and keep it, once a minute."""
+        self._gps_m, self._heights = self._gps_m + gps_m, self._heights + heights
+        if self._gps_m < WINDOW_M:
+            return
+        self.height = self.height.with_window(self._gps_m / max(self._heights, 1e-9), pitch_rad)
+        self._gps_m = self._heights = 0.0
+        if self._path is not None and self.height.height_m and stamp_ns - self._saved_ns >= SAVED_NS:
+            self._saved_ns = stamp_ns
+            try:
+                with replacing(self._path) as stream:
+                    stream.write(msgspec.json.encode(self.height))
+            except OSError as error:
+                log.warning("%s: cannot save the camera's height: %s", self._path, error.strerror)

@@ -1,0 +1,277 @@
+"""How far a camera has moved over the ground between two pictures, in units of its height above it.
+
+The older picture is warped as the ground should look by now, so that corners of the ground move by little; they are
+tracked to the newer one and back. The motion is then the one that explains most of the tracks: forward, to the right,
+a turn, and a change of pitch, with the pitch of the camera itself, all weighted by what is known of each before.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+WIDTH_PX = 320
+"""Pictures are made so narrow: at 80 degrees, a pixel is 0.3 degrees, a tenth of which corners are tracked to."""
+BEHIND, FARTHEST, ASIDE = -4.0, 8.0, 1.8
+"""Ground that is used, in heights ahead and to each side: at 1.4 m up to 11 m, and a lane of 5 m. Further ahead a pitch
+that is wrong by 0.1 degrees is 1.4 % of the distance."""
+CORNERS, FEWEST = 80, 20
+"""Tracked at most (each costs 14 us there and back), and at least: with fewer, wrong motions were found at night."""
+APART_PX, BLOCK_PX, WINDOW_PX, BACK_PX = 5, 5, 11, 0.5
+"""Between corners; their size; the size that is tracked; how far the track back may end from where it began."""
+SMOOTHED_PX, LOCAL_PX, CONTRAST = 0.8, 17, 24.0
+"""Pictures are compared by their contrast against squares of LOCAL_PX, brought to CONTRAST gray levels: a beam that
+moves with the vehicle, and exposure, are gone."""
+QUALITY = 0.05
+"""Of the weakest corner that is tracked, against the best."""
+ROUNDS, STEP = 5, 1e-4
+"""Of least squares, by which it has converged; and by which slopes are found, in heights and radians."""
+NOISE = 1.0
+"""Gray levels of contrast that are left as weak as they are."""
+SEARCHED = np.arange(-0.6, 2.41, 0.12)
+"""Heights ahead that are tried where no motion is known: 17 m/s at 5 pictures a second and 1.4 m."""
+SHARE = 0.5
+"""Of the tracks that the motion must explain: with fewer, another part of the picture may be the ground."""
+LEAST_PX = 0.15
+"""Standard deviation of the best tracks."""
+TOGETHER = np.array([1.2, 1.0, 2.0, 1.0, 1.0])
+"""By how much more each part of the motion is uncertain than if each track erred by itself: with these, the errors on
+simulated roads are as large as they say."""
+SIDEWAYS, SLIDES = 0.01, 0.03
+"""Standard deviations of the motion to the right: in heights (rolling by 0.5 degrees), and of the motion ahead."""
+TURNS_RADPS = 0.35
+"""Standard deviation of the turn within a second: 20 degrees, as at a crossing."""
+HALVES, FEWEST_OF_HALF = 4.0, 5
+"""Standard deviations by which the ground on both sides, and near and far, may move differently, and tracks of each."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Motion between two pictures, `elapsed_s` apart, in heights of the camera above the ground.
+
+    ahead: along the way the camera looks; turn_rad: to the right. pitch_rad: of the camera afterwards, down
+    from the horizon. *_sigma: standard deviations by the tracks, without what is unknown of the height.
+    """
+
+    elapsed_s: float
+    ahead: float
+    turn_rad: float
+    pitch_rad: float
+    ahead_sigma: float
+    turn_sigma: float
+    pitch_sigma: float
+
+    @property
+    def ahead_per_s(self) -> float:
+        """Heights a second."""
+        return self.ahead / self.elapsed_s
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is expected of a step: ahead (None: nothing) and turn, as the last one; pitch of the camera and its change.
+
+    change_sigma: standard deviation of the pitch between the two pictures.
+    """
+
+    ahead: float | None
+    turn_rad: float
+    pitch_rad: float
+    pitch_sigma: float
+    change_sigma: float
+
+
+class GroundView:
+    """A pinhole camera above level ground, and which of its pixels show ground that is used."""
+
+    def __init__(self, fov_deg: float, width: int, height: int, pitch_rad: float) -> None:
+        """fov_deg: horizontal. pitch_rad: roughly, down from the horizon; it decides which rows are kept."""
+        focal_px = WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
+        self.focal_px = focal_px
+        self._shape = width, height
+        rows = round(WIDTH_PX * height / width)
+        self._camera = np.array([[focal_px, 0, WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
+        mask = self._ground(pitch_rad, rows)
+        self.ground_share = float((mask > 0).mean())
+        self._top = max(0, int(np.flatnonzero(mask.any(axis=1))[0]) - LOCAL_PX) if mask.any() else 0
+        self._camera[1, 2] -= self._top
+        self._inverse = np.linalg.inv(self._camera)
+        self.mask = np.ascontiguousarray(mask[self._top :])
+
+    def _ground(self, pitch_rad: float, rows: int) -> NDArray[np.uint8]:
+        u, v = np.meshgrid(np.arange(WIDTH_PX), np.arange(rows))
+        rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self._camera).T
+        down = rays @ _down(pitch_rad)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead, right = rays @ _ahead(pitch_rad) / down, rays[..., 0] / down
+        used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < ASIDE)
+        return np.where(used, 255, 0).astype(np.uint8)
+
+    def contrast(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The part of a picture (H, W, 3) BGR that may show ground, as local contrast around 128."""
+        top = self._top * image.shape[0] // (self._top + self.mask.shape[0])
+        gray = cv2.cvtColor(image[top:], cv2.COLOR_BGR2GRAY)
+        if gray.shape != self.mask.shape:
+            gray = cv2.resize(gray, self.mask.shape[::-1], interpolation=cv2.INTER_AREA)
+        fine = cv2.GaussianBlur(gray, (5, 5), SMOOTHED_PX).astype(np.float32)
+        fine -= cv2.blur(fine, (LOCAL_PX, LOCAL_PX))
+        power = cv2.blur(fine * fine, (LOCAL_PX, LOCAL_PX))
+        fine *= CONTRAST / np.sqrt(power + NOISE**2)
+        return cv2.convertScaleAbs(fine, alpha=1.0, beta=128.0).astype(np.uint8, copy=False)
+
+    def in_pixels(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The homography (3, 3) of pixels that a motion of rays is."""
+        return np.asarray(self._camera @ motion @ self._inverse)
+
+    def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) pixels as (N, 3) rays of depth 1."""
+        return np.asarray(np.column_stack([pixels, np.ones(len(pixels))]) @ self._inverse.T)
+
+
+def _down(pitch_rad: float) -> NDArray[np.float64]:
+    return np.array([0.0, math.cos(pitch_rad), math.sin(pitch_rad)])
+
+
+def _ahead(pitch_rad: float) -> NDArray[np.float64]:
+    return np.array([0.0, -math.sin(pitch_rad), math.cos(pitch_rad)])
+
+
+def ground_motion(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The homography (3, 3) that takes a ray to a point of the ground to where it is seen after a motion.
+
+    parameters (5,): ahead and to the right in heights, turn to the right, change of pitch, pitch before.
+    """
+    ahead, right, turn_rad, change_rad, pitch_rad = parameters
+    down = _down(pitch_rad)
+    moved = ahead * _ahead(pitch_rad) + np.array([right, 0.0, 0.0])
+    turned = cv2.Rodrigues(-turn_rad * down)[0]
+    nodded = cv2.Rodrigues(np.array([change_rad, 0.0, 0.0]))[0]
+    return np.asarray(nodded @ turned @ (np.eye(3) - np.outer(moved, down)))
+
+
+def _seen(motion: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    moved = rays @ motion.T
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+def measure(
+    view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], elapsed_s: float, prior: Prior
+) -> Step | str:
+    """The motion between two pictures, as `GroundView.contrast` gives them; else why it cannot be seen."""
+    ahead = prior.ahead if prior.ahead is not None else _search(view, before, now, prior.pitch_rad)
+    start = np.array([ahead, 0.0, prior.turn_rad, 0.0, prior.pitch_rad])
+    tracks = _track(view, before, now, view.in_pixels(ground_motion(start)))
+    if tracks is None:
+        return "too few corners of the ground to be tracked"
+    corners, tracked = map(view.rays, tracks)
+    corners = corners @ np.linalg.inv(ground_motion(start)).T
+    sideways = math.hypot(SIDEWAYS, SLIDES * ahead)
+    sigmas = np.array([1.0, sideways, TURNS_RADPS * elapsed_s, prior.change_sigma, prior.pitch_sigma])
+    return _solve(view.focal_px, corners / corners[:, 2:], tracked[:, :2], start, sigmas, elapsed_s)
+
+
+def _search(view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], pitch_rad: float) -> float:
+    """Heights ahead by which the older picture, moved on, is most like the newer one; at a quarter of the pixels."""
+    half = np.diag([0.5, 0.5, 1.0])
+    small = [cv2.resize(one, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for one in (before, now, view.mask)]
+    used = small[2] > 0
+    wanted = small[1][used].astype(np.float32) - 128
+    likeness = []
+    for ahead in SEARCHED:
+        moved = view.in_pixels(ground_motion(np.array([ahead, 0.0, 0.0, 0.0, pitch_rad])))
+        moved = half @ moved @ np.linalg.inv(half)
+        warped = cv2.warpPerspective(small[0], moved, used.shape[::-1], borderValue=128)[used].astype(np.float32) - 128
+        likeness.append(float(warped @ wanted / (np.linalg.norm(warped) + 1)))
+    return float(SEARCHED[int(np.argmax(likeness))])
+
+
+def _track(
+    view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], moved: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Pixels (N, 2) of corners of the ground, and where the newer picture has them.
+
+    The former are of the older picture warped as `moved` says pixels should move. None: too few.
+    """
+    warped = cv2.warpPerspective(before, moved, now.shape[::-1])
+    inside = cv2.warpPerspective(np.full_like(before, 255), moved, now.shape[::-1], flags=cv2.INTER_NEAREST)
+    used = cv2.bitwise_and(cv2.erode(inside, np.ones((WINDOW_PX, WINDOW_PX), np.uint8)), view.mask)
+    corners = cv2.goodFeaturesToTrack(warped, CORNERS, QUALITY, APART_PX, mask=used, blockSize=BLOCK_PX)
+    if corners is None or len(corners) < FEWEST:
+        return None
+    window = (WINDOW_PX, WINDOW_PX)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(warped, now, corners, np.empty(0), winSize=window, maxLevel=2)
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, warped, there, np.empty(0), winSize=window, maxLevel=2)
+    astray_px = np.linalg.norm((back - corners)[:, 0], axis=1)
+    kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (astray_px < BACK_PX)
+    return (corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64)) if kept.sum() >= FEWEST else None
+
+
+def _solve(
+    focal_px: float,
+    corners: NDArray[np.float64],
+    tracked: NDArray[np.float64],
+    start: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    elapsed_s: float,
+) -> Step | str:
+    """The motion of most tracks, from rays (N, 3) to (N, 2), by robust least squares from what half of them agree on.
+
+    sigmas (5,): standard deviations of `start`, of whose turn nothing is known.
+    """
+
+    def residual_px(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        return focal_px * (tracked - _seen(ground_motion(motion), corners))
+
+    first_px = residual_px(start)
+    slopes = np.stack([(first_px - residual_px(start + STEP * unit)) / STEP for unit in np.eye(5)], axis=-1)
+    motion, known = start.copy(), start * (1, 1, 0, 1, 1)
+    motion[0] = known[0] = start[0] + _shortest_half(first_px[:, 1] / slopes[:, 1, 0])
+    scale_px = 1.0
+    for _ in range(ROUNDS):
+        off_px = residual_px(motion)
+        lengths_px = np.linalg.norm(off_px, axis=1)
+        weights = 1 / (1 + (lengths_px / (2 * scale_px)) ** 2) ** 2  # Geman and McClure
+        weighted = slopes * weights[:, None, None]
+        noise = scale_px**2
+        information = np.einsum("nik,nil->kl", weighted, slopes) / noise + np.diag(sigmas**-2)
+        pull = np.einsum("nik,ni->k", weighted, off_px) / noise + (known - motion) / sigmas**2
+        motion = motion + np.linalg.solve(information, pull)
+        scale_px = max(LEAST_PX, float(np.median(lengths_px)))
+    off_px = residual_px(motion)
+    agreeing = np.linalg.norm(off_px, axis=1) < 3 * scale_px
+    if agreeing.sum() < max(FEWEST, SHARE * len(off_px)):
+        return "the ground does not move as one"
+    if _halves_differ(off_px[agreeing], slopes[agreeing], tracked[agreeing], scale_px):
+        return "two halves of the ground move differently"
+    covariance = np.linalg.inv(information)
+    ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
+    pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
+    values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
+    return Step(elapsed_s, *map(float, values))
+
+
+def _shortest_half(values: NDArray[np.float64]) -> float:
+    """The median of the shortest interval that has half of the values: up to half of them may be anything."""
+    ordered, half = np.sort(values), len(values) // 2
+    first = int(np.argmin(ordered[half:] - ordered[: len(ordered) - half]))
+    return float(np.median(ordered[first : first + half + 1]))
+
+
+def _halves_differ(
+    off_px: NDArray[np.float64], slopes: NDArray[np.float64], tracked: NDArray[np.float64], scale_px: float
+) -> bool:
+    """Whether left and right, or near and far, the ground moves ahead by more than they are uncertain."""
+    along = slopes[:, :, 0]
+    for second in (tracked[:, 0] > 0, tracked[:, 1] > np.median(tracked[:, 1])):
+        halves = ~second, second
+        if min(one.sum() for one in halves) < FEWEST_OF_HALF:
+            return True
+        powers = [(along[one] ** 2).sum() for one in halves]
+        first, other = ((off_px[one] * along[one]).sum() / power for one, power in zip(halves, powers, strict=True))
+        if abs(first - other) > HALVES * scale_px * math.sqrt(1 / powers[0] + 1 / powers[1]):
+            return True
+    return False
