@@ -26,7 +26,7 @@ def open_camera(config: CameraConfig) -> Camera:
     if config.kind == "feed":
         from edge.camera.recorded import RecordedCamera
 
-        return RecordedCamera.in_real_time(config)
+        return RecordedCamera.of(config)
     if not config.preprocessing:
         return _open_live(config)
     preprocessor = Preprocessor(config)  # before the device, so that a bad mask is found without one

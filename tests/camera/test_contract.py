@@ -32,15 +32,13 @@ class Clock:
         self.now_ns += round(seconds * 1e9)
 
 
-@pytest.fixture(params=["folder", "folder in real time", "video", "oak", "sim"])
+@pytest.fixture(params=["folder", "video", "oak", "sim"])
 def camera(request: pytest.FixtureRequest, feed_path: Path, video_path: Path) -> Camera:
     clock = Clock()
     if request.param == "folder":
-        return RecordedCamera(read_feed(feed_path))
-    if request.param == "folder in real time":
-        return RecordedCamera(read_feed(feed_path), real_time=True, clock_ns=clock, sleep=clock.sleep)
+        return RecordedCamera(read_feed(feed_path), clock, clock.sleep)
     if request.param == "video":
-        return RecordedCamera(read_feed(video_path))
+        return RecordedCamera(read_feed(video_path), clock, clock.sleep)
     if request.param == "oak":
         build: Callable[[CameraConfig], OakSource] = request.getfixturevalue("oak_on_host")
         return OakCamera(CameraConfig(kind="oak", device=str(video_path), width=WIDTH, height=HEIGHT), build)
@@ -73,6 +71,7 @@ def test_the_contract_of_a_camera(camera: Camera) -> None:
 
 
 def test_a_recordings_picture_is_that_of_its_index(feed_path: Path, video_path: Path) -> None:
+    clock = Clock()
     for path in (feed_path, video_path):
-        for frame in iter(RecordedCamera(read_feed(path)).read, None):
+        for frame in iter(RecordedCamera(read_feed(path), clock, clock.sleep).read, None):
             assert round((float(frame.image.mean()) - 20) / 16) == frame.index

@@ -106,7 +106,7 @@ def test_the_end_of_a_feed_is_visible_after_its_last_frame() -> None:
 
 
 def test_each_frame_of_a_real_time_feed_is_taken_once_or_counted_as_overwritten(feed_path: Path) -> None:
-    newest = NewestFrame(lambda: RecordedCamera(read_feed(feed_path), real_time=True))
+    newest = NewestFrame(lambda: RecordedCamera(read_feed(feed_path)))
     taken = []
     while not newest.ended:
         frame = newest.take(PATIENCE_S)

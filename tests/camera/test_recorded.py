@@ -26,26 +26,18 @@ class Clock:
         self.now_ns += round(seconds * 1e9)
 
 
-def test_as_fast_as_it_goes_has_the_feeds_own_stamps(feed_path: Path) -> None:
+def test_each_frame_comes_when_it_is_due(feed_path: Path) -> None:
     clock = Clock()
-    camera = RecordedCamera(read_feed(feed_path), clock_ns=clock, sleep=clock.sleep)
-    stamps = [frame.stamp_ns for frame in iter(camera.read, None)]
-    assert stamps == [1_000_000_000 + index * 50_000_000 for index in range(12)]
-    assert clock.slept_s == []
-
-
-def test_real_time_hands_each_frame_on_when_it_is_due(feed_path: Path) -> None:
-    clock = Clock()
-    camera = RecordedCamera.in_real_time(CameraConfig(kind="feed", device=str(feed_path)), clock, clock.sleep)
+    camera = RecordedCamera(read_feed(feed_path), clock, clock.sleep)
     started_ns = clock()
     for index, frame in enumerate(iter(camera.read, None)):
         assert frame.stamp_ns == clock() == started_ns + index * 50_000_000
     assert clock.slept_s == pytest.approx([0.05] * 11)
 
 
-def test_real_time_asked_late_gives_the_frame_at_once_stamped_when_it_was_due(feed_path: Path) -> None:
+def test_a_frame_that_is_read_late_comes_at_once_stamped_when_it_was_due(feed_path: Path) -> None:
     clock = Clock()
-    camera = RecordedCamera(read_feed(feed_path), real_time=True, clock_ns=clock, sleep=clock.sleep)
+    camera = RecordedCamera(read_feed(feed_path), clock, clock.sleep)
     first = camera.read()
     clock.now_ns += 120_000_000
     second = camera.read()
@@ -56,7 +48,8 @@ def test_real_time_asked_late_gives_the_frame_at_once_stamped_when_it_was_due(fe
 
 def test_an_unreadable_picture_is_one_frame_error_and_the_next_goes_on(feed_path: Path) -> None:
     (feed_path / "frames/000001.jpg").write_bytes(b"not a picture")
-    camera = RecordedCamera(read_feed(feed_path))
+    clock = Clock()
+    camera = RecordedCamera(read_feed(feed_path), clock, clock.sleep)
     assert camera.read() is not None
     with pytest.raises(FrameError, match=r"000001\.jpg: not a"):
         camera.read()

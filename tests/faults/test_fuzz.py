@@ -198,7 +198,7 @@ def test_pictures_of_a_feed(fuzz: Fuzz, street: Path) -> None:
     try:
         fuzz(check, st.one_of(mutated(whole), st.integers(0, len(whole)).map(lambda length: whole[:length])))
         file.write_bytes(b"")
-        newest = NewestFrame(lambda: RecordedCamera(feed))
+        newest = NewestFrame(lambda: RecordedCamera(feed, lambda: 0, lambda seconds: None))
         while not newest.ended:
             newest.take(1.0)
         assert (newest.health.bad, newest.health.delivered) == (1, 79)
