@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -136,19 +137,18 @@ def _degrees(line: DriveLine, point_m: NDArray[np.float64]) -> tuple[float, floa
     return lat_deg, wrapped(lon_deg)
 
 
-@dataclass(frozen=True)
-class MissionItem:
+class MissionItem(msgspec.Struct, frozen=True, array_like=True):
     """One item: MAV_CMD, MAV_FRAME, the first four parameters, and a position in degrees and meters.
 
-    goes_on: MAVLink's autocontinue, 0 or 1.
+    None is the autopilot's choice: NaN in MAVLink, null in a file. goes_on: MAVLink's autocontinue, 0 or 1.
     """
 
     command: int
     frame: int
-    params: tuple[float, float, float, float]
+    params: tuple[float | None, float | None, float | None, float | None]
     lat_deg: float = 0.0
     lon_deg: float = 0.0
-    altitude_m: float = 0.0
+    altitude_m: float | None = 0.0
     goes_on: int = 1
 
 
@@ -169,5 +169,5 @@ def mission_items(
 
 
 def _waypoint(position_deg: tuple[float, float], altitude_m: float, frame: int = FRAME_RELATIVE_ALT) -> MissionItem:
-    """Pass it without a stop; the heading is the autopilot's choice (NaN)."""
-    return MissionItem(NAV_WAYPOINT, frame, (0.0, 0.0, 0.0, math.nan), *position_deg, altitude_m)
+    """Pass it without a stop; the heading is the autopilot's choice."""
+    return MissionItem(NAV_WAYPOINT, frame, (0.0, 0.0, 0.0, None), *position_deg, altitude_m)

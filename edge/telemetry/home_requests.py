@@ -8,7 +8,7 @@ check of the way passes.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -221,13 +221,13 @@ class HomeRequests:
         if self._vehicle.autopilot not in AUTOPILOTS:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
 
-    def _kept_items(self) -> tuple[list[MissionItem], str]:
+    def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
         items = self._replaced.items(self._vehicle.system_id or 1)
         if len(items) <= self._replaced.kept.first:
             raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
         return items, f"the mission that was replaced, {len(items)} items"
 
-    def _way_items(self, *, home_first: bool) -> tuple[list[MissionItem], str]:
+    def _way_items(self, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
         way, config = self._planned(), self._config
         for warning in way.briefs:
             self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)

@@ -259,11 +259,15 @@ def result_name(result: int) -> str:
 
 
 def _mission_item(item: Message) -> MissionItem:
-    params = item.param1, item.param2, item.param3, item.param4
-    return MissionItem(item.command, item.frame, params, item.x / 1e7, item.y / 1e7, item.z, item.autocontinue)
+    one, two, three, four, altitude_m = (
+        None if math.isnan(value) else value for value in (item.param1, item.param2, item.param3, item.param4, item.z)
+    )
+    position = item.x / 1e7, item.y / 1e7, altitude_m
+    return MissionItem(item.command, item.frame, (one, two, three, four), *position, item.autocontinue)
 
 
 def _item_message(system_id: int, number: int, item: MissionItem) -> Message:
+    *params, altitude_m = (math.nan if value is None else value for value in (*item.params, item.altitude_m))
     return mavlink.MAVLink_mission_item_int_message(
         system_id,
         1,
@@ -272,24 +276,28 @@ def _item_message(system_id: int, number: int, item: MissionItem) -> Message:
         item.command,
         int(number == 0),  # the current one; both firmware types need MISSION_SET_CURRENT all the same
         item.goes_on,
-        *item.params,
+        *params,
         round(item.lat_deg * 1e7),
         round(item.lon_deg * 1e7),
-        item.altitude_m,
+        altitude_m,
         MISSION,
     )
 
 
 def is_same(item: MissionItem, sent: MissionItem) -> bool:
-    """Whether an item came back as it was sent; a parameter of NaN is the autopilot's choice."""
+    """Whether an item came back as it was sent."""
     if item.command != sent.command:
         return False
     if sent.command == mavlink.MAV_CMD_NAV_WAYPOINT and not (
         SAME_FRAMES.get(item.frame, item.frame) == SAME_FRAMES.get(sent.frame, sent.frame)
         and abs(item.lat_deg - sent.lat_deg) <= SAME_DEG
         and abs(item.lon_deg - sent.lon_deg) <= SAME_DEG
-        and abs(item.altitude_m - sent.altitude_m) <= SAME_M
+        and _is_near(item.altitude_m, sent.altitude_m, SAME_M)
     ):
         return False
     pairs = zip(item.params, sent.params, strict=True)
-    return all(math.isnan(ours) or abs(theirs - ours) <= SAME_PARAM * max(1.0, abs(ours)) for theirs, ours in pairs)
+    return all(_is_near(theirs, ours, SAME_PARAM * max(1.0, abs(ours or 0.0))) for theirs, ours in pairs)
+
+
+def _is_near(theirs: float | None, ours: float | None, tolerance: float) -> bool:
+    return ours is None or (theirs is not None and abs(theirs - ours) <= tolerance)

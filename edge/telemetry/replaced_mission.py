@@ -7,10 +7,8 @@ that the autopilot may have a mixture, by which items to recognize it, and what 
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 import msgspec
 from msgspec.structs import replace
@@ -19,9 +17,6 @@ from edge.files import replacing
 from edge.mission import MissionItem
 from edge.telemetry.mission_transfer import is_same
 
-Param: TypeAlias = float | None
-Item: TypeAlias = tuple[int, int, tuple[Param, Param, Param, Param], float, float, float, int]
-"""A MissionItem for JSON, which has no NaN."""
 log = logging.getLogger(__name__)
 
 
@@ -33,8 +28,8 @@ class Kept(msgspec.Struct, frozen=True):
 
     system_id: int = 0
     first: int = 0
-    replaced: tuple[Item, ...] = ()
-    uploaded: tuple[Item, ...] = ()
+    replaced: tuple[MissionItem, ...] = ()
+    uploaded: tuple[MissionItem, ...] = ()
     is_settled: bool = True
 
 
@@ -53,15 +48,15 @@ class ReplacedMission:
         except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
             log.warning("%s: ignored, so the mission that was replaced is not known: %s", path, error)
 
-    def items(self, system_id: int) -> list[MissionItem]:
+    def items(self, system_id: int) -> tuple[MissionItem, ...]:
         """The mission that was replaced in this vehicle; empty where there was none."""
-        return _mission(self.kept.replaced) if self.kept.system_id == system_id else []
+        return self.kept.replaced if self.kept.system_id == system_id else ()
 
     def begin(self, system_id: int, first: int, present: Sequence[MissionItem], uploaded: Sequence[MissionItem]) -> str:
         """Keep the present mission, unless it is what earlier uploads have left; returns why that failed, or ""."""
         is_known = self.kept.system_id == system_id and self._explains(present)
-        replaced = self.kept.replaced if is_known else tuple(map(_item, present))
-        return self._store(Kept(system_id, first, replaced, tuple(map(_item, uploaded)), is_settled=False))
+        replaced = self.kept.replaced if is_known else tuple(present)
+        return self._store(Kept(system_id, first, replaced, tuple(uploaded), is_settled=False))
 
     def settle(self) -> None:
         """The autopilot has all of the upload, or nothing of it."""
@@ -70,14 +65,14 @@ class ReplacedMission:
 
     def is_cut_off(self, present: Sequence[MissionItem]) -> bool:
         """Whether it is a part of the upload, or a mixture of that with what it replaced; not if it is another one."""
-        before = _mission(self.kept.replaced)
+        before = self.kept.replaced
         pairs = list(zip(present, before, strict=False))[self.kept.first :]
         is_as_before = len(present) == len(before) and all(is_same(item, other) for item, other in pairs)
         return self._explains(present) and not is_as_before
 
     def _explains(self, present: Sequence[MissionItem]) -> bool:
         """Whether each item is of the upload or of what it replaced: nobody has written another mission since."""
-        missions = _mission(self.kept.replaced), _mission(self.kept.uploaded)
+        missions = self.kept.replaced, self.kept.uploaded
         return all(
             any(number < len(one) and is_same(item, one[number]) for one in missions)
             for number, item in enumerate(present)
@@ -95,15 +90,3 @@ class ReplacedMission:
             log.warning("%s: cannot keep the mission that is replaced: %s", self._path, error.strerror)
             return error.strerror or str(error)
         return ""
-
-
-def _item(item: MissionItem) -> Item:
-    one, two, three, four = (None if math.isnan(param) else param for param in item.params)
-    return item.command, item.frame, (one, two, three, four), item.lat_deg, item.lon_deg, item.altitude_m, item.goes_on
-
-
-def _mission(items: Sequence[Item]) -> list[MissionItem]:
-    return [
-        MissionItem(command, frame, tuple(math.nan if one is None else one for one in params), *rest)  # type: ignore[arg-type]
-        for command, frame, params, *rest in items
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,9 +43,9 @@ def _waypoints(way: WayHome, config: HomeConfig) -> bytes:
 
 
 def _row(number: int, item: MissionItem) -> str:
-    params = (0.0 if math.isnan(param) else param for param in item.params)
+    params = (f"{param or 0.0:.8f}" for param in item.params)
     position = f"{item.lat_deg:.8f}\t{item.lon_deg:.8f}\t{item.altitude_m:.6f}"
-    fields = [number, int(number == 0), item.frame, item.command, *(f"{param:.8f}" for param in params), position, 1]
+    fields = [number, int(number == 0), item.frame, item.command, *params, position, 1]
     return "\t".join(map(str, fields))
 
 
@@ -75,15 +74,14 @@ def _plan(way: WayHome, config: HomeConfig) -> bytes:
 
 
 def _plan_item(number: int, item: MissionItem) -> dict[str, Any]:
-    """A SimpleItem; null stands for NaN."""
-    params = [None if math.isnan(param) else param for param in item.params]
+    """A SimpleItem; null is the autopilot's choice."""
     return {
         "type": "SimpleItem",
         "doJumpId": number,
         "autoContinue": True,
         "command": item.command,
         "frame": item.frame,
-        "params": [*params, item.lat_deg, item.lon_deg, item.altitude_m],
+        "params": [*item.params, item.lat_deg, item.lon_deg, item.altitude_m],
         **({"Altitude": item.altitude_m, "AltitudeMode": 1} if item.frame == FRAME_RELATIVE_ALT else {}),
     }
 

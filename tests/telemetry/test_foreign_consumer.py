@@ -301,7 +301,7 @@ def test_a_mission_of_ours_arrives_at_mavsdks_autopilot() -> None:
     assert foreigner.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
     server, arrived = MissionRawServer(foreigner.server_component()), queue.SimpleQueue[Any]()
     server.subscribe_incoming_mission(lambda result, plan, _: arrived.put((result, plan)))
-    items = [MissionItem(16, 3, (0.0, 0.0, 0.0, math.nan), -27.4772 + row / 1e4, 153.0283, 0.0) for row in range(6)]
+    items = [MissionItem(16, 3, (0.0, 0.0, 0.0, None), -27.4772 + row / 1e4, 153.0283, 0.0) for row in range(6)]
     transfer, codec = MissionTransfer(items, 1, first_is_home=False), MavlinkCodec(1, 191)
     link, end_s = open_link(f"udp:127.0.0.1:{port}"), time.monotonic() + 15.0
     heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -74,6 +76,20 @@ def test_the_pilot_s_mission_is_given_back_after_two_uploads(open_home: OpenRig,
         assert rig.run(20.0, lambda: answers[-1].is_final)
         assert answers[-1].is_accepted, answers[-1].text
     assert [item.x for item in rig.autopilot.mission.items[1:]] == [item.x for item in OLD[1:]]
+
+
+def test_an_item_whose_altitude_is_the_autopilot_s_choice_is_given_back_after_a_restart(of_pilot: Rig) -> None:
+    land = mavlink.MAVLink_mission_item_int_message(1, 1, 30, 3, 21, 0, 1, 0, 0, 0, math.nan, 0, 0, math.nan)
+    of_pilot.autopilot.mission.items = [*OLD, land]
+    answers: list[Answer] = []
+    for restore in (False, True):
+        of_pilot.connection.request_home(answers.append, restore=restore)
+        assert of_pilot.run(20.0, lambda: answers[-1].is_final)
+        assert answers[-1].is_accepted, answers[-1].text
+        of_pilot.crash()
+        of_pilot.connect()
+        of_pilot.run(5.0)
+    assert math.isnan(of_pilot.autopilot.mission.items[-1].z)
 
 
 def test_a_mission_that_the_pilot_wrote_after_the_kill_stays(of_pilot: Rig) -> None:
