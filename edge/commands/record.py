@@ -67,7 +67,6 @@ def record(
     duration_s: float = math.inf,
     min_free_bytes: float = MIN_FREE_BYTES,
     free_bytes: Callable[[Path], int] = free_bytes_at,
-    clock_ns: Callable[[], int] = time.monotonic_ns,
 ) -> Recording:
     """Record until `stop` is set, the duration is reached, the camera ends, or the disk has too little space.
 
@@ -77,8 +76,8 @@ def record(
     if (path / "frames.csv").exists():  # checked before the camera is opened, which can take seconds
         raise FeedError(f"{path}: a feed already exists here; name another folder")
     with ExitStack() as parts:
-        autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry, clock_ns)))
-        camera = parts.enter_context(closing(NewestFrame.configured(config.camera, clock_ns)))
+        autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry)))
+        camera = parts.enter_context(closing(NewestFrame.configured(config.camera)))
         recorder = Recorder(
             lambda: path,
             config.camera,
@@ -86,17 +85,17 @@ def record(
             notes=lambda: "; ".join(camera.health.differences),
             free_bytes=free_bytes,
         )
-        sampler, deadline_ns = Sampler(config.sampling), clock_ns() + duration_s * 1e9
+        sampler, deadline_s = Sampler(config.sampling), time.monotonic() + duration_s
 
         def ended() -> Why | None:
             if stop.is_set():
                 return "stopped by a signal"
-            if clock_ns() >= deadline_ns:
+            if time.monotonic() >= deadline_s:
                 return "duration reached"
             return "camera ended" if camera.ended or recorder.stopped else None
 
         try:
-            why = _fill(recorder, camera, autopilot, sampler, ended, clock_ns)
+            why = _fill(recorder, camera, autopilot, sampler, ended)
         finally:
             recorder.close(FLUSH_S)
         if recorder.stopped == DISK_FULL:
@@ -115,7 +114,6 @@ def _fill(
     autopilot: AutopilotConnection,
     sampler: Sampler,
     ended: Callable[[], Why | None],
-    clock_ns: Callable[[], int],
 ) -> Why:
     """Move frames from the camera to the recorder until `ended` says why to stop."""
     camera_state, waiting = "", FramesAwaitingPosition(recorder, autopilot.history)

@@ -5,7 +5,7 @@
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order; PCA
 `self_similarity`  which drives are closed laps, and which places resemble each other
 `spatial_index`  which places a known position allows; `route` positions along the drives
-`checksums`  a piece at a time, between frames; `signature` who made a map
+`checksums`  a piece at a time, between frames
 `gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
@@ -15,12 +15,11 @@ from edge.reference_map.builder import MapBuilder, Normalize, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
-from edge.reference_map.map_folder import open_map_set
+from edge.reference_map.map_folder import is_signed, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
-from edge.reference_map.signature import is_signed
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
 

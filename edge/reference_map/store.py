@@ -80,12 +80,6 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         normalization: Literal["set", "none"] = "set" if config.normalization == "online" else "none"
         return cls(config.regions, config.region_width, normalization)
 
-    @property
-    def descriptor(self) -> DescriptorConfig:
-        """The config of a vehicle that describes them like this, by the shipped model."""
-        normalization: Literal["online", "none"] = "online" if self.normalization == "set" else "none"
-        return DescriptorConfig(regions=self.kind, region_width=self.width, normalization=normalization)
-
     def __str__(self) -> str:
         return f"{self.kind} of width {self.width:g}, normalization {self.normalization}"
 

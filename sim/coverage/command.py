@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from tqdm import tqdm
 
-from edge.config import Config, GatesConfig
+from edge.config import GatesConfig
 from edge.errors import ConfigError, FeedError, MapError, SetupError
 from edge.extras import install_command
 from edge.journal.records import FrameUsed
@@ -22,6 +22,7 @@ from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, pas
 from sim.coverage.aliases import Span
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import SOON_M, Stretch, spans_of
+from sim.evaluation.replay import config_for_map
 from sim.journal import records_of
 
 POINTS = 12
@@ -103,9 +104,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
-    header = maps.headers[0]
-    config = Config(descriptor=header.regions.descriptor, sampling=header.sampling)
-    rehearsal = Rehearsal(maps, config, Conditions(args.way, args.light, args.view))
+    rehearsal = Rehearsal(maps, config_for_map(maps.headers[0]), Conditions(args.way, args.light, args.view))
     for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=args.json or None):
         yield rehearsal.drive(seed)
         if args.json:  # for the live page

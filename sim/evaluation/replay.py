@@ -12,7 +12,7 @@ import msgspec
 from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.config import Config, SamplingConfig, checked_option, load_config
+from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.journal.records import FrameUsed
@@ -89,8 +89,11 @@ def as_line(used: FrameUsed) -> str:
 
 def config_for_map(header: MapHeader, length: int | None = None, confidence_min: float | None = None) -> Config:
     """The default settings with regions, normalization and sampling as the map has them."""
-    config = Config(descriptor=header.regions.descriptor, sampling=header.sampling)
-    return with_options(config, length, confidence_min)
+    made = header.regions
+    descriptor = DescriptorConfig(
+        regions=made.kind, region_width=made.width, normalization="online" if made.normalization == "set" else "none"
+    )
+    return with_options(Config(descriptor=descriptor, sampling=header.sampling), length, confidence_min)
 
 
 def with_options(config: Config, length: int | None, confidence_min: float | None) -> Config:

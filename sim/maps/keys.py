@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edge.errors import ConfigError, MapError
 from edge.files import replacing
-from edge.reference_map.signature import SIGNATURE, ed25519_keys, read_key_of, signed_bytes
+from edge.reference_map.map_folder import SIGNATURE, ed25519_keys, read_key_of, signed_bytes
 from edge.reference_map.store import open_map
 
 

@@ -22,8 +22,7 @@ from edge.feed import read_feed
 from edge.journal.records import MapExcluded, PlaceFix
 from edge.page import map_view
 from edge.recognizer import open_recognizer
-from edge.reference_map.map_folder import open_map_set
-from edge.reference_map.signature import SIGNATURE
+from edge.reference_map.map_folder import SIGNATURE, open_map_set
 from edge.reference_map.store import DESCRIPTORS, open_map
 from sim.evaluation.replay import config_for_map, replay
 from sim.journal import records_of

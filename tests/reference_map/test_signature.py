@@ -12,7 +12,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import SamplingConfig
-from edge.reference_map.signature import SIGNATURE
+from edge.reference_map.map_folder import SIGNATURE
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_a_signature_that_is_none_is_refused(signed: Path, damage: bytes, capsys
 
 def test_every_bit_of_the_signature_counts(signed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from edge.errors import MapError
-    from edge.reference_map.signature import check_signature
+    from edge.reference_map.map_folder import check_signature
     from edge.reference_map.store import open_map
 
     path, file = signed / "map", signed / "map" / SIGNATURE
