@@ -299,18 +299,17 @@ RECENT_FRAMES = 1000
 class StageTimes:
     """A stopwatch with named laps."""
 
-    def __init__(self, clock_ns: Callable[[], int] = time.perf_counter_ns) -> None:
-        self._clock_ns = clock_ns
-        self._last_ns = clock_ns()
+    def __init__(self) -> None:
+        self._last_ns = time.perf_counter_ns()
         self._laps_ns: dict[str, deque[int]] = {}
 
     def start(self) -> None:
         """Start timing a frame."""
-        self._last_ns = self._clock_ns()
+        self._last_ns = time.perf_counter_ns()
 
     def lap(self, stage: str) -> None:
         """Record the time since the last lap as the duration of a stage."""
-        now_ns = self._clock_ns()
+        now_ns = time.perf_counter_ns()
         self._laps_ns.setdefault(stage, deque(maxlen=RECENT_FRAMES)).append(now_ns - self._last_ns)
         self._last_ns = now_ns
 

@@ -47,16 +47,14 @@ class Journal:
         path: Path,
         *,
         max_bytes: float = math.inf,
-        sync: bool = False,
         unix_time_s: Callable[[], float] = time.time,
     ) -> None:
         """ConfigError where the path can be no journal. A disk that cannot be written is tried again with each line.
 
-        max_bytes: of all files of the journal. sync: wait for the disk after each line.
+        max_bytes: of all files of the journal.
         """
         self._path = path
         self._file_bytes = self._rotate_at = max_bytes / FILES
-        self._sync = sync
         self._unix_time_s = unix_time_s
         self.lost = 0
         """Lines that could not be written."""
@@ -109,8 +107,6 @@ class Journal:
         try:
             written = os.write(self._fd, line)
             self._size += written
-            if self._sync:
-                os.fsync(self._fd)
         except OSError as error:
             self._report_lost(error.strerror or str(error))
             return False

@@ -146,10 +146,10 @@ def create_log(path: Path, header: LogHeader) -> OpenLog:
 class PlaceLog:
     """Writes places to an open file by a thread; `stopped` says why none is written any more."""
 
-    def __init__(self, file: OpenLog, min_free_bytes: float = 0.0, flushed_each_s: float = FLUSHED_EACH_S) -> None:
+    def __init__(self, file: OpenLog, min_free_bytes: float = 0.0) -> None:
         """min_free_bytes: writing stops when the disk has less than this left."""
         self.file = file
-        self._min_free_bytes, self._flushed_each_s = min_free_bytes, flushed_each_s
+        self._min_free_bytes = min_free_bytes
         self._end = file.end
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=RECENT)
         self._queue: queue.Queue[LogRecord | None] = queue.Queue(QUEUE_PLACES)
@@ -213,11 +213,11 @@ class PlaceLog:
         flushed_s, is_flushed = time.monotonic(), True
         while True:
             with contextlib.suppress(queue.Empty):
-                record = self._queue.get(timeout=self._flushed_each_s)
+                record = self._queue.get(timeout=FLUSHED_EACH_S)
                 if record is None:
                     break
                 is_flushed = not self._write(record) and is_flushed
-            if not is_flushed and time.monotonic() - flushed_s >= self._flushed_each_s:
+            if not is_flushed and time.monotonic() - flushed_s >= FLUSHED_EACH_S:
                 self._flush()
                 flushed_s, is_flushed = time.monotonic(), True
         self._flush()

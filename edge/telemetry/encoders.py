@@ -146,21 +146,15 @@ def status_text(text: str, severity: int) -> list[Message]:
 
 def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
     """NAMED_VALUE_FLOAT and NAMED_VALUE_INT of a fix, for ground stations that plot."""
-    stamp_ms = boot_ms % 2**32
-    return [
-        mavlink.MAVLink_named_value_float_message(stamp_ms, UNIQUENESS_NAME, fix.uniqueness),
-        mavlink.MAVLink_named_value_float_message(stamp_ms, SIGMA_NAME, fix.sigma_m),
-        mavlink.MAVLink_named_value_int_message(stamp_ms, PLACE_NAME, fix.place),
-    ]
+    place = mavlink.MAVLink_named_value_int_message(boot_ms % 2**32, PLACE_NAME, fix.place)
+    return [*_named({UNIQUENESS_NAME: fix.uniqueness, SIGMA_NAME: fix.sigma_m}, boot_ms), place]
 
 
 def protection_values(level: ProtectionLevel | None, boot_ms: int) -> list[Message]:
     """NAMED_VALUE_FLOAT of the protection level of a position, in meters; UNBOUNDED_M where it has none."""
     levels_m = (math.inf, math.inf) if level is None else (level.along_m, level.across_m)
-    return [
-        mavlink.MAVLink_named_value_float_message(boot_ms % 2**32, name, min(level_m, UNBOUNDED_M))
-        for name, level_m in zip(LEVEL_NAMES, levels_m, strict=True)
-    ]
+    values = {name: min(level_m, UNBOUNDED_M) for name, level_m in zip(LEVEL_NAMES, levels_m, strict=True)}
+    return _named(values, boot_ms)
 
 
 def gps_values(doubt: float | None, off_m: float | None, boot_ms: int) -> list[Message]:
@@ -168,9 +162,13 @@ def gps_values(doubt: float | None, off_m: float | None, boot_ms: int) -> list[M
 
     doubt: None where nothing is known, which is sent as -1; off_m: None is not sent.
     """
-    values = [(GPS_DOUBT_NAME, UNKNOWN_DOUBT if doubt is None else doubt)]
-    values += [] if off_m is None else [(GPS_OFF_NAME, off_m)]
-    return [mavlink.MAVLink_named_value_float_message(boot_ms % 2**32, name, value) for name, value in values]
+    off = {} if off_m is None else {GPS_OFF_NAME: off_m}
+    return _named({GPS_DOUBT_NAME: UNKNOWN_DOUBT if doubt is None else doubt, **off}, boot_ms)
+
+
+def _named(values: dict[bytes, float], boot_ms: int) -> list[Message]:
+    stamp_ms = boot_ms % 2**32
+    return [mavlink.MAVLink_named_value_float_message(stamp_ms, name, value) for name, value in values.items()]
 
 
 def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:

@@ -161,6 +161,17 @@ def _why_not_open(error: Exception) -> str:
     return f"cannot open it: {error}"
 
 
+def _new_socket(host: str, port: int, kind: socket.SocketKind) -> tuple[socket.socket, Any]:
+    """A socket that does not block, and the address as its family has it; LinkLost where the host cannot be found."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=kind)[0]
+        new = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise LinkLost(f"{host}:{port}: cannot find this host: {error.strerror}") from None
+    new.setblocking(False)
+    return new, address
+
+
 class UdpLink:
     """A datagram socket. A peer that is not running yet is no error.
 
@@ -170,12 +181,7 @@ class UdpLink:
     def __init__(self, host: str, port: int, *, listen: bool, only_from: str = "") -> None:
         self._name = f"{host}:{port}"
         self._peer: Any = None  # an address, as the socket's family has it
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-            self._socket = socket.socket(family, kind, protocol)
-        except OSError as error:
-            raise LinkLost(f"{self._name}: cannot find this host: {error.strerror}") from None
-        self._socket.setblocking(False)
+        self._socket, address = _new_socket(host, port, socket.SOCK_DGRAM)
         try:
             if listen:
                 self._socket.bind(address)
@@ -241,12 +247,7 @@ class TcpLink:
         self._peer: socket.socket | None = None
         self._unsent = b""
         """The rest of a message of which the kernel took only a part: it goes first."""
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-            opened = socket.socket(family, kind, protocol)
-        except OSError as error:
-            raise LinkLost(f"{self._name}: cannot find this host: {error.strerror}") from None
-        opened.setblocking(False)
+        opened, address = _new_socket(host, port, socket.SOCK_STREAM)
         try:
             if listen:
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -48,8 +48,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "new folder" / "events.jsonl"
 
 
-def write(path: Path, *texts: str, sync: bool = False) -> None:
-    journal = Journal(path, sync=sync, unix_time_s=lambda: 1_700_000_000.1234)
+def write(path: Path, *texts: str) -> None:
+    journal = Journal(path, unix_time_s=lambda: 1_700_000_000.1234)
     assert all(journal.write(StateChanged(text)) for text in texts)
     journal.close()
 
@@ -58,9 +58,8 @@ def texts(path: Path) -> list[str]:
     return [record.state for record in records_of(path, StateChanged)]
 
 
-@pytest.mark.parametrize("sync", [False, True])
-def test_each_record_is_a_line_and_openings_append(path: Path, sync: bool) -> None:
-    write(path, "one", "two\nlines", sync=sync)
+def test_each_record_is_a_line_and_openings_append(path: Path) -> None:
+    write(path, "one", "two\nlines")
     write(path, "three")
     assert path.read_text().splitlines()[:2] == [
         f'{{"unix_s":1700000000.123,"event":"journal_opened","schema":{SCHEMA},"lookback":"{edge.__version__}"}}',
