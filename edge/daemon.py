@@ -165,7 +165,7 @@ class Daemon:
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
-        self._warm_start.keep_if_due(now_ns, self.monitor.health.state, self._estimator.newest)
+        self._warm_start.keep_if_due(now_ns)
 
     def _estimate(
         self,
@@ -331,7 +331,7 @@ class Daemon:
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
         self._record(stopped)
-        self._warm_start.keep(self.monitor.health.state, self._estimator.newest)
+        self._warm_start.keep()
         return stopped
 
 

@@ -1,8 +1,8 @@
-"""What the daemon keeps from one run to the next: the normalization's statistics, and how it was last seen.
+"""What the daemon keeps from one run to the next: the normalization's statistics.
 
-One file beside the journal: a line of JSON, then mean and deviation (2, R, D) float64, little-endian. It is replaced
-by one rename, so that after a crash there is the old one or the new one. A file that is damaged, too old, or made with
-another model, other regions or another map is ignored with one line in the log, and the run starts without statistics.
+One file beside the journal: a record in MessagePack after its SHA-256. It is replaced by one rename, so that after a
+crash there is the old one or the new one. A file that is damaged, too old, or made with another model, other regions or
+another map is ignored with one line in the log, and the run starts without statistics.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from edge.config import Config
 from edge.descriptor import RunningStatistics
 from edge.files import replacing
 from edge.recognizer import PlaceRecognizer
-from edge.sequence import PlaceMatch
 
-FORMAT, VERSION = "lookback-state", 1
-MAX_HEADER_BYTES = 4096
+MOST_OTHER_BYTES = 4096
+"""Of the file, besides the statistics: ten times what they take."""
+DIGEST_BYTES = hashlib.sha256().digest_size
 WRITTEN_EACH_S = 60.0
 log = logging.getLogger(__name__)
 
 
 class StateKey(msgspec.Struct, frozen=True):
-    """What statistics depend on, and the map, or the folder of maps, in which `place` is counted."""
+    """What statistics depend on: the model, the regions, and the map, or the folder of maps."""
 
     model_sha256: str
     tap: str
@@ -57,27 +57,23 @@ class Moment(msgspec.Struct, frozen=True):
         return self.boot_s - earlier.boot_s if self.boot_id == earlier.boot_id else self.unix_s - earlier.unix_s
 
 
-class _Header(msgspec.Struct, frozen=True):
-    format: str
-    version: int
+class _Stored(msgspec.Struct, frozen=True):
+    """statistics: mean and deviation (2, R, D) float64, little-endian; shape: R and D."""
+
     key: StateKey
     moment: Moment
     shape: tuple[int, int]
     count: int
-    state: str
-    place: int | None
-    sha256: str = ""
+    statistics: bytes
 
 
 @dataclass(frozen=True)
 class KeptState:
-    """Mean and deviation (R, D) float64 of `count` raw descriptors; the state, and the last accepted place."""
+    """Mean and deviation (R, D) float64 of `count` raw descriptors, and how old they are."""
 
     count: int
     mean: NDArray[np.float64]
     deviation: NDArray[np.float64]
-    state: str
-    place: int | None
     age_s: float = 0.0
 
 
@@ -102,42 +98,35 @@ class StateFile:
 
     def _read(self, now: Moment, max_age_s: float) -> KeptState:
         size = 2 * self._shape[0] * self._shape[1] * 8
-        if self._path.stat().st_size > MAX_HEADER_BYTES + size:
+        if self._path.stat().st_size > MOST_OTHER_BYTES + size:
             raise ValueError("too large")
-        line, _, body = self._path.read_bytes().partition(b"\n")
-        header = msgspec.json.decode(line, type=_Header)
-        if (header.format, header.version) != (FORMAT, VERSION):
-            raise ValueError(f"format {header.format!r} version {header.version}; this program reads {VERSION}")
-        if _encode(msgspec.structs.replace(header, sha256=""), body) != line:
-            raise ValueError("damaged (checksum mismatch)")
-        if header.key != self._key or header.shape != self._shape or len(body) != size:
+        data = self._path.read_bytes()
+        body = data[DIGEST_BYTES:]
+        if hashlib.sha256(body).digest() != data[:DIGEST_BYTES]:
+            raise ValueError("damaged, or of another version")
+        stored = msgspec.msgpack.decode(body, type=_Stored)
+        if stored.key != self._key or stored.shape != self._shape or len(stored.statistics) != size:
             raise ValueError("made with another model, other regions or another map")
-        values = np.frombuffer(body, "<f8").reshape(2, *self._shape)
-        if header.count < 1 or not np.isfinite(values).all() or (values[1] < 0).any():
+        mean, deviation = np.frombuffer(stored.statistics, "<f8").reshape(2, *self._shape)
+        if stored.count < 1 or not np.isfinite([mean, deviation]).all() or (deviation < 0).any():
             raise ValueError("not statistics")
-        age_s = now.since(header.moment)
+        age_s = now.since(stored.moment)
         if not 0 <= age_s <= max_age_s:
             raise ValueError(f"{age_s / 60:.0f} minutes old; the light may have changed")
-        return KeptState(header.count, values[0], values[1], header.state, header.place, age_s)
+        return KeptState(stored.count, mean, deviation, age_s)
 
     def write(self, kept: KeptState, now: Moment) -> None:
         """Replace the file; where the disk refuses it, that is logged once, and the next run starts without it."""
-        body = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
-        header = _Header(FORMAT, VERSION, self._key, now, self._shape, kept.count, kept.state, kept.place)
+        statistics = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
+        body = msgspec.msgpack.encode(_Stored(self._key, now, self._shape, kept.count, statistics))
         try:
             with replacing(self._path) as stream:
-                stream.write(_encode(header, body) + b"\n" + body)
+                stream.write(hashlib.sha256(body).digest() + body)
             self._logged = False
         except OSError as error:
             if not self._logged:
                 log.warning("%s: cannot save the state: %s", self._path, error.strerror)
             self._logged = True
-
-
-def _encode(header: _Header, body: bytes) -> bytes:
-    """The file's line: the header, with a checksum over itself without one and over the body."""
-    digest = hashlib.sha256(msgspec.json.encode(header) + body).hexdigest()
-    return msgspec.json.encode(msgspec.structs.replace(header, sha256=digest))
 
 
 COUNTS_AS_MOST = 300
@@ -170,23 +159,18 @@ class WarmStart:
             recognizer.matcher.first.begin_with(
                 RunningStatistics.of_another_run(kept.count, kept.mean, kept.deviation, at_most=COUNTS_AS_MOST)
             )
-            log.info("starting with the statistics of the run that ended %.0f s ago, %s", kept.age_s, _spell(kept))
+            log.info("starting with the statistics of the run that ended %.0f s ago", kept.age_s)
 
-    def keep_if_due(self, now_ns: int, state: str, newest: PlaceMatch | None) -> None:
+    def keep_if_due(self, now_ns: int) -> None:
         """Write the file, once a minute."""
         if now_ns - self._written_ns >= WRITTEN_EACH_S * 1e9:
             if self._written_ns:
-                self.keep(state, newest)
+                self.keep()
             self._written_ns = now_ns
 
-    def keep(self, state: str, newest: PlaceMatch | None) -> None:
+    def keep(self) -> None:
         """Write the file, unless there are too few frames to be worth it."""
         statistics = self._recognizer.matcher.first.statistics
         if self._file is None or statistics is None or statistics.count < FEWEST:
             return
-        place = None if newest is None else newest.place_index
-        self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, state, place), Moment.now())
-
-
-def _spell(kept: KeptState) -> str:
-    return kept.state if kept.place is None else f"{kept.state}, last at place {kept.place}"
+        self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation), Moment.now())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -48,7 +47,7 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
     assert first.matcher.first.statistics and first.matcher.first.statistics.count == MAP_COUNTS_AS
     for row in range(40):
         first.observe(images.read(row), feed.rows[row].stamp_ns)
-    memory.keep("on the map", None)
+    memory.keep()
     second, _ = start()
     assert first.matcher.first.statistics is not None
     assert second.matcher.first.statistics is not None
@@ -82,7 +81,7 @@ def test_nothing_is_kept_where_it_is_not_asked_for(
     images = FeedImages(feed)
     for row in range(25):
         recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
-    memory.keep("on the map", None)
+    memory.keep()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -97,6 +96,5 @@ def test_a_first_minute_is_not_worth_a_write(
         recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
     state = tmp_path / "events.state"
     for at_s, there in ((100, False), (130, False), (161, True)):
-        memory.keep_if_due(at_s * 1_000_000_000, "off the map", None)
+        memory.keep_if_due(at_s * 1_000_000_000)
         assert state.exists() is there
-    assert msgspec.json.decode(state.read_bytes().partition(b"\n")[0])["state"] == "off the map"

@@ -61,7 +61,7 @@ def state_file(folder: Path) -> StateFile:
 
 def write_state(folder: Path, version: int) -> None:
     values = np.full(SHAPE, float(version))
-    state_file(folder).write(KeptState(version, values, values, "on the map", version), NOW)
+    state_file(folder).write(KeptState(version, values, values), NOW)
 
 
 def read_state(folder: Path) -> int:

@@ -41,7 +41,7 @@ def test_every_prefix_of_a_state_is_refused(tmp_path: Path, figures: Callable[[s
     key, shape, now = StateKey("m", "fc6", "left-right", 0.4, "h"), (2, 8), Moment(1.0, "boot", 1.0)
     path = tmp_path / "events.state"
     file = StateFile(path, key, shape)
-    file.write(KeptState(30, np.ones(shape), np.ones(shape), "on the map", 1), now)
+    file.write(KeptState(30, np.ones(shape), np.ones(shape)), now)
     whole = path.read_bytes()
     assert file.read(now, 60) is not None
     flips = 0

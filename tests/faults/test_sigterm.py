@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import random
 import signal
@@ -10,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
+from edge.warm_start import DIGEST_BYTES
 from sim.journal import read_journal
 
 LATEST_S = 2.0
@@ -73,5 +74,6 @@ def check_files(folder: Path) -> None:
         assert not lines or journal.read_bytes().endswith(b"\n")
     state = folder / "events.state"
     if state.exists():
-        assert msgspec.json.decode(state.read_bytes().partition(b"\n")[0])["format"] == "lookback-state"
+        data = state.read_bytes()
+        assert hashlib.sha256(data[DIGEST_BYTES:]).digest() == data[:DIGEST_BYTES]
     assert {path.name for path in folder.iterdir()} <= {"lookback.toml", "events.jsonl", "events.state"}

@@ -53,7 +53,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     statistics = matcher.first.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
-    file.write(KeptState(statistics.count, statistics.mean, statistics.deviation, "on the map", 1), Moment.now())
+    file.write(KeptState(statistics.count, statistics.mean, statistics.deviation), Moment.now())
     again = file.read(Moment.now(), 60.0)
     assert again is not None
     np.testing.assert_array_equal(again.mean, statistics.mean)
