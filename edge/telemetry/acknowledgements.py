@@ -39,10 +39,10 @@ VERDICTS: dict[int, Verdict] = {
 }
 
 
-def result_name(result: int) -> str:
-    """MAV_RESULT without its prefix; the number of one that the dialect does not know."""
-    entry = mavlink.enums["MAV_RESULT"].get(result)
-    return entry.name.removeprefix("MAV_RESULT_") if entry else str(result)
+def result_name(result: int, kind: str = "MAV_RESULT", prefix: str = "MAV_RESULT_") -> str:
+    """A result of that kind without the prefix; the number of one that the dialect does not know."""
+    entry = mavlink.enums[kind].get(result)
+    return entry.name.removeprefix(prefix) if entry else str(result)
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,6 @@ MODE = 0o660
 log = logging.getLogger(__name__)
 
 
-class LocalAnswer(msgspec.Struct, frozen=True):
-    """One line of an answer."""
-
-    text: str
-    accepted: bool
-    final: bool
-
-
 class LocalSocket:
     """Accepts one client at a time; nothing in here blocks."""
 
@@ -81,7 +73,7 @@ class LocalSocket:
 
     def reply(self, answer: Answer) -> None:
         """Send an answer to the client that requested it, if it still listens."""
-        line = msgspec.json.encode(LocalAnswer(answer.text, answer.is_accepted, answer.is_final)) + b"\n"
+        line = msgspec.json.encode(answer) + b"\n"
         with contextlib.suppress(OSError):
             if self._client is not None:
                 self._client.send(line)

@@ -22,6 +22,7 @@ from typing import Literal, TypeAlias
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.mission import MissionItem
+from edge.telemetry.acknowledgements import result_name
 from edge.telemetry.codec import Message
 
 ANSWER_NS, ITEM_NS = 1_500_000_000, 250_000_000
@@ -158,7 +159,8 @@ class MissionTransfer:
             self._phase = "upload"  # it still waits for the last item
             return self._expect([self._items[-1]], now_ns)
         if not accepted:
-            return self._fail(f"the autopilot refuses the mission: {result_name(result)}", now_ns)
+            name = result_name(result, "MAV_MISSION_RESULT", "MAV_MISSION_")
+            return self._fail(f"the autopilot refuses the mission: {name}", now_ns)
         if self._phase != "upload" or not self._began:
             return []
         return self._request_list(now_ns)
@@ -250,12 +252,6 @@ class MissionTransfer:
     def _end(self, *, is_settled: bool = True) -> list[Message]:
         self.outcome = Outcome(verified=False, why=self._why, is_settled=is_settled)
         return []
-
-
-def result_name(result: int) -> str:
-    """MAV_MISSION_RESULT without its prefix; the number of one that the dialect does not know."""
-    entry = mavlink.enums["MAV_MISSION_RESULT"].get(result)
-    return entry.name.removeprefix("MAV_MISSION_") if entry else str(result)
 
 
 def _mission_item(item: Message) -> MissionItem:

@@ -9,7 +9,8 @@ from pathlib import Path
 import msgspec
 
 from edge.errors import LinkLost
-from edge.telemetry.local_socket import LocalAnswer, Request
+from edge.telemetry.home_requests import Answer
+from edge.telemetry.local_socket import Request
 
 ANSWER_S = 180.0
 """How long to wait; an upload that is repeated and cleared takes less."""
@@ -23,11 +24,11 @@ def ask_for_home(path: Path, on_text: Callable[[str], object], request: Request 
     accepted = False
     for answer in _answers(path, request):
         on_text(answer.text)
-        accepted = answer.final and answer.accepted
+        accepted = answer.is_final and answer.is_accepted
     return accepted
 
 
-def _answers(path: Path, request: Request) -> Iterator[LocalAnswer]:
+def _answers(path: Path, request: Request) -> Iterator[Answer]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         connection.settimeout(ANSWER_S)
         try:
@@ -35,9 +36,9 @@ def _answers(path: Path, request: Request) -> Iterator[LocalAnswer]:
             connection.sendall(f"{request}\n".encode())
             with connection.makefile("rb") as lines:
                 for line in lines:
-                    answer = msgspec.json.decode(line, type=LocalAnswer)
+                    answer = msgspec.json.decode(line, type=Answer)
                     yield answer
-                    if answer.final:
+                    if answer.is_final:
                         return
         except (OSError, msgspec.DecodeError) as error:
             raise LinkLost(f"{path}: no daemon answers there: {error}; is `lookback run` running?") from None
