@@ -53,7 +53,7 @@ class JournalOpened(_Tagged, frozen=True, tag="journal_opened"):
 class JournalResumed(_Tagged, frozen=True, tag="journal"):
     """The journal can be written again, after the disk was full or lost."""
 
-    lost: Annotated[int, unit("lines", "how many are missing before this one")]
+    lost: Annotated[int, unit("lines", "lines that are missing before this one")]
 
 
 class StateChanged(_Tagged, frozen=True, tag="state"):
@@ -79,7 +79,7 @@ class MappingChanged(_Tagged, frozen=True, tag="mapping"):
     state: Annotated[str, unit("", "mapping, waiting (until the reason is gone) or stopped")]
     why: Annotated[str, unit("", 'why nothing is mapped, "" while it is')]
     map: Annotated[str, unit("", "name of the map of this drive")]
-    places: Annotated[int, unit("places", "that it has")]
+    places: Annotated[int, unit("places", "places of that map")]
 
 
 class DrivesDisagree(_Tagged, frozen=True, tag="drives_disagree"):
@@ -150,16 +150,14 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     sigma_across_m: Annotated[float, unit("m", "one standard deviation across the route")]
     direction: Direction
     order: Order
-    uniqueness: Annotated[float, unit("", "of the newest accepted match, see `frame`")]
+    uniqueness: Annotated[float, unit("", "uniqueness of the newest accepted match, see `frame`")]
     category: Annotated[str, unit("", 'what kind of place, "" where it was not asked for')] = ""
     matches: Annotated[int, unit("", "accepted matches that agree with the vehicle's motion")] = 1
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
     recording: Annotated[str, unit("", "name of the recording that the map has that drive from")] = ""
-    confidence: Annotated[float, unit("", "of the belief in the place, 0 to 1")] = 0.0
-    velocity_error: Annotated[
-        float, unit("", "what the autopilot's velocity is found to be wrong by, as a share of it")
-    ] = 0.0
+    confidence: Annotated[float, unit("", "confidence in the place, 0 to 1")] = 0.0
+    velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
 
     @property
@@ -242,7 +240,7 @@ class HomeAnswered(_Tagged, frozen=True, tag="home"):
 
     verified: Annotated[bool, unit("", "whether the autopilot now has the mission, downloaded again and compared")]
     text: Annotated[str, unit("", "what was uploaded, or why nothing was")]
-    items: Annotated[int, unit("", "of the mission, ArduPilot's home position among them; 0 if nothing was uploaded")]
+    items: Annotated[int, unit("", "items of the mission, with ArduPilot's home position; 0 if nothing was uploaded")]
 
 
 class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
@@ -261,7 +259,7 @@ class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
 class Stopped(_Tagged, frozen=True, tag="stopped"):
     """The daemon ended in order: the last record of such a run."""
 
-    frames_used: Annotated[int, unit("frames", "that went through the recognizer")]
+    frames_used: Annotated[int, unit("frames", "frames that went through the recognizer")]
     events: Annotated[int, unit("", "places that were published")]
     stages_ms: Annotated[dict[str, float], unit("ms", "median time of each stage of a frame")]
     camera: Annotated[dict[str, int], unit("frames", "delivered, overwritten by a newer one before use, and bad")]

@@ -32,10 +32,6 @@ class Times:
         """The fastest run."""
         return min(self.runs_ms)
 
-    def __str__(self) -> str:
-        """Least, median and most."""
-        return f"{digits(self.least_ms)} / {digits(self.median_ms)} / {digits(max(self.runs_ms))}"
-
     def ratio(self, to: Times) -> float:
         """Median of the ratios of consecutive runs."""
         return statistics.median(ours / theirs for ours, theirs in zip(self.runs_ms, to.runs_ms, strict=True))

@@ -27,7 +27,6 @@ from edge.journal.records import SCHEMA, Record
 
 PAGE = Path(__file__).parents[2] / "docs/journal.md"
 NAMES = {IntType: "integer", FloatType: "number", StrType: "string", BoolType: "boolean", DictType: "object"}
-TABLE_HEAD = "\n| key | type, unit | meaning |\n|---|---|---|\n"
 HEAD = f"""# The journal
 
 `[telemetry] journal` names a file to which the daemon appends one JSON object per line: version {SCHEMA} of the
@@ -46,11 +45,11 @@ a crash has torn.
 
 
 def journal_page() -> str:
-    """The whole page: rows that several records share stand once, before the records."""
+    """The whole page: keys that several records share stand once, before the records."""
     kinds = {kind: _rows(kind) for kind in get_args(Record)}
     uses = Counter(row for rows in kinds.values() for row in rows.values())
     shared = [row for row, count in uses.items() if count > 1]
-    return HEAD + TABLE_HEAD + "".join(shared) + "".join(_section(kind, rows, shared) for kind, rows in kinds.items())
+    return HEAD + "\n" + "".join(shared) + "".join(_section(kind, rows, shared) for kind, rows in kinds.items())
 
 
 def _section(kind: type[msgspec.Struct], rows: dict[str, str], shared: list[str]) -> str:
@@ -58,11 +57,11 @@ def _section(kind: type[msgspec.Struct], rows: dict[str, str], shared: list[str]
     own = [row for row in rows.values() if row not in shared]
     also = ", ".join(f"`{name}`" for name, row in rows.items() if row in shared)
     about = f"{text} Also: {also}." if also else text
-    return f"\n## {kind.__struct_config__.tag}\n\n{about}\n" + (TABLE_HEAD + "".join(own) if own else "")
+    return f"\n## {kind.__struct_config__.tag}\n\n{about}\n" + ("\n" + "".join(own) if own else "")
 
 
 def _rows(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Key to its row of the table."""
+    """Key to its line of the list."""
     info = type_info(kind)
     assert isinstance(info, StructType)
     return {field.encode_name: _row(field) for field in info.fields}
@@ -73,7 +72,7 @@ def _row(field: Field) -> str:
     is_left_away = field.default is NODEFAULT and not field.required
     kind = _spell(field.type) + (", or absent" if is_left_away else "")
     kind = ", ".join(filter(None, [kind, meta["unit"]]))
-    return f"| `{field.encode_name}` | {kind} | {meta['about']} |\n"
+    return f"- `{field.encode_name}` ({kind}): {meta['about']}\n"
 
 
 def _meta(kind: Any) -> dict[str, str]:

@@ -51,12 +51,12 @@ def against(what: str, name: str, times: dict[str, Times], rival: str, size: str
 
 OTHER_PROCESSORS = (
     "On x86-64 the int8 times need VNNI (AVX-512 VNNI or AVX-VNNI). With AVX2 only, the int8 network is 1.44 times as"
-    " fast as in float32, and nothing else was measured there. No time on aarch64 has been measured: see"
-    " [boards.md](boards.md)."
+    " fast as in float32, and nothing else was measured. No time on aarch64 has been measured"
+    " ([boards.md](boards.md))."
 )
 """Which times hold where; the network's without VNNI was measured once, on an x86-64 with AVX2 only."""
 
-MET = {True: "met", False: "**not met**", None: "not measured"}
+MET = {True: "", False: "**not met**", None: "not measured"}
 
 
 def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
@@ -67,22 +67,20 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         how_run,
         "",
         f"Machine: {machine.name}.",
-        f"One core of it reads memory at {machine.bytes_per_ms / 1e6:.1f} GB/s and multiplies int8 in cache at"
-        f" {machine.macs_per_ms / 1e6:.0f} G multiply-accumulates a second; both were measured in this run. A floor is"
-        " the least time that a stage's bytes and products take at these rates; those of a whole frame run after each"
-        " frame.",
+        f"One core reads memory at {machine.bytes_per_ms / 1e6:.1f} GB/s and multiplies int8 in cache at"
+        f" {machine.macs_per_ms / 1e6:.0f} G multiply-accumulates a second. A floor is the least time that a stage's"
+        " bytes and products take at these rates.",
         "",
-        "Each row was run alternately with the one it is compared with, in one process and on one thread. Times are"
-        " least / median / most, in milliseconds of that thread's CPU time unless a row says otherwise. A ratio is the"
-        " median of the ratios of consecutive runs; over 1 means slower than the row that stands beside it. Tables with"
-        " a column for each size have the median, and the ratio in brackets.",
+        "Times are medians of one thread's CPU time, unless a row says otherwise. Each row was run alternately with the"
+        " one it is compared with, in one process. A ratio is the median of the ratios of consecutive runs: over 1 is"
+        " slower than the row that stands beside it.",
         "",
         OTHER_PROCESSORS,
         "",
         "## Targets",
         "",
-        "| what | wanted | measured | |",
-        "|---|---|---|---|",
+        "| | wanted | measured |",
+        "|---|---|---|",
         *(_target(target) for section in sections for target in section.targets),
     ]
     for section in sections:
@@ -92,12 +90,18 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
 
 
 def _target(target: Target) -> str:
-    return f"| {target.what} | {target.wanted} | {target.value} | {MET[target.met]} |"
+    measured = ", ".join(filter(None, [target.value, MET[target.met]]))
+    return f"| {target.what} | {target.wanted} | {measured} |"
 
 
 def _table(rows: Sequence[Row]) -> list[str]:
-    lines = [f"| {row.what} | {row.times or ''} | {_ratio(row)} | {row.against} | {row.note} |" for row in rows]
-    return ["| what | ms | ratio | against | |", "|---|---|---|---|---|", *lines]
+    lines = [f"| {row.what} | {_cell(row)} | {_beside(row)} |" for row in rows]
+    return ["| | ms (ratio) | against |", "|---|---|---|", *lines]
+
+
+def _beside(row: Row) -> str:
+    """What the row is compared with, and its note unless that is its cell."""
+    return "; ".join(filter(None, [row.against, row.note if row.times else ""]))
 
 
 def _table_of_sizes(rows: Sequence[Row]) -> list[str]:
@@ -112,8 +116,4 @@ def _table_of_sizes(rows: Sequence[Row]) -> list[str]:
 def _cell(row: Row) -> str:
     if row.times is None:
         return row.note
-    return digits(row.times.median_ms) + (f" ({_ratio(row)})" if row.ratio is not None else "")
-
-
-def _ratio(row: Row) -> str:
-    return "" if row.ratio is None else f"{row.ratio:#.3g}".rstrip(".")
+    return digits(row.times.median_ms) + (f" ({row.ratio:#.3g})".replace(".)", ")") if row.ratio is not None else "")

@@ -71,10 +71,10 @@ def test_rows_and_targets_on_a_page() -> None:
     row = Row("walking", Times((1.0, 2.0, 30.0)), "running", 2.5, "uphill")
     targets = [Target("a", "1x", "2x", False), Target("b", "1x", "1x", True), Target("c", "1x", "", None)]
     text = page(MACHINE, [Section("Feet", [row], targets)], "Made by hand.")
-    assert "| walking | 1.00 / 2.00 / 30.0 | 2.50 | running | uphill |" in text
+    assert "| walking | 2.00 (2.50) | running; uphill |" in text
     assert [line.split("|")[-2].strip() for line in text.splitlines() if line[:4] in ("| a ", "| b ", "| c ")] == [
-        "**not met**",
-        "met",
+        "2x, **not met**",
+        "1x",
         "not measured",
     ]
 
