@@ -2,8 +2,8 @@
 
 The folder is empty, or a copy of the one in which README's commands ran where the page says so. A ```toml block that
 begins with `# NAME.toml` is that file, any other must be a valid config. Each ```sh block is run by bash, each
-```python block by Python, and must succeed; a ```text block is a picture. The README's sh blocks that need make or root are not
-run here.
+```python block by Python, and must succeed; a ```text block is a picture. The README's sh
+blocks that need make or root are not run here.
 """
 
 from __future__ import annotations
