@@ -1,7 +1,8 @@
 """The config file: a frozen struct for each section, all checked before anything is opened.
 
 `default.toml` beside this file shows every key with its unit, range and default; a test holds it against the
-structs. Paths are relative to the folder of the config file that names them.
+structs. `start.toml` has those of its lines that most vehicles set. Paths are relative to the folder of the config file
+that names them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from edge.toml_file import convert_toml, read_text, toml_values
 log = logging.getLogger(__name__)
 MOST_CROPPED = 0.9
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
+START_TOML = Path(__file__).with_name("start.toml")
 
 ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
 Positive = Annotated[float, Meta(gt=0)]
@@ -40,9 +42,11 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("gates", "near_matches", None): None,
     ("gates", "near_sigmas", None): None,
     ("telemetry", "sigma_m", None): None,
+    ("tracking", "drift_percent", None): "scale_error_percent",
     ("tracking", "matches", None): None,
 }
-"""Section, key and value (None: any) of earlier versions, and what the value is called now (None: the key is gone)."""
+"""Section, key and value of earlier versions, and what the value is called now; without a value, what the key is called
+now (None: it is gone)."""
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -185,7 +189,7 @@ class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
     lost_after_s: Annotated[float, Meta(gt=0, le=60)] = 5.0
-    drift_percent: Annotated[float, Meta(gt=0, le=50)] = 5.0
+    scale_error_percent: Annotated[float, Meta(gt=0, le=50)] = 5.0
     heading_error_deg: Annotated[float, Meta(gt=0, le=30)] = 2.0
 
 
@@ -341,9 +345,10 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
         if now is None:
             del keys[key]
             notes.append(f"[{section}] {key}: nothing reads this key any more; remove it")
-        else:
-            keys[key] = now
-            notes.append(f'[{section}] {key}: "{value}" is called "{now}" now; the old name is accepted until 0.3')
+            continue
+        old = f'"{value}"' if value else "this key"
+        keys[key if value else now] = now if value else keys.pop(key)
+        notes.append(f'[{section}] {key}: {old} is called "{now}" now; the old name is accepted until 0.3')
     return values, notes
 
 

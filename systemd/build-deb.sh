@@ -39,8 +39,7 @@ mv "$stage/usr/local/bin/lookback" "$stage/usr/bin/"
 doc=$stage/usr/share/doc/lookback
 mkdir -p "$doc/examples" "$stage/usr/share/man/man1" "$stage/usr/share/lintian/overrides"
 # Not a conffile: dpkg would ask about an edited one at an upgrade, and nobody is there to answer.
-mv "$stage/etc/lookback/lookback.toml" "$doc/examples/"
-chmod 0644 "$doc/examples/lookback.toml"
+install -m 0644 "$here/../edge/default.toml" "$doc/examples/lookback.toml"
 rm -r "${stage:?}/etc" "${stage:?}/usr/local"
 cp "$here/deb/copyright" "$doc/"
 cp "$here/deb/lintian-overrides" "$stage/usr/share/lintian/overrides/lookback"

@@ -249,8 +249,8 @@ put_files() {
         put lookback-backoff.conf /etc/systemd/system/lookback.service.d/backoff.conf
     fi
     if [ ! -e "$root/etc/lookback/lookback.toml" ]; then
-        default=$(find "$root$prefix/lib" -path '*/site-packages/edge/default.toml')
-        [ -f "$default" ] || die "the package has no default.toml"
+        default=$(find "$root$prefix/lib" -path '*/site-packages/edge/start.toml')
+        [ -f "$default" ] || die "the package has no start.toml"
         install -D -m 0640 "$default" "$root/etc/lookback/lookback.toml"
     fi
 }

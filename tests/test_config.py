@@ -5,19 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args, get_type_hints
 
+import msgspec
 import pytest
 
-from edge.config import DEFAULT_TOML, OUTDATED, Config, SequenceConfig, checked_option, load_config, parse_config
+from edge.config import (
+    DEFAULT_TOML,
+    OUTDATED,
+    START_TOML,
+    Config,
+    SequenceConfig,
+    checked_option,
+    load_config,
+    parse_config,
+)
 from edge.errors import ConfigError
+from edge.toml_file import toml_values
 
 HERE = Path("/etc/lookback/lookback.toml")
 
 
 def test_the_commented_default_has_every_key_at_its_default() -> None:
-    import msgspec
-
-    from edge.toml_file import toml_values
-
     written = toml_values(DEFAULT_TOML.read_text(encoding="utf-8"), DEFAULT_TOML)
     assert written == msgspec.json.decode(msgspec.json.encode(Config()))
 
@@ -26,6 +33,14 @@ def test_every_line_of_the_default_is_explained() -> None:
     for line in DEFAULT_TOML.read_text(encoding="utf-8").splitlines():
         if "=" in line and not line.startswith(("path", "#")):
             assert "#" in line, line
+
+
+def test_the_config_to_start_from_has_few_keys_as_the_whole_one_explains_them() -> None:
+    lines = START_TOML.read_text(encoding="utf-8").splitlines()
+    known = set(DEFAULT_TOML.read_text(encoding="utf-8").splitlines())
+    assert [line for line in lines if line and not line.startswith("#") and line not in known] == []
+    assert 10 <= sum(len(keys) for keys in toml_values("\n".join(lines), HERE).values()) <= 15
+    assert load_config(START_TOML) == load_config(DEFAULT_TOML)
 
 
 @pytest.mark.parametrize(
@@ -84,11 +99,12 @@ def test_each_mistake_has_its_line() -> None:
 
 
 def test_what_an_earlier_version_wrote_is_accepted_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    text = "[gates]\ndoubted_gps = 'tell'\nnear_matches = 3\n[tracking]\nmatches = 2"
-    assert parse_config(text, HERE) == parse_config("", HERE)
+    text = "[gates]\ndoubted_gps = 'tell'\nnear_matches = 3\n[tracking]\ndrift_percent = 3\nmatches = 2"
+    assert parse_config(text, HERE) == parse_config("[tracking]\nscale_error_percent = 3", HERE)
     assert [record.message.removeprefix(f"{HERE}: ") for record in caplog.records] == [
         '[gates] doubted_gps: "tell" is called "report" now; the old name is accepted until 0.3',
         "[gates] near_matches: nothing reads this key any more; remove it",
+        '[tracking] drift_percent: this key is called "scale_error_percent" now; the old name is accepted until 0.3',
         "[tracking] matches: nothing reads this key any more; remove it",
     ]
 
@@ -98,8 +114,9 @@ def test_every_outdated_key_is_in_the_changelog_and_no_key_of_today() -> None:
     for (section, key, value), now in OUTDATED.items():
         assert f"`[{section}] {key}`" in changelog
         kinds = get_type_hints(getattr(Config(), section).__class__)
-        assert (key in kinds) == (now is not None)
-        assert now is None or (value not in get_args(kinds[key]) and now in get_args(kinds[key]))
+        assert (key in kinds) == (value is not None)
+        assert value is None or (value not in get_args(kinds[key]) and now in get_args(kinds[key]))
+        assert value is not None or now is None or now in kinds
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:

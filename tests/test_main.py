@@ -140,7 +140,7 @@ def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     ("words", "there"),
     [
         ("check lookback.toml", "`lookback check` is now `lookback doctor --offline`"),
-        ("check --default", "`lookback check --default` is now `lookback doctor --default`"),
+        ("check --default", "`lookback check --default` is now `lookback config --all`"),
         ("sim import kitti x", "`lookback sim import` is now `lookback import`"),
         ("sim drive x", "`lookback sim` is now `lookback dev sim`"),
         ("golden", "`lookback golden` is now `lookback dev golden`"),
@@ -188,7 +188,7 @@ def test_unreadable_pictures_are_left_out_and_named(
 def test_the_default_config_can_be_printed_and_used(
     street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["doctor", "--default"]) == 0
+    assert main(["config", "--all"]) == 0
     text = (
         capsys.readouterr().out.replace("/var/lib/lookback/map", str(street_map)).replace("length = 40", "length = 15")
     )

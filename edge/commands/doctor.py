@@ -18,7 +18,6 @@ import msgspec
 
 from edge.commands import doctor_autopilot, doctor_computer, doctor_setup
 from edge.commands.doctor_findings import Examined, Finding, Found
-from edge.config import DEFAULT_TOML
 from edge.errors import EXIT_SETUP, LookbackError
 
 MARKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
@@ -79,7 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--offline", action="store_true", help="check no device, only the files; exit code 78 if one is wrong"
     )
-    parser.add_argument("--default", action="store_true", help="print the default config, with comments")
     parser.set_defaults(run=_run, error=parser.error)
 
 
@@ -101,9 +99,6 @@ def examine(path: Path | None, seconds: float, dev: Path = Path("/dev"), *, offl
 
 def _run(args: argparse.Namespace) -> int:
     """Print the findings; 1 where something is wrong, 78 (EXIT_SETUP) where only files were checked."""
-    if args.default:
-        print(DEFAULT_TOML.read_text(encoding="utf-8"), end="")
-        return 0
     if args.offline and args.config is None:
         args.error("name a config file")
     findings = []

@@ -39,7 +39,7 @@ def check_config(examined: Examined) -> Iterator[Found]:
     """Whether every key of the config is right."""
     path = examined.path
     if path is None:
-        remedy = "lookback doctor CONFIG; `lookback doctor --default > lookback.toml` writes one to start from"
+        remedy = "lookback doctor CONFIG; `lookback config > lookback.toml` writes one to start from"
         yield note("no config file was named, so no camera, map or autopilot is checked", remedy)
         return
     try:
@@ -47,7 +47,7 @@ def check_config(examined: Examined) -> Iterator[Found]:
         check_kind(config.camera)
         _, outdated = brought_up_to_date(toml_values(read_text(path), path))
     except LookbackError as error:
-        remedy = "`lookback doctor --default` prints every key with its range"
+        remedy = "`lookback config --all` prints every key with its range"
         for mistake in str(error).splitlines():
             yield bad(mistake, remedy if path.exists() else "name the config file of `lookback run`")
         return

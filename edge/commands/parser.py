@@ -20,6 +20,7 @@ COMMANDS = {
     "map": "sim.maps.command",
     "replay": "sim.evaluation.replay",
     "home": "sim.home.command",
+    "config": "edge.commands.config_file",
     "doctor": "edge.commands.doctor",
     "calibrate": "sim.calibration.command",
     "completion": "sim.completion",
@@ -47,7 +48,8 @@ RESEARCH = "sim.research"
 ONLY_IN_A_CLONE = "only in a clone of the repository, not in the package"
 DEV = "dev"
 MOVED = {
-    "check --default": "doctor --default",
+    "check --default": "config --all",
+    "doctor --default": "config --all",
     "check": "doctor --offline",
     "sim import": "import",
     "sim gps": "dev gps",
@@ -55,7 +57,7 @@ MOVED = {
     **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run", "shrinking")},
     **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "model", "sim", "train")},
 }
-"""Commands of version 0.1, and what they are now."""
+"""Commands of earlier versions, and what they are now."""
 
 
 def moved(words: Sequence[str]) -> str | None:

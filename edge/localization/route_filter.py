@@ -202,7 +202,7 @@ class RouteFilter:
 
     def _velocity_errors(self, match: MatchErrors) -> VelocityErrors:
         config = self._config
-        return VelocityErrors(math.radians(config.heading_error_deg), config.drift_percent / 100, match)
+        return VelocityErrors(math.radians(config.heading_error_deg), config.scale_error_percent / 100, match)
 
     def _choose_origin(self) -> None:
         """A new origin for local meters where the last one is far away."""

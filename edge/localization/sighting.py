@@ -82,7 +82,7 @@ class Sightings:
         self._route, self._rig = route, config.rig
         self._length = config.sequence.length
         self._readings = LineReadings(self._length)
-        self._drift = config.tracking.drift_percent / 100
+        self._drift = config.tracking.scale_error_percent / 100
         self._sees_m = SEES_M if config.camera.view == "front" else -SEES_M
         self.origin: Origin | None = None
         """Of local meters."""

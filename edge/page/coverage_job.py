@@ -66,22 +66,22 @@ class CoverageJob:
         except OSError as error:
             self._answers[key] = CoverageAnswer("failed", f"cannot start it: {error.strerror}")
             return
+        assert process.stdout is not None and process.stderr is not None
+        said = asyncio.ensure_future(self._follow(key, process.stderr))
         try:
-            assert process.stdout is not None and process.stderr is not None
-            said = self._follow(key, process.stderr)
-            out, err = await asyncio.wait_for(asyncio.gather(process.stdout.read(), said), LONGEST_S)
-            await process.wait()
+            out = await asyncio.wait_for(process.stdout.read(), LONGEST_S)
         except asyncio.TimeoutError:
             self._answers[key] = CoverageAnswer("failed", "it took too long")
             return
         finally:
-            if process.returncode is None:
+            if process.returncode is None and not process.stdout.at_eof():
                 process.kill()
-                await process.wait()
+            await process.wait()
+            await asyncio.wait([said])
         if process.returncode == 0:
             self._answers[key] = CoverageAnswer("ready", sheet=msgspec.Raw(out))
         else:
-            self._answers[key] = CoverageAnswer("failed", err.strip()[-500:])
+            self._answers[key] = CoverageAnswer("failed", said.result().strip()[-500:])
 
     async def _follow(self, key: tuple[Path, str, str, str], lines: asyncio.StreamReader) -> str:
         """Keep what is done by lines such as "done 0.25"; all other lines."""

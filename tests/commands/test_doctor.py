@@ -252,7 +252,7 @@ def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytes
 
 def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     main(["doctor"])
-    assert "lookback doctor CONFIG; `lookback doctor --default > lookback.toml` writes one" in capsys.readouterr().out
+    assert "lookback doctor CONFIG; `lookback config > lookback.toml` writes one" in capsys.readouterr().out
 
 
 def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,7 +64,7 @@ SECTIONS: list[tuple[str, str, Any]] = [
     ("tracking", "heading_error_deg", 31),
     ("tracking", "lost_after_m", 0),
     ("tracking", "lost_after_s", 61),
-    ("tracking", "drift_percent", 51),
+    ("tracking", "scale_error_percent", 51),
     ("gates", "min_speed_mps", -1),
     ("gates", "min_interval_s", 0),
     ("gates", "risk", 0),

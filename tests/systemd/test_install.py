@@ -21,7 +21,7 @@ import edge
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 INSTALL = SYSTEMD / "install.sh"
 BUILD_DEB = SYSTEMD / "build-deb.sh"
-DEFAULT_TOML = Path("edge/default.toml")
+START_TOML = Path("edge/start.toml")
 CONFIG = Path("etc/lookback/lookback.toml")
 UNIT = Path("etc/systemd/system/lookback.service")
 
@@ -75,7 +75,7 @@ def test_puts_every_file_in_its_place(root: Path, checkout: Path) -> None:
     } <= found
     assert (root / "usr/local/bin/lookback").readlink() == Path("/opt/lookback/bin/lookback")
     assert not (root / "etc/systemd/system/lookback.service.d").exists()  # systemd 252 knows no RestartSteps=
-    assert (root / CONFIG).read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
+    assert (root / CONFIG).read_bytes() == (checkout / START_TOML).read_bytes()
     assert (root / CONFIG).stat().st_mode & 0o777 == 0o640
 
 
@@ -105,7 +105,7 @@ def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> 
     install(root, script=checkout / "systemd" / INSTALL.name)
     assert files_under(root) == before
     assert set(checkout.rglob("*")) == before_there
-    shutil.copy(checkout / DEFAULT_TOML, root / CONFIG)
+    shutil.copy(checkout / START_TOML, root / CONFIG)
 
 
 def test_an_old_python_is_named(tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None
     assert not (unpacked / "DEBIAN/conffiles").exists()  # or an upgrade would ask about an edited config
     assert not (unpacked / "etc").exists()
     example = unpacked / "usr/share/doc/lookback/examples/lookback.toml"
-    assert example.read_bytes() == (checkout / DEFAULT_TOML).read_bytes()
+    assert example.read_bytes() == (checkout / "edge/default.toml").read_bytes()
     assert (unpacked / "usr/bin/lookback").readlink() == Path("/opt/lookback/bin/lookback")
     for file in (
         "opt/lookback/bin/lookback",

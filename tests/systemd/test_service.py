@@ -144,7 +144,7 @@ sys.exit(main())
 @pytest.mark.parametrize(
     ("command", "code", "says"),
     [
-        (["doctor", "--default"], 0, "[camera]"),
+        (["config"], 0, "[camera]"),
         (
             ["demo", "-o", "folder"],
             EXIT_SETUP,

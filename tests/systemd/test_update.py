@@ -77,7 +77,7 @@ def wheel(folder: Path, version: str, *marks: str) -> Path:
         for name, text in {
             "edge/__init__.py": f'__version__ = "{version}"\n',
             "edge/__main__.py": MAIN,
-            "edge/default.toml": "",
+            "edge/start.toml": "",
             **{f"edge/{mark}": "" for mark in marks},
             f"{info}/METADATA": f"Metadata-Version: 2.1\nName: lookback-nav\nVersion: {version}\nProvides-Extra: oak\n",
             f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
