@@ -65,7 +65,7 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     over = whole.ratio(Times(tuple(frame["network"] for frame in measured)))
     note = (
         f"{over_floors:.2f} times its floors, {sum_of_floors.median_ms:.1f} ms; 95 % of frames within {slow:.1f} ms,"
-        f" 99 % within {slowest:.1f} ms; the slow ones match rows of the ring that are normalized again"
+        f" 99 % within {slowest:.1f} ms"
     )
     rows.append(Row("whole frame", whole, "its network", over, note))
     lane = Times(tuple(sum(frame.values()) for frame in in_lane))

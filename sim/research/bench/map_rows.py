@@ -18,8 +18,8 @@ from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_si
 from sim.bench.timing import Times, race, wall_ns
 from sim.research.bench.rows import Row, Section, Target
 
-OPENING = "opening, with its search (wall-clock time, files in the page cache)"
-VERIFYING = "checksum of the descriptors, between frames (wall-clock time)"
+OPENING = "opening, with its search (wall-clock)"
+VERIFYING = "checksum of the descriptors, between frames (wall-clock)"
 RADIUS_M = 500.0
 TILES = 100
 WHOLE = 10_000

@@ -34,7 +34,7 @@ def test_a_race_goes_round_in_turns() -> None:
     assert times["a"].runs_ms == (2.0, 4.0)
     assert times["b"].runs_ms == (1.0, 1.0)
     assert times["a"].ratio(times["b"]) == 3.0
-    assert str(times["a"]) == "2.00 / 3.00 / 4.00"
+    assert times["a"].median_ms == 3.0
 
 
 def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_matching_against_rivals() -> None:
     from sim.research.bench import matching_rows
 
     section = matching_rows.measure(MACHINE, [300], 2, dimensions=64)
-    assert {row.what for row in section.rows} >= {"faiss SQ8, both orders", "ours, both orders"}
+    assert {row.what for row in section.rows} >= {"faiss SQ8", "ours"}
 
 
 def test_the_page_is_of_a_daemon_that_was_looked_at(tmp_path: Path, network: Network) -> None:
