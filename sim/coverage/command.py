@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,14 +13,14 @@ import numpy as np
 from tqdm import tqdm
 
 from edge.config import GatesConfig
-from edge.errors import ConfigError, FeedError, MapError, SetupError
-from edge.extras import install_command
+from edge.errors import ConfigError, FeedError, MapError
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
 from sim.coverage.aliases import Span
+from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
-from sim.coverage.sheet import SOON_M, Stretch, spans_of
+from sim.coverage.sheet import KNOWN_M, SOON_M, Stretch, spans_of
 from sim.evaluation.replay import config_for_map
 from sim.journal import records_of
 
@@ -61,7 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="write a picture of the route (PNG, SVG, PDF)")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="write the sheet as one page of A4 (SVG, PDF, PNG)"
+    )
     parser.set_defaults(run=_run)
 
 
@@ -88,7 +89,17 @@ def _run(args: argparse.Namespace) -> int:
     if args.geojson:
         args.geojson.write_bytes(msgspec.json.encode(_geojson(maps, sheet.stretches, found)))
     if args.picture:
-        _save_picture(args.picture, maps, sheet)
+        percent = GatesConfig().drift_percent
+        lines = [_line(maps, one.span) for one in sheet.stretches]
+        way = "home" if args.way == "home" else "the same way again"
+        camera = "ahead" if args.view == "front" else "back"
+        headline = verdict(sheet, f"{way} by {args.light}, with a camera that looks {camera}", args.within_m)
+        words = [
+            f"{gap_in_words(sheet.gap, percent).capitalize()}.",
+            f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
+            " nobody drove have one share, since what tells them apart is not known.",
+        ]
+        write_sheet(args.picture, sheet, lines, found, headline, words)
     return 0
 
 
@@ -122,21 +133,17 @@ def _frames(path: Path) -> list[FrameUsed]:
 
 
 def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], percent: float) -> None:
-    basis = [f"{args.rehearsals} rehearsed drives {args.way} by {args.light}"] if args.rehearsals else []
-    basis += [f"{len(args.journals)} earlier ones"] if args.journals else []
-    print(f"{args.map}: {' and '.join(basis)}")
+    print(f"{args.map}: {_basis(args)}")
     resembles = {one.stretch: one.other for one in found}
     for one in sheet.stretches:
         print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{_alias(resembles.get(one.span))}")
-    gap = sheet.gap
-    if gap is None:
-        print("longest gap: the whole route")
-    else:
-        print(
-            f"longest gap: {gap.length_m:.0f} m, up to {gap.to_m:.0f} m of drive {gap.segment};"
-            f" {percent / 100 * gap.length_m:.0f} m of drift at {percent:g} %"
-        )
+    print(gap_in_words(sheet.gap, percent))
     print(f"drift always within {args.within_m:g} m: {sheet.completed:.0%} of the drives")
+
+
+def _basis(args: argparse.Namespace) -> str:
+    basis = [f"{args.rehearsals} rehearsed drives {args.way} by {args.light}"] if args.rehearsals else []
+    return " and ".join([*basis, *([f"{len(args.journals)} earlier ones"] if args.journals else [])])
 
 
 def _name(span: Span) -> str:
@@ -198,31 +205,3 @@ def _line(maps: MapSet, span: Span) -> list[list[float]]:
 def _thinned(line: list[list[float]]) -> list[list[float]]:
     """About POINTS of its points, the first and the last among them."""
     return [line[at] for at in sorted({round(at) for at in np.linspace(0, len(line) - 1, POINTS)})] if line else []
-
-
-def _save_picture(path: Path, maps: MapSet, sheet: Sheet) -> None:
-    """The route from above, each stretch by its share of believed frames. SetupError without matplotlib."""
-    try:
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SetupError(f"--picture needs matplotlib: {install_command('sim')}") from None
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axes = figure.subplots()
-    colors = colormaps["RdYlGn"]
-    middle_deg = 0.0
-    for one in sheet.stretches:
-        line = np.array(_line(maps, one.span)).reshape(-1, 2)
-        if len(line):
-            middle_deg = float(line[0, 1])
-            axes.plot(*line.T, lw=5, color="lightgray" if one.share is None else colors(one.share))
-    axes.set(xlabel="longitude, degrees", ylabel="latitude, degrees", title="Expected share of believed frames")
-    axes.set_aspect(1 / max(math.cos(math.radians(middle_deg)), 0.01))
-    axes.ticklabel_format(useOffset=False)
-    axes.tick_params(axis="x", rotation=30)
-    figure.colorbar(ScalarMappable(cmap=colors), ax=axes)
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--picture {path}: cannot write it: {error}") from None

@@ -169,6 +169,19 @@ def test_a_drive_that_ends_unrecognized_has_its_gap_there(maps: MapSet) -> None:
     assert gap is not None and (gap.length_m, gap.from_m, gap.to_m) == pytest.approx((300.0, 98.0, 398.0))
 
 
+def test_far_from_where_drives_enter_stretches_that_nobody_drove_have_one_share(tmp_path: Path) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(300, np.random.default_rng(4)))])
+    drives = Drives(maps, 2.0)
+    spans = spans_of(maps, drives, 100.0)
+    seen = [range(40, 60), range(110, 120), range(160, 210), range(250, 300)]
+    rehearsed = list(passes(drive(seen, range(300)), maps, drives))
+    shares = [one.share for one in Sheet.of(maps, drives, spans, [rehearsed], [], 400.0).stretches]
+    assert shares[:2] == pytest.approx([0.2, 0.2], abs=0.21)
+    assert len(set(shares[2:])) == 1 and shares[2] == pytest.approx(0.55, abs=0.1)
+    driven = [one.share for one in Sheet.of(maps, drives, spans, [], [rehearsed], 400.0).stretches]
+    assert len(set(driven[2:])) > 1, "what was driven is known"
+
+
 def test_stretches_that_resemble_each_other_are_named(tmp_path: Path) -> None:
     raw = walk(300, np.random.default_rng(5))
     raw[200:250] = raw[50:100] + 0.1 * walk(50, np.random.default_rng(6))
@@ -194,9 +207,12 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
 def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `sim`")
     command = ["map", "coverage", str(maps.path), write(tmp_path / "nowhere.jsonl", drive([])), "--rehearsals", "0"]
-    picture = tmp_path / "route.png"
-    assert main([*command, "--picture", str(picture)]) == 0
-    assert picture.stat().st_size > 1000
+    for name in ("route.pdf", "route.svg"):
+        assert main([*command, "--picture", str(tmp_path / name)]) == 0
+    assert (tmp_path / "route.pdf").read_bytes().startswith(b"%PDF")
+    page = (tmp_path / "route.svg").read_text(encoding="utf-8")
+    assert 'width="595.44pt" height="841.68pt"' in page, "A4"
+    assert "Not ready: home by night, with a camera that looks ahead, most drives" in page
     capsys.readouterr()
     assert main([*command, "--picture", "/none/route.png"]) != 0
     assert "/none/route.png: cannot write it" in capsys.readouterr().err
