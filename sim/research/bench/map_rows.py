@@ -127,7 +127,7 @@ def _frames(path: Path, small: Path, size: str, places: int, rounds: int, target
     if "lost" in times:
         lost = times["lost"]
         ratio_lost = lost.ratio(times["whole"])
-        rows.append(Row("no position: a slice, or what was found in one", lost, "10,000 places", ratio_lost, size=size))
+        rows.append(Row("no position: a slice, or around a place", lost, "10,000 places", ratio_lost, size=size))
     if places == 1_000_000:
         wanted = "1,000,000 places with a position known to 500 m, against 10,000 scanned in full"
         targets.append(Target(wanted, "1.5x or less", f"{ratio:.2f}x", ratio <= 1.5))

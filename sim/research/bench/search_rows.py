@@ -29,7 +29,7 @@ def measure(places: list[int], rounds: int) -> Section:
         for length in LENGTHS:
             rivals = {"ours": ours[length], "direct gather": direct(count, length)}
             if count <= LARGEST_SEQSLAM:
-                rivals["SeqSLAM's search, one direction"] = _seqslam(count, length)
+                rivals["SeqSLAM's, one direction"] = _seqslam(count, length)
             times = race(rivals, max(2, rounds // 5))
             size, line = f"{count:,} places", f"L = {length}"
             ratio = steady[str(length)].ratio(steady["10"])
