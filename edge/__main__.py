@@ -33,13 +33,25 @@ class PlainText:
         return getattr(self._stream, name)
 
 
+class AboveBars(logging.StreamHandler[Any]):
+    """Writes each line above the bars that tqdm draws, if there are any."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """As StreamHandler has it."""
+        tqdm = getattr(sys.modules.get("tqdm"), "tqdm", None)
+        if tqdm is None or not getattr(tqdm, "_instances", None):
+            super().emit(record)
+        else:
+            tqdm.write(self.format(record), file=self.stream)
+
+
 def _spelled(character: str) -> str:
     return f"\\u{ord(character):04x}" if ord(character) <= 0xFFFF else "?"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; errors that Lookback raises on purpose become one line on standard error."""
-    logging.basicConfig(level=logging.INFO, format="lookback: %(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, format="lookback: %(message)s", handlers=[AboveBars(sys.stderr)])
     words = sys.argv[1:] if argv is None else argv
     if there := moved(words):
         print(f"lookback: {there}", file=sys.stderr)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -12,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
 import edge
-from edge.__main__ import main
+from edge.__main__ import AboveBars, main
 
 
 @pytest.fixture(scope="module")
@@ -225,3 +228,22 @@ def test_a_thread_that_hangs_in_a_driver_is_not_unwound(hangs: bool, printed: st
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True)
     assert done.stdout == f"lookback {edge.__version__}\n{printed}"
+
+
+def test_a_log_line_stands_above_a_bar() -> None:
+    terminal = io.StringIO()
+    handler = AboveBars(terminal)
+    with tqdm(total=10, desc="building", file=terminal) as bar:
+        bar.update(5)
+        handler.emit(logging.makeLogRecord({"msg": "a line"}))
+        bar.refresh()
+    handler.emit(logging.makeLogRecord({"msg": "another"}))
+    screen = [line.rpartition("\r")[2] for line in terminal.getvalue().split("\n")]
+    assert [line for line in screen if "line" in line or "another" in line] == ["a line", "another"]
+    assert "building" in terminal.getvalue().rpartition("a line")[2], "the bar is drawn again below"
+
+
+def test_a_folder_without_maps_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no map in it yet; make one with `lookback map build FEED -o" in refused(
+        capsys, "map", "info", str(tmp_path)
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -26,21 +27,45 @@ PNG_BEGINS = b"\x89PNG"
 class FeedWriter:
     """Writes a feed frame by frame: picture first, then its row, so that a crash or a full disk leaves whole rows."""
 
-    def __init__(self, path: Path, header: FeedHeader, extra_columns: tuple[str, ...] = ()) -> None:
-        """Create the folder; FeedError if it already has a feed in it, or cannot be written."""
+    def __init__(
+        self, path: Path, header: FeedHeader, extra_columns: tuple[str, ...] = (), *, begins: Sequence[int] = ()
+    ) -> None:
+        """Create the folder; FeedError if it already has a feed in it, or cannot be written.
+
+        begins: the stamps in ns of all frames that will be written; what an interrupted writer left of these is kept.
+        """
         self._path = path
-        self._count = 0
         self._whole_bytes = 0
         self._extra_columns = extra_columns
+        text = tomli_w.dumps(msgspec.structs.asdict(header))
+        self.count = self._count_begun(text, begins)
+        """Frames that are written."""
+        if self.count:
+            self._file = (path / "frames.csv").open("r+b", buffering=0)
+            self._file.truncate(self._whole_bytes)
+            self._file.seek(self._whole_bytes)
+            return
         if (path / "frames.csv").exists():
             raise FeedError(f"{path}: a feed already exists here; name another folder")
         try:
             (path / "frames").mkdir(parents=True, exist_ok=True)
-            (path / "feed.toml").write_text(tomli_w.dumps(msgspec.structs.asdict(header)), encoding="utf-8")
+            (path / "feed.toml").write_text(text, encoding="utf-8")
             self._file = (path / "frames.csv").open("wb", buffering=0)
             self._append(["file", "stamp_ns", *MEASURES, SOURCE, *extra_columns])
         except OSError as error:
             raise FeedError(f"{path}: cannot write a feed here: {error.strerror}") from None
+
+    def _count_begun(self, header: str, stamps_ns: Sequence[int]) -> int:
+        """How many frames of this very feed are there already; 0 where it is another one, or whole."""
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            data = (self._path / "frames.csv").read_bytes()
+            whole = data[: data.rindex(b"\n") + 1]
+            there = [int(row.split(b",", 2)[1]) for row in whole.splitlines()[1:]]
+            is_same = (self._path / "feed.toml").read_text(encoding="utf-8") == header
+            if is_same and there == list(stamps_ns[: len(there)]) and len(there) < len(stamps_ns):
+                self._whole_bytes = len(whole)
+                return len(there)
+        return 0
 
     def write(
         self,
@@ -62,7 +87,7 @@ class FeedWriter:
         OSError when the disk is full: what was written stays whole.
         """
         data = image if isinstance(image, bytes) else _as_jpeg(image)
-        name = f"frames/{self._count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
+        name = f"frames/{self.count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
         try:
             (self._path / name).write_bytes(data)
             measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m, position_sigma_m)
@@ -73,7 +98,7 @@ class FeedWriter:
         except OSError:
             (self._path / name).unlink(missing_ok=True)
             raise
-        self._count += 1
+        self.count += 1
 
     def _append(self, values: list[str]) -> None:
         """Append one row whole, or not at all."""

@@ -234,6 +234,8 @@ def read_header(path: Path) -> MapHeader:
     if not path.is_dir():
         raise MapError(f"{path}: no such map; make one with `lookback map build FEED -o {path}`")
     try:
+        if all(one.name.startswith(".") for one in path.iterdir()):  # such as the file of a drive that is being mapped
+            raise MapError(f"{path}: no map in it yet; make one with `lookback map build FEED -o {path}/NAME`")
         if plain_size(file) > MAX_HEADER_BYTES:
             raise MapError(f"{file}: too large for a map header")
         data = file.read_bytes()

@@ -147,7 +147,7 @@ def _basis(args: argparse.Namespace) -> str:
 
 
 def _name(span: Span) -> str:
-    return f"drive {span.segment}, {span.from_m:5.0f} to {span.to_m:5.0f} m"
+    return f"drive {span.segment + 1}, {span.from_m:5.0f} to {span.to_m:5.0f} m"
 
 
 def _expected(one: Stretch) -> str:

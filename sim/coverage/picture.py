@@ -46,7 +46,7 @@ def gap_in_words(gap: Gap | None, percent: float) -> str:
     if gap is None:
         return "longest gap: the whole route"
     return (
-        f"longest gap: {gap.length_m:.0f} m, up to {gap.to_m:.0f} m of drive {gap.segment};"
+        f"longest gap: {gap.length_m:.0f} m, up to {gap.to_m:.0f} m of drive {gap.segment + 1};"
         f" {percent / 100 * gap.length_m:.0f} m of drift at {percent:g} %"
     )
 
@@ -71,8 +71,8 @@ def write_sheet(
     _draw_map(figure.add_axes((0.08, 0.37, 0.84, 0.46)), sheet, lines, [one.span in alike for one in sheet.stretches])
     _draw_strip(figure.add_axes((0.08, 0.265, 0.84, 0.035)), sheet, [one.span in alike for one in sheet.stretches])
     pairs = [
-        f"Looks like another stretch: drive {a.segment}, {a.from_m:.0f} to {a.to_m:.0f} m, and drive {b.segment},"
-        f" {b.from_m:.0f} to {b.to_m:.0f} m."
+        f"Looks like another stretch: drive {a.segment + 1}, {a.from_m:.0f} to {a.to_m:.0f} m,"
+        f" and drive {b.segment + 1}, {b.from_m:.0f} to {b.to_m:.0f} m."
         for a, b in alike.items()
         if alike.get(b) != a or (a.segment, a.from_m) < (b.segment, b.from_m)
     ]

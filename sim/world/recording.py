@@ -43,8 +43,8 @@ def record_drive(
 
     A frame every `spacing_m`, or `fps` frames a second, over the first `up_to_m`. heading_deg is the vehicle's, also
     for a rear camera. The column `route_m` is the arc length along the route, which drives in both directions share.
-    progress: passes the times on, one a frame, and may show how far they are. Raises FeedError, also where there is a
-    feed already.
+    progress: passes the times on, one a frame, and may show how far they are. What was interrupted goes on. Raises
+    FeedError, also where there is a feed already.
     """
     drive = scenario.drive()
     times_s = times_by_rate(drive, fps) if fps else times_by_distance(drive, spacing_m)
@@ -58,10 +58,11 @@ def record_drive(
         notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
     )
     # The feed first: a folder that cannot be written to is known before the world is built.
-    with FeedWriter(path, header, extra_columns=("route_m",)) as writer:
+    stamps_ns = [(scenario.epoch_ns or 0) + round(time_s * 1e9) for time_s in times_s]
+    with FeedWriter(path, header, extra_columns=("route_m",), begins=stamps_ns) as writer:
         renderer = open_renderer(scenario, drive)
         try:
-            for time_s in progress(times_s):
+            for time_s in progress(times_s[writer.count :]):
                 image = picture(renderer, scenario, drive, time_s)
                 _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
         finally:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,33 @@ def test_the_same_scenario_is_the_same_bytes(tmp_path: Path) -> None:
     assert files[0] == files[1]
     assert len(files[0]) == 6
     assert all((folders[0] / name).read_bytes() == (folders[1] / name).read_bytes() for name in files[0])
+
+
+def test_an_interrupted_drive_goes_on_where_it_was(tmp_path: Path) -> None:
+    def interrupted(times_s: list[float]) -> Iterator[float]:
+        yield from times_s[:2]
+        raise KeyboardInterrupt
+
+    begun, whole = tmp_path / "begun" / "drive", tmp_path / "whole" / "drive"
+    with pytest.raises(KeyboardInterrupt):
+        record_drive(HOME, begun, spacing_m=50.0, progress=interrupted)
+    with (begun / "frames.csv").open("ab") as file:
+        file.write(b"frames/000002.jpg,12")  # a crash tore it
+    with pytest.raises(FeedError, match="a feed already exists"):
+        record_drive(HOME, begun, spacing_m=40.0)
+    rest = list[int]()
+
+    def counted(times_s: list[float]) -> list[float]:
+        rest.append(len(times_s))
+        return times_s
+
+    record_drive(HOME, begun, spacing_m=50.0, progress=counted)
+    record_drive(HOME, whole, spacing_m=50.0)
+    assert rest == [2]
+    names = [path.relative_to(whole) for path in whole.rglob("*.*")]
+    assert all((begun / name).read_bytes() == (whole / name).read_bytes() for name in names)
+    with pytest.raises(FeedError, match="a feed already exists"):
+        record_drive(HOME, begun, spacing_m=50.0)
 
 
 def test_a_steady_rate_covers_the_whole_drive() -> None:
