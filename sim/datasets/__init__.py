@@ -1,10 +1,9 @@
-"""Published recordings as feeds, and the ground truth between two of them.
+"""Published recordings as feeds.
 
 Each kind of recording is a module with `open_traverse(path, options)`, whose docstring names the specification of the
 layout; `open_dataset` finds it by name.
 
     a recording in its own layout -> Traverse -> importing.write_feed -> a feed, as the simulator writes it
-    two feeds -> truth.truth_between -> which rows show the same place
 
 A further layout is a module and a line in `KINDS`.
 """

@@ -29,7 +29,8 @@ from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
 from edge.sequence_matcher import SequenceMatcher
-from sim.evaluation.metrics import Answers, at_threshold, joined, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.evaluation import figures
-from sim.evaluation.metrics import at_threshold, max_f1_of_places, precision_recall, recall_of_best, scores
+from sim.evaluation.metrics import precision_recall
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
 from sim.research.evaluation import plots
 from sim.research.evaluation.bootstrap import difference, interval
 from sim.research.evaluation.matching import errors_of
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair
+from sim.research.evaluation.scores import at_threshold, max_f1_of_places, recall_of_best, scores
 from sim.research.evaluation.traverses import open_pictures
 
 COUNTS = (1, 5, 10)

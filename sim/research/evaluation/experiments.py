@@ -9,12 +9,12 @@ import numpy as np
 
 from edge.config import Config, SamplingConfig
 from sim.evaluation.golden import replay_on_new_map
-from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots as draw
 from sim.research.evaluation.comparison import Results
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair, Plan
+from sim.research.evaluation.scores import max_f1_of_places, scores
 from sim.research.evaluation.traverses import true_errors
 
 Step = Callable[[str], None]

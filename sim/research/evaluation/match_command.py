@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from edge.config import SequenceConfig, checked_option
 from edge.errors import ConfigError
-from sim.evaluation.metrics import max_f1_of_places, scores
 from sim.research.evaluation.bootstrap import Resampling, interval
 from sim.research.evaluation.descriptions import read_matrix
 from sim.research.evaluation.matching import Matches, judge, judged_queries, match_costs
+from sim.research.evaluation.scores import max_f1_of_places, scores
 
 
 def run(args: argparse.Namespace) -> int:

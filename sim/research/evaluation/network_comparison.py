@@ -23,12 +23,12 @@ from tqdm import tqdm
 from edge.descriptor.model_file import ModelInfo
 from edge.errors import ConfigError
 from edge.reference_map.place_records import PLACE
-from sim.evaluation.metrics import Scores, scores
 from sim.evaluation.report import Cell, Figure, Section, Table, write_report
 from sim.research.evaluation import plots
 from sim.research.evaluation.networks import open_network
 from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, load_plan
 from sim.research.evaluation.run import about, find_plan, folders_of, open_runner
+from sim.research.evaluation.scores import Scores, scores
 
 METHOD, BELIEF = "NSD-CR", "Lookback"
 REGIONS, ROUNDS = 2, 60

@@ -14,9 +14,9 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, FeedImages, FeedRow, Pictures, read_feed
 from sim.datasets import TruthKind
-from sim.datasets.truth import Truth, truth_between
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.seqslam import describe
+from sim.research.evaluation.truth import Truth, truth_between
 from sim.traverse import driven_m, traverse
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
-from sim.datasets.truth import truth_between
+from sim.research.evaluation.truth import truth_between
 
 WritePictures = Callable[[Path, list[str]], None]
 WriteVideo = Callable[[Path, int, float], None]

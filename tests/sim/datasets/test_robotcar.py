@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.errors import FeedError, FrameError
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
-from sim.datasets.truth import truth_between
+from sim.research.evaluation.truth import truth_between
 
 Degrees = Callable[[float, float], tuple[float, float]]
 

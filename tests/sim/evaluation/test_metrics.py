@@ -9,15 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.evaluation.metrics import (
-    Answers,
-    at_threshold,
-    max_f1_of_correct,
-    precision_recall,
-    recall_at_precision,
-    recall_of_best,
-    scores,
-)
+from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.research.evaluation.scores import at_threshold, max_f1_of_correct, recall_of_best, scores
 
 
 @st.composite

@@ -13,10 +13,10 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.geodesy import east_north
 from sim.datasets.export import TrackPoint, as_gpx, as_tum
-from sim.evaluation.metrics import scores
 from sim.research.evaluation.matching import judge
 from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan
 from sim.research.evaluation.run import Folders, open_runner
+from sim.research.evaluation.scores import scores
 from sim.research.evaluation.trajectories import write_trajectories
 
 NORTH_M = 110_574.0  # a degree of latitude at the equator

@@ -10,7 +10,7 @@ import pytest
 from edge.errors import FeedError
 from edge.feed import Feed, FeedHeader, FeedRow, read_feed
 from sim.datasets import TruthKind
-from sim.datasets.truth import Truth, truth_between
+from sim.research.evaluation.truth import Truth, truth_between
 
 ORIGIN = (51.76, -1.26, 0.0)
 

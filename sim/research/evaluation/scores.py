@@ -1,0 +1,103 @@
+"""Scores of a method's answers: F1, areas, recall of the best K at several radii; see `sim.evaluation.metrics`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.evaluation.metrics import Answers, Floats, PrecisionRecall, precision_recall, recall_at_precision
+
+
+def joined(several: Sequence[Answers]) -> Answers:
+    """The answers of several traverses, one after the other."""
+    columns = ((one.confidence, one.correct, one.has_truth) for one in several)
+    return Answers(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The curve in numbers.
+
+    queries, on_map: number of queries, and of those that have a true place. accuracy: correct best matches over on_map,
+    at any confidence (recall@1). average_precision: sum over thresholds of precision times the gain in
+    recall_of_places. max_f1_*: highest harmonic mean of precision and that recall. recall_at_100, recall_at_99: highest
+    recall_of_places at any threshold with at least that precision in percent.
+    """
+
+    queries: int
+    on_map: int
+    accuracy: float
+    average_precision: float
+    max_f1_of_correct: float
+    max_f1_of_places: float
+    recall_at_100: float
+    recall_at_99: float
+
+
+def scores(answers: Answers) -> Scores:
+    """All single numbers of one method on one pair of traverses."""
+    curve = precision_recall(answers)
+    on_map = int(answers.has_truth.sum())
+    answered = ~np.isnan(answers.confidence)
+    return Scores(
+        queries=len(answers.confidence),
+        on_map=on_map,
+        accuracy=float((answers.correct & answered).sum()) / on_map if on_map else float("nan"),
+        average_precision=average_precision(curve),
+        max_f1_of_correct=max_f1_of_correct(answers),
+        max_f1_of_places=max_f1_of_places(answers),
+        recall_at_100=recall_at_precision(curve, 1.0),
+        recall_at_99=recall_at_precision(curve, 0.99),
+    )
+
+
+def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
+    """Precision and recall_of_places of what is accepted from a threshold on; NaN where there is nothing."""
+    accepted = answers.confidence >= threshold  # NaN is not
+    hits = float((accepted & answers.correct).sum())
+    total, on_map = float(accepted.sum()), float(answers.has_truth.sum())
+    return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
+
+
+def f1(precision: Floats, recall: Floats) -> Floats:
+    """Harmonic mean, 0 where both are 0 or recall is undefined: (T,), (T,) -> (T,)."""
+    total = precision + recall
+    return np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
+
+
+def max_f1_of_correct(answers: Answers) -> float:
+    """Highest F1 with recall_of_correct; 0 if nothing is correct."""
+    curve = precision_recall(answers)
+    return float(f1(curve.precision, curve.recall_of_correct).max(initial=0.0))
+
+
+def max_f1_of_places(answers: Answers) -> float:
+    """Highest F1 with recall_of_places; 0 if nothing is correct."""
+    curve = precision_recall(answers)
+    return float(f1(curve.precision, curve.recall_of_places).max(initial=0.0))
+
+
+def average_precision(curve: PrecisionRecall) -> float:
+    """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
+    gains = np.diff(curve.recall_of_places, prepend=0.0)
+    return float(gains @ curve.precision) if gains.size else 0.0
+
+
+def recall_of_best(errors: Floats, nearest: Floats, counts: Sequence[int], radii: Sequence[float]) -> Floats:
+    """Recall@K at several radii, (len(counts), len(radii)).
+
+    errors (Q, K): distance between each query's true position and its candidates, best first, in meters or frames,
+    inf where there is none. nearest (Q,): distance of the map's place nearest to the truth; a query counts at a radius
+    only if the map has a place within it. A query is a hit at K if any of its first K candidates is within the radius.
+    NaN where no query counts.
+    """
+    out = np.full((len(counts), len(radii)), np.nan)
+    for column, radius in enumerate(radii):
+        counted = nearest <= radius
+        if not counted.any():
+            continue
+        for row, count in enumerate(counts):
+            out[row, column] = (errors[counted, :count] <= radius).any(axis=1).mean()
+    return out
