@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known
-from edge.reference_map import MapSet
-from edge.reference_map.place_records import sigmas_m
+from edge.reference_map import MapSet, sigmas_m
 from edge.reference_map.store import PROJECTION
 from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal

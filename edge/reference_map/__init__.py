@@ -17,8 +17,7 @@ from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.map_folder import is_signed, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
-from edge.reference_map.place_records import sigmas_m
-from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
+from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route, sigmas_m
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known, unwrapped, wrapped
 from edge.reference_map.map_set import MapSet
-from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
+from edge.reference_map.place_records import ASSUMED_SIGMA_M
 
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
@@ -143,6 +143,12 @@ def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:
         return sigma_m
     nearest_m = float(np.abs(around_m - target_m).min())
     return math.hypot(sigma_m, max(0.0, nearest_m - drive.spacing_m))
+
+
+def sigmas_m(places: NDArray[np.void]) -> NDArray[np.float64]:
+    """One standard deviation (N,) of the positions of places, ASSUMED_SIGMA_M where a map does not say."""
+    known = places["position_sigma_m"].astype(np.float64)
+    return np.where(np.isnan(known), ASSUMED_SIGMA_M, known)
 
 
 class Drives:
