@@ -6,7 +6,6 @@ compared with the CPU's at each start: a provider that describes the same pictur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -38,7 +37,7 @@ def check_agreement(exact: Network, network: Network) -> None:
     """ModelError, with the cosine, unless two open networks describe the same pictures alike."""
     pictures = check_pictures(exact.size)
     one, other = (np.stack([each.describe(pair) for pair in pictures]) for each in (exact, network))
-    cosine = compare(one, other).nsd_mean
+    cosine = float(nsd_cosines(one, other).mean())
     if not cosine >= NSD_COSINE_MIN:  # NaN is not
         raise ModelError(
             f'[descriptor] provider: the descriptors of "{network.provider}" differ from those of the CPU: cosine after'
@@ -61,23 +60,12 @@ NSD_COSINE_MIN = 0.995
 """Descriptors whose mean cosine to the exact ones after NSD is below this are not good enough to use."""
 
 
-@dataclass(frozen=True)
-class Fidelity:
-    """Cosines of rounded to exact descriptors over the frames and regions of one feed.
+def nsd_cosines(exact: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Cosines (N, R) of two networks' descriptors (N, R, D) of the same images, each set after its own NSD (eq. 1).
 
-    NSD takes out what all images share, so it amplifies every error of rounding: the cosine that counts is that after.
+    NSD takes out what all images share, so it amplifies every error of rounding: these cosines count.
     """
-
-    raw_mean: float
-    nsd_mean: float
-    nsd_least: float
-
-
-def compare(exact: NDArray[np.float32], rounded: NDArray[np.float32]) -> Fidelity:
-    """Compare descriptors (N, R, D) of the same images, each set normalized with its own statistics (eq. 1)."""
-    raw = _cosines(exact, rounded)
-    after = _cosines(normalized_set(exact), normalized_set(rounded))
-    return Fidelity(float(raw.mean()), float(after.mean()), float(after.min()))
+    return cosines(normalized_set(exact), normalized_set(other))
 
 
 def normalized_set(raw: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -85,7 +73,7 @@ def normalized_set(raw: NDArray[np.float32]) -> NDArray[np.float32]:
     return normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
 
 
-def _cosines(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float64]:
+def cosines(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float64]:
     """Cosine of each region of each frame, (N, R)."""
     products = np.einsum("nrd,nrd->nr", first, second, dtype=np.float64)
     norms = np.linalg.norm(first, axis=2).astype(np.float64) * np.linalg.norm(second, axis=2)

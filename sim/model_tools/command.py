@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import REGION_COUNT, Network
-from edge.descriptor.open_network import NSD_COSINE_MIN, compare
+from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import FeedError, ModelError
 from edge.feed import Feed, read_feed
 from edge.geodesy import east_north
 from sim.model_tools import onnx_graph, providers
-from sim.model_tools.fidelity import matching_accuracy
+from sim.model_tools.fidelity import compare, matching_accuracy
 from sim.model_tools.frames import describe_feed
 from sim.model_tools.import_command import add_import
 from sim.model_tools.weights import read_weights

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.open_network import normalized_set
+from edge.descriptor.open_network import cosines, normalized_set, nsd_cosines
 
 
 def matching_accuracy(query: NDArray[np.float32], reference: NDArray[np.float32], correct: NDArray[np.bool_]) -> float:
@@ -20,3 +22,18 @@ def unit_rows(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     flat = descriptors.reshape(len(descriptors), -1)
     norms = np.linalg.norm(flat, axis=1, keepdims=True)
     return np.asarray(np.divide(flat, norms, out=np.zeros_like(flat), where=norms > 0))
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """Cosines of rounded to exact descriptors over the frames and regions of one feed; after NSD they count."""
+
+    raw_mean: float
+    nsd_mean: float
+    nsd_least: float
+
+
+def compare(exact: NDArray[np.float32], rounded: NDArray[np.float32]) -> Fidelity:
+    """Compare descriptors (N, R, D) of the same images."""
+    after = nsd_cosines(exact, rounded)
+    return Fidelity(float(cosines(exact, rounded).mean()), float(after.mean()), float(after.min()))

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import HEAD_FILE, NETWORK_FILE, ModelFile, ModelInfo, read_model_file
 from edge.descriptor.network import REGION_COUNT, Network
-from edge.descriptor.open_network import NSD_COSINE_MIN, compare
+from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
+from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import regions_of
 from sim.model_tools.torch_file import export_onnx
 from sim.model_tools.weights import has_head, read_label_lines, read_labels, read_weights

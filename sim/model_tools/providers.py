@@ -10,9 +10,10 @@ import numpy as np
 
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import CPU, Network, installed_providers, provider_name
-from edge.descriptor.open_network import NSD_COSINE_MIN, check_pictures, compare
+from edge.descriptor.open_network import NSD_COSINE_MIN, check_pictures
 from edge.errors import ModelError
 from sim.bench.timing import race
+from sim.model_tools.fidelity import compare
 
 ROUNDS = 21
 REMOTE = "AzureExecutionProvider"

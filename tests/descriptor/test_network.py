@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
 from edge.descriptor.network import Head, Network, Regions, cut_regions
-from edge.descriptor.open_network import NSD_COSINE_MIN, compare
+from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ModelError
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.fidelity import matching_accuracy
+from sim.model_tools.fidelity import compare, matching_accuracy
 from sim.model_tools.onnx_graph import MEAN_RGB, build_float
 from sim.model_tools.weights import read_weights
 

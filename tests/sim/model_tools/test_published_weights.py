@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.descriptor.network import Head, Network, cut_regions
-from edge.descriptor.open_network import compare
 from edge.feed import Feed, FeedImages, read_feed
-from sim.model_tools.fidelity import matching_accuracy
+from sim.model_tools.fidelity import compare, matching_accuracy
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from sim.model_tools.weights import read_weights
 
