@@ -15,7 +15,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd
     page/           the live page
-    commands/       run, map, replay, record, doctor, ...
+    commands/       run, record, doctor; the table of all commands, most of which are in `sim`
 
 The files beside them:
 
