@@ -52,7 +52,6 @@ class Receiver:
     def __init__(self, name: str) -> None:
         self.name = name
         self.heard_ns: int | None = None
-        self.sigma_m = GPS_SIGMA_M
         self.accuracy_m: float | None = None
         """As it reports it, None where it does not."""
         self.source: PositionSource = "unknown"
@@ -62,6 +61,11 @@ class Receiver:
         self._bad_ns: int | None = None
         self._lost_ns = LOST_NS
         self._is_healthy = self._had_outage = False
+
+    @property
+    def sigma_m(self) -> float:
+        """One standard deviation of its position."""
+        return max(GPS_SIGMA_M, self.accuracy_m or 0.0)
 
     def read(self, message: Message, now_ns: int) -> None:
         """GPS_RAW_INT or GPS2_RAW."""
@@ -74,7 +78,6 @@ class Receiver:
         is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._is_healthy else GOOD_M)
         if is_good and (message.lat or message.lon):
             self.at = message.lat / 1e7, message.lon / 1e7
-            self.sigma_m = max(GPS_SIGMA_M, accuracy_m)
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
             self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
         else:
