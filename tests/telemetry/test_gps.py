@@ -163,7 +163,7 @@ def test_gps_that_was_never_heard_is_unknown_and_nothing_is_sent(rig: Rig, lost:
     rig.run(20.0, lambda: rig.connection.send_position(rig.fix()))
     assert len(rig.journalled(FixSent)) == sent
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
-    assert any("GPS is unknown: no GPS_RAW_INT" in message.text for message in rig.received("STATUSTEXT"))
+    assert rig.connection.why_no_position == "GPS is unknown: no GPS_RAW_INT"
     rig.wire.loses = lambda one: False
     rig.run(60.0, lambda: rig.connection.vehicle.gps.state(rig.now_ns) != "unknown")
     rig.run(2.0)
