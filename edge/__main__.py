@@ -14,7 +14,9 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
 from edge.commands.parser import build_parser, moved
-from edge.errors import EXIT_SETUP, LookbackError, SetupError
+from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
+
+LEVELS = ("debug", "info", "warning", "error")
 
 
 class PlainText:
@@ -49,14 +51,22 @@ def _spelled(character: str) -> str:
     return f"\\u{ord(character):04x}" if ord(character) <= 0xFFFF else "?"
 
 
+def _open_log() -> None:
+    """Log to standard error, from the level on that LOOKBACK_LOG names."""
+    level = os.environ.get("LOOKBACK_LOG", "info")
+    if level not in LEVELS:
+        raise ConfigError(f"LOOKBACK_LOG={level}: expected {', '.join(LEVELS)}")
+    logging.basicConfig(level=level.upper(), format="lookback: %(message)s", handlers=[AboveBars(sys.stderr)])
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; errors that Lookback raises on purpose become one line on standard error."""
-    logging.basicConfig(level=logging.INFO, format="lookback: %(message)s", handlers=[AboveBars(sys.stderr)])
     words = sys.argv[1:] if argv is None else argv
     if there := moved(words):
         print(f"lookback: {there}", file=sys.stderr)
         return 2
     try:
+        _open_log()
         args = build_parser(words).parse_args(words)
         return int(args.run(args))
     except LookbackError as error:

@@ -247,3 +247,8 @@ def test_a_folder_without_maps_says_so(tmp_path: Path, capsys: pytest.CaptureFix
     assert "no map in it yet; make one with `lookback map build FEED -o" in refused(
         capsys, "map", "info", str(tmp_path)
     )
+
+
+def test_a_level_of_the_log_that_is_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("LOOKBACK_LOG", "loud")
+    assert refused(capsys, "config") == "lookback: LOOKBACK_LOG=loud: expected debug, info, warning, error\n"

@@ -226,7 +226,7 @@ def check_writable(path: Path) -> None:
         raise ConfigError(f"{path}: cannot write into its folder: {error.strerror}") from None
 
 
-def write_lines(path: Path, lines: Lines) -> None:
+def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str]) -> None:
     """Write values into a config file in one step; its comments, order and other keys stay. ConfigError."""
     import tomlkit
 

@@ -20,6 +20,7 @@ from sim.model_tools import onnx_graph, providers
 from sim.model_tools.fidelity import compare, matching_accuracy
 from sim.model_tools.frames import describe_feed
 from sim.model_tools.import_command import add_import
+from sim.model_tools.use_command import add_use
 from sim.model_tools.weights import read_weights
 
 
@@ -28,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(required=True)
 
     add_import(actions.add_parser("import", help="make the network file of a vehicle from a network or from weights"))
+
+    add_use(actions.add_parser("use", help="switch a config to another network, and say what that costs"))
 
     info = actions.add_parser("info", help="print the metadata of a network")
     info.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")

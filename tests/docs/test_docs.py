@@ -228,3 +228,14 @@ def test_the_examples_of_good_code_are_code_of_this_repository() -> None:
     assert len(examples) == 2
     for file, code in examples:
         assert code in (ROOT / file).read_text(encoding="utf-8"), file
+
+
+def test_the_package_and_the_readme_name_the_license_of_the_network_too() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (license_line,) = re.findall(r'^license = "(.*?)"', text, re.MULTILINE)
+    (files,) = re.findall(r"^license-files = \[(.*)\]", text, re.MULTILINE)
+    card = "edge/descriptor/models/alexnet_places100/README.md"
+    assert license_line == "Apache-2.0 AND LicenseRef-Places-CNN-non-commercial"
+    assert f'"{card}"' in files and (ROOT / card).is_file()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert card in readme and "non-commercial" in readme
