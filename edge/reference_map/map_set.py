@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -81,13 +80,12 @@ class MapSet:
         maps: ReferenceMap | Sequence[ReferenceMap],
         folder: Path | None = None,
         excluded: Iterable[ExcludedMap] = (),
-        matchers: Mapping[Path, CostMatcher] = MappingProxyType({}),
     ) -> MapSet:
-        """One open map, or those of a folder. matchers: of some of them, by path, that need not be made again."""
+        """One open map, or those of a folder."""
         several = [maps] if isinstance(maps, ReferenceMap) else maps
         # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
         places = several[0].places if len(several) == 1 else np.concatenate([one.places for one in several])
-        return cls._in_order(several, places, folder, excluded, matchers)
+        return cls._in_order(several, places, folder, excluded, {})
 
     @classmethod
     def _in_order(
@@ -99,7 +97,10 @@ class MapSet:
         matchers: Mapping[Path, CostMatcher],
         others: SpatialIndex | None = None,
     ) -> MapSet:
-        """Some maps whose places are these, one map's after another's. others: see `SpatialIndex`."""
+        """Some maps whose places are these, one map's after another's.
+
+        matchers: of some of them, by path, that need not be made again. others: see `SpatialIndex`.
+        """
         index = PlaceIndex([one.header for one in maps])
         several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(maps, index.rows, strict=True)]
         bounds = [(*rows, one.header.bounds) for one, rows in zip(several, index.rows, strict=True)]

@@ -189,7 +189,7 @@ class AutopilotConnection:
         """Publish a place on every link: a line of text at most every five seconds, and values to plot."""
         now_ns = self._clock_ns()
         if self.state == "up":
-            self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
+            self._texts.put_place(fix, now_ns)
             self._send(encoders.plotted_values(fix, round((self.vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
         for link in self._report_links:
             link.publish_place(fix)

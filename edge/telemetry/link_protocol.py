@@ -209,11 +209,11 @@ class StatusTexts:
         """Queue a line of any length."""
         self._queue.append(encoders.status_text(text, severity))
 
-    def put_place(self, fix: PlaceFix, now_ns: int, severity: int) -> None:
+    def put_place(self, fix: PlaceFix, now_ns: int) -> None:
         """Queue a line about a place, but not more than one each five seconds: places come by the second."""
         if now_ns >= self._next_place_ns:
             self._next_place_ns = now_ns + PLACE_NS
-            self.put(encoders.describe(fix), severity)
+            self.put(encoders.describe(fix), mavlink.MAV_SEVERITY_INFO)
 
     def due(self, now_ns: int) -> list[Message]:
         """The messages of the next line, if it is time for one."""

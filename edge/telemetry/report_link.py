@@ -61,7 +61,7 @@ class ReportLink:
     def publish_place(self, fix: PlaceFix) -> None:
         """Publish a place: a line of text at most every five seconds, and values to plot."""
         now_ns = self._clock_ns()
-        self._texts.put_place(fix, now_ns, mavlink.MAV_SEVERITY_INFO)
+        self._texts.put_place(fix, now_ns)
         self._send(encoders.plotted_values(fix, round((self._vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
 
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
