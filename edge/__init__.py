@@ -7,6 +7,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     motion/         -> CameraSpeed      the vehicle's speed from the ground that two pictures show
     descriptor/     -> (R, D) float32   R regions, raw and normalized (NSD); fc6: D = 4096
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
+    layers/         drives over one road: what each was good for, and which are searched
     mapping/        the drive becomes a map while it is driven, searched with the others
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent

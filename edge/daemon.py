@@ -61,7 +61,7 @@ class Daemon:
         self._autopilot, self._home_socket, self.monitor = opened.autopilot, opened.home_socket, opened.monitor
         self._camera, self._device, self._recording = opened.camera, opened.device, opened.recording
         self._recognizer, self._verification = opened.recognizer, opened.verification
-        self._mapper, self._warm_start = opened.mapper, opened.warm_start
+        self._mapper, self._tally, self._warm_start = opened.mapper, opened.tally, opened.warm_start
         self._live_status, self._page = opened.live_status, opened.page
         self._motion = opened.motion
         self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
@@ -254,8 +254,10 @@ class Daemon:
             self._record(used)
         if match is None or not match.accepted:
             return
-        if self._mapper is not None:
-            self._mapper.count(match)
+        if self._tally is not None:
+            driven_m, now_ns = self._autopilot.vehicle.distance_m(frame.stamp_ns), self._clock_ns()
+            seen = match.place_index, match.direction, frame.image
+            self._tally.count(self._recognizer.map_set, *seen, driven_m, now_ns)
         if match.event:
             fix = self._estimator.place_fix(match, frame.stamp_ns)
             self._events += 1

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from msgspec import UNSET
@@ -26,9 +25,8 @@ from edge.descriptor.normalize import normalize
 from edge.feed.sampling import Sampler
 from edge.health.service import notify
 from edge.journal.records import MappingChanged, Record
-from edge.mapping import LiveMap, MappingStatus, MappingView, Usage, header_of
+from edge.mapping import LiveMap, MappingStatus, MappingView, header_of
 from edge.reference_map import MapSoFar, ModelKey, RegionsKey
-from edge.sequence import PlaceMatch
 from edge.telemetry.autopilot import AutopilotConnection
 
 CLOSE_S = 1.5
@@ -71,8 +69,6 @@ class DriveMapper:
         self.live = parts.enter_context(
             closing(LiveMap(config.mapping, header, view, normalize, before_long=_ask_for_time))
         )
-        self._usage = Usage(Path(config.mapping.folder))
-        parts.callback(self._usage.write)
         self._frames: Frames | None = frames
         self._device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
@@ -152,11 +148,6 @@ class DriveMapper:
             self._notice_gap()
             self.live.add(described.raw, frame.image, *known)
         self._publish_change()
-
-    def count(self, match: PlaceMatch) -> None:
-        """A place was recognized: what is used stays longest on a disk that is full."""
-        if match.map is not None:
-            self._usage.count(match.map, time.time(), self._clock_ns())
 
     def _notice_gap(self) -> None:
         if self._gaps != self._autopilot.vehicle.distance_gaps:

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known
 from edge.reference_map import MapSet, sigmas_m
-from edge.reference_map.store import PROJECTION
 from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
 
@@ -144,7 +143,7 @@ def _compare(
     """The window of a drive against places [start, end) of another; None where it shows nothing unique there."""
     rows = _encoded(maps, first)
     other, other_map = maps.index.segment_of(near[0]), maps.index.map_of(near[0])
-    if _projection(maps, other_map) != _projection(maps, maps.index.map_of(first)):
+    if maps.headers[other_map].shrunk_by != maps.headers[maps.index.map_of(first)].shrunk_by:
         return None
     start = maps.index.starts[other_map]
     near = near[0], min(near[1], maps.index.starts[other_map + 1])
@@ -176,11 +175,6 @@ def _encoded(maps: MapSet, first: int) -> NDArray[np.int8]:
     number = maps.index.map_of(first)
     row = first - maps.index.starts[number]
     return np.ascontiguousarray(maps.maps[number].descriptors[:, row : row + LENGTH])
-
-
-def _projection(maps: MapSet, number: int) -> str:
-    files = maps.headers[number].files
-    return files[PROJECTION].sha256 if PROJECTION in files else ""
 
 
 def _at(ground_m: NDArray[np.float64], place: float) -> NDArray[np.float64]:

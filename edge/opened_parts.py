@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 from edge.camera import Frames
 from edge.camera.newest import NewestFrame
@@ -18,6 +20,7 @@ from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
 from edge.health.health import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
+from edge.layers import DriveTally
 from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
@@ -25,6 +28,7 @@ from edge.motion import CameraMotion
 from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet
+from edge.reference_map.store import HEADER
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.local_socket import LocalSocket
 from edge.warm_start import WarmStart
@@ -86,6 +90,11 @@ class OpenedParts:
         self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
         self.estimator.use_maps(self.verification.as_uncertain(maps))
         self.warm_start = WarmStart(config, self.recognizer)
+        self.tally: DriveTally | None = None
+        if maps.is_folder and not (maps.path / HEADER).exists():
+            self.tally = parts.enter_context(
+                closing(DriveTally(maps.path, config.camera.view, time.time(), uuid4().hex))
+            )
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
         config = self._config

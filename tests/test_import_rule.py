@@ -18,6 +18,7 @@ STAGES = (
     "motion",
     "descriptor",
     "reference_map",
+    "layers",
     "mapping",
     "sequence",
     "localization",

@@ -28,7 +28,7 @@ from edge.config import change_paths
 from edge.errors import LookbackError
 from edge.extras import install_command
 from edge.files import HOME_FOLDERS
-from edge.mapping.quota import CLOCK_SET_UNIX_S
+from edge.layers import CLOCK_SET_UNIX_S
 
 LEAST_FREE_MB = 500
 OAK_VENDOR = "03e7"

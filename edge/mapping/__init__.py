@@ -4,11 +4,10 @@
 `live_map`   which frames become places; the file and the map in memory together
 `completion` the file of an earlier drive becomes an ordinary map
 `status`     what people are shown of all this, and what to expect if GPS were lost now
-`quota`      which maps are kept, and which are deleted for want of disk space
+`quota`      which maps are deleted for want of disk space
 """
 
 from edge.mapping.live_map import LiveMap, header_of
-from edge.mapping.quota import Usage
 from edge.mapping.status import MappingStatus, MappingView, WayHome
 
-__all__ = ["LiveMap", "MappingStatus", "MappingView", "Usage", "WayHome", "header_of"]
+__all__ = ["LiveMap", "MappingStatus", "MappingView", "WayHome", "header_of"]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import edge
 from edge.errors import MapError
+from edge.layers import source_of
 from edge.mapping.place_log import OpenLog
 from edge.reference_map import MapBuilder, Normalize
 
@@ -29,11 +30,6 @@ def map_of(file: Path) -> Path:
 def logs_in(folder: Path) -> list[Path]:
     """Files of places of all drives that are not maps yet, the oldest first."""
     return sorted(folder.glob(f".*{SUFFIX}"))
-
-
-def source_of(map_path: Path) -> str:
-    """What a map of a drive says of itself, by which it is known as long as it has its name: see `quota`."""
-    return f"drive of {map_path.name}"
 
 
 def complete(file: OpenLog, normalize: Normalize) -> Path | None:

@@ -17,10 +17,11 @@ import edge
 from edge.config import MappingConfig, SamplingConfig
 from edge.errors import MapError
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.mapping.completion import complete, log_of, logs_in, map_of, source_of
+from edge.layers import source_of
+from edge.mapping.completion import complete, log_of, logs_in, map_of
 from edge.mapping.place_log import OpenLog, PlaceLog, create_log
 from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace, missed_places
-from edge.mapping.quota import retire
+from edge.mapping.quota import delete_oldest
 from edge.mapping.status import MappingStatus, MappingView, SelfComparison
 from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
 
@@ -252,13 +253,13 @@ class LiveMap:
     def _open(self) -> None:
         """Go on with the last drive, and make maps of the others. MapError, OSError."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        retire(self._folder, self._config.quota_mb * 1e6)
+        delete_oldest(self._folder, self._config.quota_mb * 1e6)
         for file in reversed(logs_in(self._folder)):
             try:
                 self._continue_or_complete(OpenLog(file))
             except MapError as error:
                 log.warning("%s", error)
-        retire(self._folder, self._config.quota_mb * 1e6)
+        delete_oldest(self._folder, self._config.quota_mb * 1e6)
 
     def _continue_or_complete(self, found: OpenLog) -> None:
         self._before_long(SLOWEST_S * len(found.places_at))

@@ -20,6 +20,7 @@ from edge.extras import install_command
 from edge.files import read_key
 from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, of_folder, printable
+from edge.reference_map.retired import Retired
 from edge.reference_map.store import (
     HEADER,
     MapHeader,
@@ -42,14 +43,19 @@ def open_map_set(
     require_signature_by: Path | None = None,
     every_file: bool = False,
     newest: MapSoFar | None = None,
+    with_retired: bool = False,
 ) -> MapSet:
-    """Open the map at a path, or all maps of a folder. newest: of this drive, searched after all others, if any.
+    """Open the map at a path, or the maps of a folder that are searched (see `Retired`), or all of them.
+
+    newest: of this drive, searched after all others, if any.
 
     Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
     them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
     Raises MapError, and ConfigError for the key.
     """
-    folders = _maps_in(path)
+    folders = maps_in(path)
+    if folders and not with_retired:
+        folders = Retired(path).others(folders)
     _allow_open_files(path, len(folders))
     projections: dict[str, NDArray[np.float32]] = {}
 
@@ -73,7 +79,7 @@ def open_map_set(
     return of_folder(path, maps if newest is None else [*maps, newest], excluded)
 
 
-def _maps_in(path: Path) -> list[Path]:
+def maps_in(path: Path) -> list[Path]:
     """The maps of a folder, in the order of their names; none if it is a map itself."""
     try:
         if (path / HEADER).exists() or not path.is_dir():

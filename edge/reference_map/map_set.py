@@ -30,7 +30,6 @@ from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
 from edge.reference_map.store import (
     PLACES,
-    PROJECTION,
     MapHeader,
     ModelKey,
     ReferenceMap,
@@ -188,8 +187,7 @@ class MapSet:
         encoded: dict[str, NDArray[np.int8]] = {}
         costs = []
         for index, pieces in groupby(self.index.by_map(ranges), key=lambda piece: piece[0]):
-            matcher, files = self.matchers[index], self.maps[index].header.files
-            alike = files[PROJECTION].sha256 if PROJECTION in files else ""  # tiles of one map were shrunk alike
+            matcher, alike = self.matchers[index], self.maps[index].header.shrunk_by
             if alike not in encoded:
                 encoded[alike] = matcher.encoded(query)
             costs.append(matcher.costs_of_encoded(encoded[alike], [(start, end) for _, start, end in pieces]))

@@ -131,6 +131,11 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tile: TileOf | None = None
     header_sha256: str = ""
 
+    @property
+    def shrunk_by(self) -> str:
+        """Checksum of the projection, "" where descriptors are whole: tiles of one map were shrunk alike."""
+        return self.files[PROJECTION].sha256 if PROJECTION in self.files else ""
+
 
 class _Kind(msgspec.Struct, frozen=True):
     """What is read first, since headers of other versions have other fields."""

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from edge.errors import MapError
+from edge.layers import KEEP_FILE, StoredMap, light_of, read_tallies, stored_maps
 from edge.map_agreement import disagreements
 from edge.mapping.completion import logs_in, map_of
-from edge.mapping.quota import KEEP_FILE, StoredMap, stored_maps
 from edge.reference_map import ReferenceMap, open_map, open_map_set
 from edge.reference_map.place_records import spell_accuracy
 from edge.reference_map.store import HEADER, MapHeader
@@ -24,8 +24,6 @@ from sim.maps.keys import make_key, sign_map
 from sim.maps.tiles import split_map
 
 SAMPLED_PICTURES = 16
-LIGHTS = ((40.0, "dark"), (80.0, "dim"), (256.0, "bright"))
-"""Mean gray level, of 255, below which a map's pictures are called that."""
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -149,7 +147,7 @@ def _sign(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace) -> int:
-    maps = stored_maps(args.map)
+    maps = stored_maps(args.map, read_tallies(args.map))
     width = max((len(one.path.name) for one in maps), default=0)
     for one in maps:
         print(f"{one.path.name:{width}}  {_spell(one)}")
@@ -162,12 +160,14 @@ def _list(args: argparse.Namespace) -> int:
 
 def _spell(one: StoredMap) -> str:
     made = datetime.fromtimestamp(one.made_unix_s, tz=timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    used = f"recognized {one.used.recognized} times" if one.used.recognized else "not recognized yet"
-    stays = "kept" if one.is_kept else "may be deleted" if one.is_from_drive else "not from live mapping"
-    return f"{made}  {one.header.places:6} places  {one.size_bytes / 1e6:8.1f} MB  {_light(one.path)}  {used}  {stays}"
+    used = f"recognized {one.recognized} times" if one.recognized else "not recognized yet"
+    is_kept = one.is_kept or one.is_signed
+    stays = "kept" if is_kept else "may be deleted" if one.is_from_drive else "not from live mapping"
+    stays += ", retired" if one.is_retired else ""
+    return f"{made}  {one.header.places:6} places  {one.size_bytes / 1e6:8.1f} MB  {light(one.path)}  {used}  {stays}"
 
 
-def _light(path: Path) -> str:
+def light(path: Path) -> str:
     """How bright the pictures of a map are, by some of them."""
     levels = []
     try:
@@ -178,8 +178,7 @@ def _light(path: Path) -> str:
             levels += [] if picture is None else [float(picture.mean())]
     except (MapError, OSError):
         return "damaged"
-    level = float(np.median(levels)) if levels else float("nan")
-    return next((name for limit, name in LIGHTS if level < limit), "light unknown")
+    return light_of(float(np.median(levels)) if levels else float("nan"))
 
 
 def _keep(args: argparse.Namespace) -> int:

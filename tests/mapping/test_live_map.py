@@ -17,12 +17,24 @@ from edge.__main__ import main
 from edge.config import HomeConfig, MappingConfig, SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition
+from edge.layers import KEEP_FILE, DriveTally, read_tallies, stored_maps
 from edge.mapping import LiveMap, header_of
 from edge.mapping.completion import logs_in
 from edge.mapping.place_log import OpenLog
-from edge.mapping.quota import KEEP_FILE, Usage, retire, stored_maps
+from edge.mapping.quota import delete_oldest
 from edge.mission import plan_way_home
-from edge.reference_map import MapBuilder, MapSet, ModelKey, Place, RegionsKey, open_map
+from edge.reference_map import (
+    MapBuilder,
+    MapSet,
+    ModelKey,
+    Place,
+    RegionsKey,
+    Retired,
+    open_map,
+    open_map_set,
+    read_header,
+)
+from tests.layers.drives import count
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
 IMAGE = np.full((48, 64, 3), 120, np.uint8)
@@ -291,18 +303,32 @@ def make_drive(folder: Path, unix_s: float) -> Path:
 
 def test_the_maps_of_a_folder_are_listed_and_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = make_drive(tmp_path, START_S)
-    usage = Usage(tmp_path)
-    usage.count(path.name, START_S, 0)
+    count(tmp_path, path.name, [0], START_S + 5000)
     assert main(["map", "list", str(tmp_path)]) == 0
     assert re.search(
         rf"{path.name}  2026-09-21 \d\d:\d\d UTC +30 places .* MB  bright  recognized 1 times  may be deleted",
         capsys.readouterr().out,
     )
     assert main(["map", "keep", str(path)]) == 0
-    assert retire(tmp_path, 0.0) == []
+    other = make_drive(tmp_path, START_S + 1000)
+    assert delete_oldest(tmp_path, 0.0) == [other]
     assert main(["map", "keep", str(path), "--undo"]) == 0
     assert main(["map", "keep", str(tmp_path)]) == 78
-    assert retire(tmp_path, 0.0) == [path]
+    make_drive(tmp_path, START_S + 1000)
+    assert delete_oldest(tmp_path, 1.0) == [other], "not recognized since"
+    assert delete_oldest(tmp_path, 0.0) == [], "the last layer of its road"
+
+
+def test_what_is_recognized_on_the_map_of_this_drive_counts_when_it_is_finished(tmp_path: Path) -> None:
+    mapped = live(tmp_path, resume_min=0.0)
+    drive(mapped, range(30))
+    tally = DriveTally(tmp_path, "front", START_S, "run")
+    tally.count(open_map_set(tmp_path, newest=mapped.whole()), 20, "reverse", IMAGE, 80.0, 0)
+    tally.close()
+    mapped.close()
+    live(tmp_path, START_S + 1000, resume_min=0.0).close()
+    (made,) = stored_maps(tmp_path, read_tallies(tmp_path))
+    assert (made.recognized, made.used_unix_s) == (1, START_S)
 
 
 def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: Path) -> None:
@@ -310,17 +336,16 @@ def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: P
     (paths[0] / KEEP_FILE).touch()
     (paths[1] / "map.json.sig").write_text("00")
     own = paths[2].rename(tmp_path / "my own name")
-    usage = Usage(tmp_path)
-    usage.count(paths[3].name, START_S + 99_000, 0)
-    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path)}
-    assert retire(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
-    assert retire(tmp_path, 0.0) == [paths[5], paths[3]]
-    assert {path for path in tmp_path.iterdir() if path.is_dir()} == {paths[0], paths[1], own}
-    assert Usage(tmp_path).maps[paths[3].name].recognized == 1
+    count(tmp_path, paths[3].name, [0], START_S + 99_000)
+    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path, [])}
+    assert delete_oldest(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
+    Retired(tmp_path).replace({paths[3].name: read_header(paths[3]).header_sha256})
+    assert delete_oldest(tmp_path, 0.0) == [paths[3], paths[5]], "3 is retired"
+    assert {path for path in tmp_path.iterdir() if (path / "map.json").exists()} == {paths[0], paths[1], own}
 
 
 def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp_path: Path) -> None:
     by_clock = make_drive(tmp_path, START_S)
     without = make_drive(tmp_path, 1000.0)
-    assert retire(tmp_path, 1.5 * stored_maps(tmp_path)[0].size_bytes) == [by_clock]
+    assert delete_oldest(tmp_path, 1.5 * stored_maps(tmp_path, [])[0].size_bytes) == [by_clock]
     assert without.is_dir()

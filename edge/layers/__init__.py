@@ -1,0 +1,43 @@
+"""Drives over one road as its layers, and what each was good for. `lookback map learn` chooses which are searched.
+
+`tally`   what the daemon recognized, by map, light and stretch; a file for each run
+`stored`  the maps of a folder on the disk
+`road`    which drives pass the same road, and how alike they look there
+"""
+
+from edge.layers.road import NEEDED, REACH_M, Stretch, stretches
+from edge.layers.stored import CLOCK_SET_UNIX_S, KEEP_FILE, StoredMap, keys_of, stored_maps
+from edge.layers.tally import (
+    LIGHTS,
+    STRETCH_PLACES,
+    TALLIES,
+    Counts,
+    DriveTally,
+    Tally,
+    light_of,
+    read_tallies,
+    read_tally,
+    source_of,
+)
+
+__all__ = [
+    "CLOCK_SET_UNIX_S",
+    "KEEP_FILE",
+    "LIGHTS",
+    "NEEDED",
+    "REACH_M",
+    "STRETCH_PLACES",
+    "TALLIES",
+    "Counts",
+    "DriveTally",
+    "StoredMap",
+    "Stretch",
+    "Tally",
+    "keys_of",
+    "light_of",
+    "read_tallies",
+    "read_tally",
+    "source_of",
+    "stored_maps",
+    "stretches",
+]

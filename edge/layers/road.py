@@ -1,0 +1,132 @@
+"""Which drives of a folder of maps pass the same road, and how alike they look there.
+
+A stretch is a place of the road and the way along which a camera looked there, within 60 degrees. It has a layer for
+each drive that saw it, so a rear camera on the way out and a front camera on the way home are layers of the same
+stretches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.geodesy import east_north, first_known
+from edge.reference_map import ReferenceMap
+
+REACH_M = 25.0
+"""Drives whose places are so near pass one stretch: both lanes (12 m) and GPS between houses (5 m) twice."""
+NEEDED = 4
+"""Stretches, each about REACH_M long: together the shortest line by which anything is recognized (40 places, 80 m)."""
+ALIGNED = 0.5
+"""Cosine of 60 degrees, between two ways of looking: bends within REACH_M, and no crossing road."""
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """rows: of each layer, by number of the drive, the row closest to it. opposed: of drives that looked against it."""
+
+    rows: dict[int, int]
+    opposed: dict[int, int]
+
+    @property
+    def drives(self) -> set[int]:
+        """That pass here, whichever way they looked."""
+        return {*self.rows, *self.opposed}
+
+    def alike(self, maps: Sequence[ReferenceMap]) -> Floats:
+        """Cosine (n, n) of each two layers' descriptors; 0 where they cannot be compared, or are not alike at all."""
+        alike: Floats = np.eye(len(self.rows))
+        kinds = [(maps[number].header.model.sha256, maps[number].header.shrunk_by) for number in self.rows]
+        for kind in set(kinds):
+            which = [layer for layer, one in enumerate(kinds) if one == kind]
+            numbers = [list(self.rows)[layer] for layer in which]
+            values = np.stack([maps[number].descriptors[:, self.rows[number]].ravel() for number in numbers])
+            values = values / np.maximum(np.linalg.norm(values.astype(np.float32), axis=1, keepdims=True), 1.0)
+            alike[np.ix_(which, which)] = np.maximum(values @ values.T, 0.0)
+        return alike
+
+
+def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[Stretch]:
+    """Of all drives with positions, in both ways of looking, even where one has no layer. every: step of rows."""
+    places = [one.places for one in maps]
+    known = (first_known(one["lat_deg"], one["lon_deg"]) for one in places)
+    origin = next((one for one in known if one is not None), None)
+    if origin is None:
+        return []
+    ground = [east_north(one["lat_deg"], one["lon_deg"], origin) for one in places]
+    looks = [_looks(one, at_m) for one, at_m in zip(maps, ground, strict=True)]
+    centers = _centers(ground, looks, every)
+    rows: list[tuple[dict[int, int], dict[int, int]]] = [({}, {}) for _ in centers.points]
+    for number, (at_m, look) in enumerate(zip(ground, looks, strict=True)):
+        nearest: dict[tuple[int, bool], float] = {}
+        for row in _known(at_m, look, every):
+            for center, apart_m, cosine in centers.near(at_m[row], look[row]):
+                key = center, cosine > 0
+                if apart_m < nearest.get(key, math.inf):
+                    nearest[key] = apart_m
+                    rows[center][cosine > 0][number] = row
+    found = []
+    for ways in rows:
+        found += [Stretch(*ways), Stretch(*ways[::-1])]
+    return found
+
+
+class _Centers:
+    """Middles of stretches: a point and an axis each, in cells of REACH_M."""
+
+    def __init__(self) -> None:
+        self.points: list[tuple[float, float, float, float]] = []
+        self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+
+    def near(self, at_m: Floats, look: Floats) -> Iterator[tuple[int, float, float]]:
+        """Those within REACH_M of a point along whose axis it looks: number, meters, cosine."""
+        (x, y), (east, north) = at_m.tolist(), look.tolist()
+        column, line = math.floor(x / REACH_M), math.floor(y / REACH_M)
+        for cell in ((column + i, line + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+            for number in self._cells.get(cell, ()):
+                cx, cy, axis_east, axis_north = self.points[number]
+                apart_m, cosine = math.hypot(x - cx, y - cy), east * axis_east + north * axis_north
+                if apart_m <= REACH_M and abs(cosine) >= ALIGNED:
+                    yield number, apart_m, cosine
+
+    def add(self, at_m: Floats, look: Floats) -> None:
+        """One more."""
+        (x, y), (east, north) = at_m.tolist(), look.tolist()
+        self._cells[math.floor(x / REACH_M), math.floor(y / REACH_M)].append(len(self.points))
+        self.points.append((x, y, east, north))
+
+
+def _centers(ground: Sequence[Floats], looks: Sequence[Floats], every: int) -> _Centers:
+    centers = _Centers()
+    for at_m, look in zip(ground, looks, strict=True):
+        for row in _known(at_m, look, every):
+            if next(centers.near(at_m[row], look[row]), None) is None:
+                centers.add(at_m[row], look[row])
+    return centers
+
+
+def _known(at_m: Floats, look: Floats, every: int) -> list[int]:
+    rows: list[int] = np.flatnonzero(np.isfinite(at_m[:, 0]) & np.isfinite(look[:, 0]))[::every].tolist()
+    return rows
+
+
+def _looks(one: ReferenceMap, at_m: Floats) -> Floats:
+    """Unit vectors (N, 2) along which the camera looked, east and north: by the heading, else by the places around."""
+    heading = np.radians(one.places["heading_deg"])
+    look = np.stack([np.sin(heading), np.cos(heading)], axis=1)
+    for segment in one.header.segments:
+        rows = slice(segment.start, segment.end)
+        if segment.end - segment.start >= 2:
+            ahead = np.gradient(at_m[rows], axis=0)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                ahead /= np.hypot(ahead[:, :1], ahead[:, 1:])
+            look[rows] = np.where(np.isnan(look[rows]), ahead, look[rows])
+        if segment.view == "rear":
+            look[rows] *= -1
+    return look

@@ -1,0 +1,251 @@
+"""`lookback map merge | delta | apply`: the drives of several vehicles, and what they recognized, in one folder.
+
+Drives are known by the checksum of their header, and tallies by the name of their file, which only its own run writes.
+So a merged folder has the same bytes in whatever order, and however often, folders are merged. A delta is a tar file of
+what an earlier one, or a folder, lacks; the same folder gives the same bytes, so a broken transfer can be resumed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import hashlib
+import io
+import os
+import re
+import shutil
+import tarfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import msgspec
+import numpy as np
+
+from edge.errors import MapError
+from edge.files import AtomicFolder, flush_to_disk, replacing
+from edge.layers import KEEP_FILE, TALLIES, Tally, read_tally
+from edge.reference_map import Retired, maps_in, open_map, read_header
+from edge.reference_map.map_folder import SIGNATURE, check_signature
+from edge.reference_map.store import HEADER
+
+INVENTORY = "inventory.json"
+NAME = re.compile(r"[^./][^/]*")
+"""Of a map or a tally: no folder, and not hidden."""
+
+
+class Inventory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Checksums of headers of the drives that a folder searches, and of its tallies by name."""
+
+    drives: list[str]
+    tallies: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Delta:
+    """What was written: how many drives and tallies, kilometers of those drives, bytes of the file."""
+
+    drives: int
+    tallies: int
+    length_km: float
+    size_bytes: int
+
+
+def merge(folders: Sequence[Path], output: Path) -> int:
+    """Write the union of some folders of maps at `output`; how many drives it has. MapError."""
+    if output.exists():
+        raise MapError(f"{output}: exists already; name another folder, or delete it")
+    copies: defaultdict[str, list[Path]] = defaultdict(list)
+    for folder in folders:
+        for path in _maps(folder):
+            copies[open_map(path, every_file=True).header.header_sha256].append(path)
+    tallies = [file for folder in folders for file in _tallies(folder)]
+    with AtomicFolder(output) as building:
+        for sha256, name in _names({sha256: [path.name for path in paths] for sha256, paths in copies.items()}).items():
+            _copy_drive(copies[sha256], building.path / name)
+        _copy_tallies(tallies, building.path / TALLIES)
+        building.put_in_place()
+    return len(copies)
+
+
+def write_delta(folder: Path, since: Path | None, output: Path) -> Delta:
+    """Write what `since`, a folder or an earlier delta, lacks of the drives that a folder searches. MapError."""
+    drives = {read_header(path).header_sha256: path for path in Retired(folder).others(_maps(folder))}
+    tallies = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in _tallies(folder)}
+    has = _inventory_of(since) if since is not None else Inventory([], {})
+    missing = [path for sha256, path in sorted(drives.items()) if sha256 not in has.drives]
+    length_m = 0.0
+    with _writing(output) as tar:
+        inventory = msgspec.json.encode(Inventory(sorted(drives), dict(sorted(tallies.items()))))
+        _add(tar, INVENTORY, inventory)
+        for path in missing:
+            one = open_map(path, every_file=True)
+            length_m += sum(float(np.ptp(one.places["route_m"][s.start : s.end])) for s in one.header.segments)
+            for name in sorted([HEADER, *one.header.files, *_marks(path)]):
+                _add(tar, f"{path.name}/{name}", path / name)
+        changed = [name for name, sha256 in sorted(tallies.items()) if has.tallies.get(name) != sha256]
+        for name in changed:
+            _add(tar, f"{TALLIES}/{name}", folder / TALLIES / name)
+    return Delta(len(missing), len(changed), length_m / 1000, output.stat().st_size)
+
+
+def apply(folder: Path, delta: Path, require_signature_by: Path | None = None) -> int:
+    """Add the drives and tallies of a delta to a folder; how many drives are new. MapError, before anything is added.
+
+    Each drive comes whole, by one rename; after a crash the same command adds the others.
+    """
+    _maps(folder)
+    with AtomicFolder(folder / "delta") as building:
+        _unpack(delta, building.path)
+        new, tallies = maps_in(building.path), _tallies(building.path)
+        _best(tallies)
+        headers = {path: open_map(path, every_file=True).header for path in new}
+        for path, header in headers.items():
+            if require_signature_by is not None:
+                check_signature(path, header, require_signature_by)
+        there = {read_header(path).header_sha256: path.name for path in _maps(folder)}
+        added = {path: header.header_sha256 for path, header in headers.items() if header.header_sha256 not in there}
+        for path, sha256 in added.items():
+            name = path.name if not (folder / path.name).exists() else f"{path.name}-{sha256[:8]}"
+            for file in (*path.iterdir(), path):
+                flush_to_disk(file)
+            path.rename(folder / name)
+        _copy_tallies(tallies, folder / TALLIES)
+        flush_to_disk(folder)
+    return len(added)
+
+
+def _maps(folder: Path) -> list[Path]:
+    if not folder.is_dir() or (folder / HEADER).exists():
+        raise MapError(f"{folder}: not a folder of maps")
+    return maps_in(folder)
+
+
+def _tallies(folder: Path) -> list[Path]:
+    return sorted((folder / TALLIES).glob("*.json"))
+
+
+def _names(found: dict[str, list[str]]) -> dict[str, str]:
+    """A name for each checksum, which depends on nothing but the checksums and names that are there."""
+    by_base: defaultdict[str, list[str]] = defaultdict(list)
+    for sha256, names in found.items():
+        by_base[min(name.removesuffix(f"-{sha256[:8]}") for name in names)].append(sha256)
+    return {
+        sha256: base if number == 0 else f"{base}-{sha256[:8]}"
+        for base, several in by_base.items()
+        for number, sha256 in enumerate(sorted(several))
+    }
+
+
+def _marks(path: Path) -> list[str]:
+    return [name for name in (SIGNATURE, KEEP_FILE) if (path / name).exists()]
+
+
+def _copy_drive(copies: Sequence[Path], place: Path) -> None:
+    """One of several copies of a drive, with the marks of all; of two signatures the first by its digits."""
+    place.mkdir()
+    header = read_header(copies[0])
+    for name in header.files:
+        shutil.copy2(copies[0] / name, place / name)
+    shutil.copy2(min((path / HEADER for path in copies), key=lambda file: file.stat().st_mtime), place / HEADER)
+    for name in {name for path in copies for name in _marks(path)}:
+        files = [path / name for path in copies if (path / name).exists()]
+        shutil.copy2(min(files, key=lambda file: file.read_bytes()), place / name)
+
+
+def _copy_tallies(files: Sequence[Path], place: Path) -> None:
+    """To a folder that may have some of them. MapError for one that is no tally."""
+    if files:
+        place.mkdir(exist_ok=True)
+    there: list[Path] = []
+    for file in sorted({place / file.name for file in files}):
+        with contextlib.suppress(MapError):  # one that is damaged is replaced
+            there += [file] if read_tally(file) else []
+    for name, data in _best([*there, *files]).items():
+        with replacing(place / name) as stream:
+            stream.write(data)
+
+
+def _best(files: Iterable[Path]) -> dict[str, bytes]:
+    """Of files of one name the one that counted more: a run's counts only grow. MapError for one that is no tally."""
+    best: dict[str, tuple[int, bytes]] = {}
+    for file in files:
+        best[file.name] = max(best.get(file.name, (-1, b"")), (_counted(read_tally(file)), file.read_bytes()))
+    return {name: data for name, (_, data) in best.items()}
+
+
+def _counted(tally: Tally) -> int:
+    several = (*tally.recognized.values(), *tally.passed.values())
+    return sum(sum(stretches.values()) for contexts in several for stretches in contexts.values())
+
+
+def _inventory_of(since: Path) -> Inventory:
+    if since.is_dir():
+        tallies = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in _tallies(since)}
+        return Inventory([read_header(path).header_sha256 for path in _maps(since)], tallies)
+    with _reading(since) as tar:
+        member = tar.next()
+        stream = tar.extractfile(member) if member is not None and member.name == INVENTORY else None
+        if stream is None:
+            raise MapError(f"{since}: not a delta that `map delta` wrote")
+        return msgspec.json.decode(stream.read(), type=Inventory)
+
+
+@contextlib.contextmanager
+def _writing(output: Path) -> Iterator[tarfile.TarFile]:
+    """A compressed tar file whose bytes depend on nothing but its members."""
+    try:
+        with (
+            replacing(output) as stream,
+            gzip.GzipFile("", "wb", fileobj=stream, mtime=0) as packed,
+            tarfile.open(fileobj=packed, mode="w") as tar,
+        ):
+            yield tar
+    except OSError as error:
+        raise MapError(f"{output}: cannot write it: {error.strerror}") from None
+
+
+def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> None:
+    member = tarfile.TarInfo(name)
+    if isinstance(content, bytes):
+        member.size = len(content)
+        tar.addfile(member, io.BytesIO(content))
+        return
+    with content.open("rb") as stream:
+        status = os.fstat(stream.fileno())
+        member.size, member.mtime = status.st_size, int(status.st_mtime)
+        tar.addfile(member, stream)
+
+
+@contextlib.contextmanager
+def _reading(delta: Path) -> Iterator[tarfile.TarFile]:
+    try:
+        with tarfile.open(delta, "r:gz") as tar:
+            yield tar
+    except (tarfile.TarError, EOFError, gzip.BadGzipFile, msgspec.DecodeError) as error:
+        raise MapError(f"{delta}: cut off, or not a delta ({error}); copy it again") from None
+    except OSError as error:
+        raise MapError(f"{delta}: cannot read it: {error.strerror or error}") from None
+
+
+def _unpack(delta: Path, place: Path) -> None:
+    """Plain files only, each in the folder of a map or of the tallies."""
+    with _reading(delta) as tar:
+        for member in tar:
+            parts = PurePosixPath(member.name).parts
+            if member.name == INVENTORY:
+                continue
+            is_named = (
+                len(parts) == 2 and (NAME.fullmatch(parts[0]) or parts[0] == TALLIES) and NAME.fullmatch(parts[1])
+            )
+            stream = tar.extractfile(member) if member.isreg() and is_named else None
+            if stream is None:
+                raise MapError(f"{delta}: {member.name!r} is no file of a map; this is not a delta")
+            file = place / parts[0] / parts[1]
+            file.parent.mkdir(exist_ok=True)
+            with file.open("wb") as out:
+                shutil.copyfileobj(stream, out)
+            os.utime(file, (member.mtime % 2**32,) * 2)  # when the drive was made
+        while tar.fileobj is not None and tar.fileobj.read(1 << 20):
+            pass  # to the checksum at the end of the file, or EOFError

@@ -1,0 +1,107 @@
+"""`lookback map learn | merge | delta | apply`: which drives of a road are searched, and those of a fleet."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from edge.errors import ConfigError, MapError
+from edge.reference_map import Retired
+from sim.maps.exchange import apply, merge, write_delta
+from sim.maps.files import light
+from sim.maps.keys import is_signed_with
+from sim.maps.learning import LAYERS, STALE_AFTER, Learned, learn
+
+
+def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add them to `lookback map`."""
+    about = "choose which drives of a folder of maps are searched, at most so many of one road"
+    learning = actions.add_parser("learn", help=about)
+    learning.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
+    learning.add_argument(
+        "--layers", type=int, default=LAYERS, metavar="N", help=f"drives of one road, {LAYERS} by default"
+    )
+    learning.add_argument(
+        "--stale-after",
+        type=int,
+        default=STALE_AFTER,
+        metavar="N",
+        help=f"drives after which a stretch is no longer there, {STALE_AFTER} by default",
+    )
+    learning.add_argument("--key", type=Path, metavar="NAME", help="secret key of signed maps that may be retired")
+    learning.add_argument("--dry-run", action="store_true", help="print the table, and change nothing")
+    learning.add_argument("--undo", action="store_true", help="go back to the drives that were searched before")
+    learning.set_defaults(run=_learn)
+
+    joining = actions.add_parser("merge", help="join folders of maps, and what was counted on them, in a new folder")
+    joining.add_argument("maps", nargs="+", type=Path, metavar="FOLDER", help="a folder of maps")
+    joining.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="the new folder")
+    joining.set_defaults(run=_merge)
+
+    delta = actions.add_parser("delta", help="write the drives that another folder lacks to one file")
+    delta.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
+    delta.add_argument("--since", type=Path, metavar="PATH", help="that folder, or the delta that it had last")
+    delta.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, .tar.gz")
+    delta.set_defaults(run=_delta)
+
+    applying = actions.add_parser("apply", help="add the drives of a delta to a folder of maps")
+    applying.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
+    applying.add_argument("delta", type=Path, metavar="FILE", help="that `map delta` wrote")
+    applying.add_argument(
+        "--require-signature-by", type=Path, metavar="NAME.pub", help="refuse drives not signed by it"
+    )
+    applying.set_defaults(run=_apply)
+
+
+def _learn(args: argparse.Namespace) -> int:
+    retired = Retired(args.map)
+    if args.undo:
+        if not args.map.is_dir():
+            raise MapError(f"{args.map}: no such folder of maps")
+        retired.undo()
+        print(f"{args.map}: undone; {len(retired.drives)} drives are retired")
+        return 0
+    for name in ("layers", "stale_after"):
+        if getattr(args, name) < 1:
+            raise ConfigError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not 1 or more")
+    learned = learn(
+        args.map, args.layers, args.stale_after, lambda path: args.key is not None and is_signed_with(path, args.key)
+    )
+    print("\n".join(_table(learned)))
+    if learned.retired != retired.drives and not args.dry_run:
+        retired.replace(learned.retired)
+    count, done = len(learned.choice.searched), "would be" if args.dry_run else "are"
+    print(f"{args.map}: {count} of {len(learned.drives)} drives {done} searched")
+    return 0
+
+
+def _merge(args: argparse.Namespace) -> int:
+    print(f"{args.output}: {merge(args.maps, args.output)} drives")
+    return 0
+
+
+def _delta(args: argparse.Namespace) -> int:
+    delta = write_delta(args.map, args.since, args.output)
+    size_mb = delta.size_bytes / 1e6
+    of_a_km = f", {size_mb / delta.length_km:.1f} MB for a km" if delta.length_km else ""
+    print(f"{args.output}: {delta.drives} drives, {delta.tallies} of counts, {size_mb:.1f} MB{of_a_km}")
+    return 0
+
+
+def _apply(args: argparse.Namespace) -> int:
+    print(f"{args.map}: {apply(args.map, args.delta, args.require_signature_by)} new drives")
+    return 0
+
+
+def _table(learned: Learned) -> list[str]:
+    width = max(len(drive.path.name) for drive in learned.drives)
+    lines = [f"{'drive':{width}}  view   places  light          frames  state     why"]
+    for number, drive in enumerate(learned.drives):
+        why = {**learned.choice.searched, **learned.choice.retired}[number]
+        state = "searched" if number in learned.choice.searched else "retired"
+        views = "/".join(sorted({segment.view for segment in drive.header.segments}))
+        lines.append(
+            f"{drive.path.name:{width}}  {views:5}  {drive.header.places:6}  {light(drive.path):13}"
+            f"  {drive.recognized:6}  {state:8}  {why}"
+        )
+    return lines

@@ -1,0 +1,111 @@
+"""`lookback map learn`: what is chosen for a folder of maps, as one table and one file that is replaced whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edge.errors import MapError
+from edge.layers import StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
+from edge.reference_map import MapSet, ReferenceMap, open_map_set
+from sim.maps.choice import Choice, choose
+from sim.maps.use import Use
+
+LAYERS = 4
+"""Searched of one road, unless said otherwise: a light of the day and one of the night for each way of looking."""
+STALE_AFTER = 3
+"""Drives: one may pass a lorry that hides a house front, or meet a low sun; three in a light that used to do do not."""
+MOST_UNPLACED = 0.05
+"""Share of places without a position up to which a drive can be compared with others: a bridge, not half a drive."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """The drives of a folder, and which are searched from now on, each with its reason."""
+
+    drives: tuple[StoredMap, ...]
+    choice: Choice
+
+    @property
+    def retired(self) -> dict[str, str]:
+        """As `Retired.replace` takes it."""
+        return {
+            self.drives[number].path.name: self.drives[number].header.header_sha256 for number in self.choice.retired
+        }
+
+
+def learn(
+    folder: Path,
+    layers: int = LAYERS,
+    stale_after: int = STALE_AFTER,
+    is_ours: Callable[[Path], bool] = lambda path: False,
+) -> Learned:
+    """What to search of a folder of maps; nothing is changed. MapError.
+
+    is_ours: whether a signed map may be retired.
+    """
+    tallies = read_tallies(folder)
+    maps, drives = _opened(folder, tallies)
+    road, use = stretches(maps.maps), Use(maps.maps, tallies, stale_after)
+    forced = _forced(maps.maps, drives, is_ours)
+    forced.update(_new(road, use, drives, tallies, forced))
+    return Learned(tuple(drives), choose(road, maps.maps, use, layers, forced))
+
+
+def _opened(folder: Path, tallies: Sequence[Tally]) -> tuple[MapSet, list[StoredMap]]:
+    """All maps of a folder, those that are retired included, in one order. MapError if one cannot be used."""
+    maps = open_map_set(folder, with_retired=True)
+    if not maps.is_folder:
+        raise MapError(f"{folder}: one map; name the folder that it lies in")
+    if maps.excluded:
+        raise MapError(f"{maps.excluded[0].why}; delete this map or copy it again first")
+    by_path = {one.path: one for one in stored_maps(folder, tallies)}
+    return maps, [by_path[one.path] for one in maps.maps]
+
+
+def _forced(
+    maps: Sequence[ReferenceMap], drives: Sequence[StoredMap], is_ours: Callable[[Path], bool]
+) -> dict[int, str]:
+    """Drives that stay searched, and why."""
+    found = {}
+    for number, (one, drive) in enumerate(zip(maps, drives, strict=True)):
+        if drive.is_kept:
+            found[number] = "marked by `map keep`"
+        elif drive.is_signed and not is_ours(one.path):
+            found[number] = "signed; retired only with its --key"
+        elif one.header.tile is not None:
+            found[number] = "a tile of a larger map"
+        elif float(np.isnan(one.places["lat_deg"]).mean()) > MOST_UNPLACED:
+            found[number] = "has places without a position"
+    return found
+
+
+def _new(
+    road: Sequence[Stretch],
+    use: Use,
+    drives: Sequence[StoredMap],
+    tallies: Sequence[Tally],
+    forced: Mapping[int, str],
+) -> dict[int, str]:
+    """Drives that no run could recognize yet, unless on half of their road a newer one is as new."""
+    runs = [sum(1 for tally in tallies if tally.began_unix_s < drive.made_unix_s) for drive in drives]
+    own: dict[int, list[Stretch]] = {number: [] for number in range(len(drives)) if number not in forced}
+    for stretch in road:
+        for number in stretch.rows:
+            if number in own:
+                own[number].append(stretch)
+    new = {
+        number
+        for number, of_it in own.items()
+        if of_it and not any(use.is_tried(stretch, runs[number]) for stretch in of_it)
+    }
+    found = {}
+    for number in new:
+        newer = {other for other in new if drives[other].made_unix_s > drives[number].made_unix_s}
+        covered = sum(1 for stretch in own[number] if newer & stretch.drives)
+        if covered < len(own[number]) / 2:
+            found[number] = "new: not driven on yet"
+    return found

@@ -1,0 +1,136 @@
+"""What `lookback map learn` makes of eight drives over one road, by descriptors of simulated worlds.
+
+    python -m sim.research.evaluation.layers --seeds 701 702 --cache FOLDER
+
+Eight drives, two of a rear camera (day, dusk) and six of a front camera (day, night, dusk, rain, snow, day), become a
+folder of maps. A front camera drives over it the same way by dusk, and home by night. Each row is a folder: its places
+searched, the first right belief, recall and precision on both. After learning without counts, two drives each way are
+counted, as the daemon does, and the folder learns again. Descriptors are kept in FOLDER.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import edge
+from edge.config import Config, RigConfig, SamplingConfig
+from edge.descriptor.network import Network
+from edge.descriptor.normalize import normalize
+from edge.layers import DriveTally
+from edge.reference_map import ModelKey, Retired, open_map_set
+from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from edge.sequence_matcher import SequenceMatcher
+from sim.maps.learning import learn
+from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
+from sim.world.scenario import LightName, Scenario, View
+
+DRIVES: tuple[tuple[View, LightName, int], ...] = (
+    ("rear", "day", 1),
+    ("rear", "dusk", 2),
+    ("front", "day", 11),
+    ("front", "night", 12),
+    ("front", "dusk", 13),
+    ("front", "rain", 14),
+    ("front", "snow", 15),
+    ("front", "day", 16),
+)
+GRAY: dict[LightName, int] = {"day": 120, "dusk": 60, "night": 20, "rain": 100, "snow": 140}
+M_PER_DEG = 110_574.0
+AHEAD_M = 30.0
+"""That a front camera sees before a rear one that looks the other way: the median of docs/evaluation.md."""
+
+
+def write_drive(path: Path, drive: Described, view: View) -> None:
+    """A map of one drive, straight north along its route."""
+    model, sampling = ModelKey("cached", "0" * 64, "fc6", drive.raw.shape[2]), SamplingConfig()
+    with MapBuilder(path, model, RegionsKey("left-right", 0.4, "set"), sampling) as builder:
+        builder.begin_segment(path.name, view)
+        for row, route_m in enumerate(drive.route_m.tolist()):
+            place = Place(row, route_m / M_PER_DEG, 8.0, 400.0, 0.0, route_m, b"", 1.5, "gps")
+            builder.add(drive.raw[row].astype(np.float32), place)
+        builder.finish(normalize, edge.__version__)
+
+
+def drive_over(folder: Path, query: Described, light: LightName, tally: DriveTally | None = None) -> list[float]:
+    """Meters to the first right belief, recall, precision, and places searched, of one drive of a front camera."""
+    maps = open_map_set(folder)
+    matcher = SequenceMatcher(maps, Config(rig=RigConfig(parallax=1.0)))
+    image = np.full((16, 16, 3), GRAY[light], np.uint8)
+    right, believed, first_m = [], [], float("inf")
+    for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
+        match = matcher.push(raw, distance_m=driven_m)
+        is_believed = match is not None and match.accepted
+        off_m = float("inf")
+        if match is not None:
+            faces = maps.index.view(maps.index.segment_of(match.place_index)) == "rear" and match.direction == "forward"
+            off_m = maps.places["route_m"][match.place_index] - query.route_m[frame] - AHEAD_M * faces
+            if is_believed and tally is not None:
+                tally.count(maps, match.place_index, match.direction, image, driven_m, 0)
+        is_right = is_believed and abs(off_m) <= TOLERANCE_M
+        first_m = min(first_m, driven_m - query.driven_m[0]) if is_right else first_m
+        if frame >= FIRST_FRAME:
+            right.append(is_right)
+            believed.append(is_believed)
+    precision = sum(right) / max(1, sum(believed))
+    return [first_m, float(np.mean(right)), precision, float(maps.index.places)]
+
+
+def folder_of(folder: Path, drives: Sequence[tuple[View, LightName, Described]]) -> Path:
+    """A folder of maps of these drives."""
+    for number, (view, light, drive) in enumerate(drives):
+        write_drive(folder / f"{number}-{view}-{light}", drive, view)
+    return folder
+
+
+def main() -> None:
+    """Print a row for each folder and seed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--length", type=float, default=800.0, help="of the road, m")
+    args = parser.parse_args()
+    args.cache.mkdir(parents=True, exist_ok=True)
+    network = Network.load()
+    print("| seed | folder | places | dusk, same way: first, recall, precision | home at night: the same |")
+    print("|---|---|---|---|---|")
+    for seed in args.seeds:
+        scene = partial(Scenario, seed=seed, length_m=args.length)
+        made = [
+            (view, light, described(scene(view=view, light=light, drive_seed=drive), network, args.cache))
+            for view, light, drive in DRIVES
+        ]
+        dusk = described(scene(light="dusk", drive_seed=21), network, args.cache)
+        home = described(scene(light="night", direction="reverse", drive_seed=22), network, args.cache)
+
+        def row(what: str, folder: Path, seed: int = seed, dusk: Described = dusk, home: Described = home) -> None:
+            cells = []
+            for query, light in ((dusk, "dusk"), (home, "night")):
+                tally = DriveTally(folder, "front", time.time(), f"{light}-{what}")
+                first_m, recall, precision, places = drive_over(folder, query, light, tally)  # type: ignore[arg-type]
+                tally.close()
+                cells.append(f"{first_m:.0f} m, {recall:.2f}, {precision:.3f}")
+            print(f"| {seed} | {what} | {places:.0f} | {cells[0]} | {cells[1]} |", flush=True)
+
+        with tempfile.TemporaryDirectory() as temporary:
+            row("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
+            folder = folder_of(Path(temporary) / "all", made)
+            row("all eight", folder)
+            for what in ("learned", "learned again"):
+                learned = learn(folder)
+                Retired(folder).replace(learned.retired)
+                names = {number: drive.path.name for number, drive in enumerate(learned.drives)}
+                for number, why in {**learned.choice.searched, **learned.choice.retired}.items():
+                    print(f"    {names[number]:16} {number in learned.choice.searched!s:6} {why}")
+                row(what, folder)
+
+
+if __name__ == "__main__":
+    main()

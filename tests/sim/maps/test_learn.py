@@ -1,0 +1,173 @@
+"""`lookback map learn`: which drives over a road stay searched, and why; and that nothing of it can go half-way."""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from edge.__main__ import main
+from edge.layers import StoredMap
+from edge.reference_map import open_map_set
+from edge.reference_map.retired import RETIRED_FILE
+from sim.maps.keys import is_signed_with, make_key, sign_map
+from sim.maps.learning import learn
+from tests.layers.drives import MADE_S, Driven, build, count
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drives of a rear camera and six of a front one, in three lights; the newest is 7."""
+    folder = tmp_path_factory.mktemp("eight")
+    for number in range(8):
+        build(folder / f"{number}", Driven(number % 3, "rear" if number < 2 else "front", made_s=MADE_S + number))
+    return folder
+
+
+@pytest.fixture
+def folder(eight: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(eight, tmp_path / "maps"))
+
+
+def searched(folder: Path) -> set[str]:
+    return set(open_map_set(folder).names)
+
+
+def test_four_of_eight_drives_are_searched_one_of_them_looking_back(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", "learn", str(folder), "--dry-run"]) == 0
+    assert "would be searched" in capsys.readouterr().out
+    assert len(searched(folder)) == 8
+    assert main(["map", "learn", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert "4 of 8 drives are searched" in out
+    left = searched(folder)
+    assert len(left) == 4
+    assert left & {"0", "1"}
+    assert "7" in left, "it is new"
+    assert main(["map", "list", str(folder)]) == 0
+    assert capsys.readouterr().out.count("retired") == 4
+    assert main(["map", "learn", str(folder)]) == 0
+    assert searched(folder) == left, "nothing has changed since"
+    assert main(["map", "learn", str(folder), "--undo"]) == 0
+    assert len(searched(folder)) == 8
+    assert main(["map", "learn", str(folder), "--undo"]) == 78
+
+
+def test_layers_are_of_lights_unlike_each_other(folder: Path) -> None:
+    chosen = learn(folder, layers=5).choice.searched
+    assert {number % 3 for number in chosen if number >= 2} == {0, 1, 2}
+
+
+def test_the_only_rear_drive_stays_whatever_the_front_ones_are_good_for(folder: Path) -> None:
+    shutil.rmtree(folder / "1")
+    for number in range(2, 8):
+        count(folder, str(number), range(200), MADE_S + 100 + number, gray=20 * number)
+    assert "0" in {path.path.name for path in _searched(folder, 2)}
+
+
+def test_what_is_recognized_stays_and_what_is_not_goes(folder: Path) -> None:
+    for run in range(3):
+        count(folder, "2", range(200), MADE_S + 100 + run, gray=20)
+        count(folder, "5", range(200), MADE_S + 200 + run, gray=120)
+    names = {one.path.name for one in _searched(folder, 3)}
+    assert {"2", "5"} < names
+    assert len(names & {"0", "1"}) == 1
+    assert len(names) == 3, "7 has been driven on, and was good for nothing"
+
+
+def test_any_number_of_drives_is_searched_as_four_are(tmp_path: Path) -> None:
+    for number in range(12):
+        build(tmp_path / f"{number:02}", Driven(number % 5, made_s=MADE_S + number, end=40))
+    assert len(learn(tmp_path).choice.searched) == 4
+
+
+def test_a_drive_over_a_road_of_its_own_stays(folder: Path) -> None:
+    build(folder / "on", Driven(made_s=MADE_S - 100, end=260))
+    build(folder / "little on", Driven(made_s=MADE_S - 100, end=220))
+    chosen = {one.path.name for one in _searched(folder, 4)}
+    assert "on" in chosen
+    assert "little on" not in chosen
+
+
+def test_a_drive_that_looks_back_serves_the_way_home_as_a_drive_home_does(tmp_path: Path) -> None:
+    build(tmp_path / "out", Driven(view="rear", made_s=MADE_S))
+    build(tmp_path / "home", Driven(back=True, made_s=MADE_S + 1))
+    assert len(learn(tmp_path, layers=1).choice.searched) == 1
+
+
+def test_drives_that_may_not_be_retired_stay(folder: Path, tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    make_key(key)
+    (folder / "3" / "keep").touch()
+    sign_map(folder / "4", key)
+    build(folder / "nowhere", Driven(is_placed=False))
+    stay = {one.path.name for one in _searched(folder, 1)}
+    assert {"3", "4", "nowhere"} <= stay
+    with_key = learn(folder, 1, is_ours=partial(is_signed_with, key_file=key))
+    assert "4" in with_key.retired
+    make_key(tmp_path / "other")
+    assert "4" not in learn(folder, 1, is_ours=partial(is_signed_with, key_file=tmp_path / "other")).retired
+
+
+def test_a_stretch_that_is_no_longer_there_is_no_layer_where_a_new_one_is(tmp_path: Path) -> None:
+    for name, light in (("old", 0), ("older", 1)):
+        build(tmp_path / name, Driven(light, made_s=MADE_S))
+    count(tmp_path, "old", range(200), MADE_S + 10)
+    assert "no longer there" not in str(learn(tmp_path, 1))
+    gap = [row for row in range(200) if not 40 <= row < 160]
+    for run in range(3):
+        count(tmp_path, "old", gap, MADE_S + 20 + run)
+    build(tmp_path / "new", Driven(0, made_s=MADE_S + 5, start=0, end=200))
+    learned = learn(tmp_path, 1)
+    names = [one.path.name for one in learned.drives]
+    assert "no longer there" in learned.choice.retired[names.index("old")]
+    assert "no longer there" not in str(learn(tmp_path, 1, stale_after=4))
+    count(tmp_path, "old", range(200), MADE_S + 40)
+    assert "no longer there" not in str(learn(tmp_path, 1)), "it was recognized again"
+
+
+def test_one_night_makes_nothing_stale(tmp_path: Path) -> None:
+    build(tmp_path / "old", Driven(0, made_s=MADE_S))
+    build(tmp_path / "new", Driven(0, made_s=MADE_S + 5))
+    count(tmp_path, "old", range(200), MADE_S + 10)
+    for run in range(3):
+        count(tmp_path, "old", [*range(40), *range(160, 200)], MADE_S + 20 + run, gray=10)
+    assert "no longer there" not in str(learn(tmp_path, 1))
+
+
+def test_another_map_of_a_retired_name_is_searched_and_a_damaged_file_retires_nothing(folder: Path) -> None:
+    main(["map", "learn", str(folder)])
+    (gone,) = sorted({"2", "3", "4", "5", "6"} - searched(folder))[:1]
+    shutil.rmtree(folder / gone)
+    build(folder / gone, Driven(9))
+    assert gone in searched(folder)
+    for name in searched(folder):
+        shutil.rmtree(folder / name)
+    assert searched(folder), "what is retired is better than no map"
+    (folder / RETIRED_FILE).write_bytes(b"[{")
+    assert searched(folder)
+
+
+@pytest.mark.parametrize("arguments", [["--layers", "0"], ["--stale-after", "0"], ["--key", "missing"]])
+def test_bad_options_are_one_line(arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sign_with = folder.parent / "key"
+    make_key(sign_with)
+    sign_map(folder / "2", sign_with)
+    assert main(["map", "learn", str(folder), *arguments]) == 78
+    assert arguments[0] in (err := capsys.readouterr().err) or "missing" in err
+    assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("path", ["maps/2", "nothing"])
+def test_what_is_no_folder_of_maps_is_named(path: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", "learn", str(folder.parent / path)]) == 78
+    assert path in capsys.readouterr().err
+
+
+def _searched(folder: Path, layers: int) -> list[StoredMap]:
+    learned = learn(folder, layers)
+    return [learned.drives[number] for number in learned.choice.searched]
