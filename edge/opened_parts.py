@@ -34,6 +34,7 @@ from edge.telemetry.local_socket import LocalSocket
 from edge.warm_start import WarmStart
 
 CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
+FEED_WAITS_S, POLL_S = 3.0, 0.02  # heartbeats come each second, and a speed half a second after it is asked for
 
 log = logging.getLogger(__name__)
 
@@ -100,6 +101,8 @@ class OpenedParts:
         config = self._config
         self.device: NewestFrame | None = None
         if frames is None:
+            if config.camera.kind == "feed" and config.sampling.by == "distance":
+                self._await_speed()
             frames = self.device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
         self.motion = CameraMotion(config, self.record) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
@@ -108,6 +111,13 @@ class OpenedParts:
             folder = Path(config.recording.folder)
             recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
             self.recording = FramesAwaitingPosition(parts.enter_context(closing(recorder)), self.autopilot.history)
+
+    def _await_speed(self) -> None:
+        """A feed waits for nobody, and its frames are chosen by the distance driven: let an autopilot speak first."""
+        until_s = time.monotonic() + FEED_WAITS_S
+        while self.autopilot.speed_mps() is None and time.monotonic() < until_s:
+            self.autopilot.poll()
+            time.sleep(POLL_S)
 
     def _open_page(self, parts: ExitStack) -> None:
         config, maps = self._config, self.recognizer.map_set

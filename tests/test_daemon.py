@@ -8,11 +8,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import tomli_w
 
+from edge.config import CameraConfig, Config, MapConfig, PageConfig, TelemetryConfig
+from edge.daemon import Daemon
 from edge.journal.records import FixAnswered, FixSent, LinkChanged, MotionMeasured, PlaceFix, Stopped
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
@@ -98,6 +101,27 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
     (stopped,) = journal(tmp_path, Stopped)
     assert stopped.frames_used >= 40
     assert {"regions", "network", "matching", "search", "telemetry"} <= set(stopped.stages_ms)
+
+
+def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp_path: Path, cable: PtyLink) -> None:
+    """Else its first frames would be places by time, though the map's are by distance."""
+    autopilot = SimulatedAutopilot(cable, straight_line(5.0, 0.0, time.monotonic()))
+    config = Config(
+        camera=CameraConfig(kind="feed", device=str(street / "feed")),
+        map=MapConfig(path=str(street / "map")),
+        page=PageConfig(port=0),
+        telemetry=TelemetryConfig(connection=f"serial:{cable.device}:921600", journal=str(tmp_path / "events.jsonl")),
+    )
+    stop = threading.Event()
+    flying = threading.Thread(target=autopilot.run, args=(stop,))
+    flying.start()
+    try:
+        with ExitStack() as parts:
+            Daemon(config, parts)  # no turn of it
+    finally:
+        stop.set()
+        flying.join()
+    assert "up" in [one.state for one in journal(tmp_path, LinkChanged)]
 
 
 def test_a_port_that_vanishes_costs_the_link_and_nothing_else(street: Path, tmp_path: Path, cable: PtyLink) -> None:
