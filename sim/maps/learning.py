@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 
 from edge.errors import MapError
-from edge.layers import StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
+from edge.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
 from edge.reference_map import MapSet, ReferenceMap, open_map_set
 from sim.maps.choice import Choice, choose
 from sim.maps.use import Use
@@ -53,6 +54,23 @@ def learn(
     forced = _forced(maps.maps, drives, is_ours)
     forced.update(_new(road, use, drives, tallies, forced))
     return Learned(tuple(drives), choose(road, maps.maps, use, layers, forced))
+
+
+def stale_places(folder: Path, stale_after: int = STALE_AFTER) -> Iterator[tuple[str, int, int]]:
+    """Map and places [start, end) of each stretch in a row that is no longer there, see `Use.is_stale`."""
+    maps, tallies = open_map_set(folder, with_retired=True), read_tallies(folder)
+    if not tallies:
+        return
+    use, found = Use(maps.maps, tallies, stale_after), set()
+    for stretch in stretches(maps.maps):
+        found |= {
+            (number, row // STRETCH_PLACES) for number, row in stretch.rows.items() if use.is_stale(stretch, number)
+        }
+    for number, first in sorted(found):
+        if (number, first - 1) not in found:
+            end = next(end for end in count(first) if (number, end) not in found)
+            places = maps.headers[number].places
+            yield maps.names[number], first * STRETCH_PLACES, min(end * STRETCH_PLACES, places)
 
 
 def _opened(folder: Path, tallies: Sequence[Tally]) -> tuple[MapSet, list[StoredMap]]:

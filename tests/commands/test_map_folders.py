@@ -20,6 +20,7 @@ from edge.config import MapConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.journal.records import MapExcluded, PlaceFix
+from edge.layers import read_tallies
 from edge.page import map_view
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_folder import SIGNATURE, open_map_set
@@ -132,6 +133,11 @@ def test_the_daemon_goes_on_without_a_damaged_tile(street: Path, damaged: Path) 
     assert f"{DESCRIPTORS}: damaged" in excluded.why
     assert process.stderr.count("excluded") == 1
     assert {place.map for place in records_of(journal, PlaceFix)} == {"0"}
+    (tally,) = read_tallies(damaged)
+    assert tally.maps[open_map(damaged / "0").header.header_sha256] > 30
+    assert {context.rpartition(" ")[0] for contexts in tally.recognized.values() for context in contexts} == {
+        "front forward"
+    }
 
 
 def test_info_verify_and_check_of_a_folder(

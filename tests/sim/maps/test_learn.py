@@ -48,8 +48,9 @@ def test_four_of_eight_drives_are_searched_one_of_them_looking_back(
     assert len(left) == 4
     assert left & {"0", "1"}
     assert "7" in left, "it is new"
-    assert main(["map", "list", str(folder)]) == 0
-    assert capsys.readouterr().out.count("retired") == 4
+    for command in ("list", "info"):
+        assert main(["map", command, str(folder)]) == 0
+        assert capsys.readouterr().out.count("retired") == 4
     assert main(["map", "learn", str(folder)]) == 0
     assert searched(folder) == left, "nothing has changed since"
     assert main(["map", "learn", str(folder), "--undo"]) == 0
@@ -113,7 +114,9 @@ def test_drives_that_may_not_be_retired_stay(folder: Path, tmp_path: Path) -> No
     assert "4" not in learn(folder, 1, is_ours=partial(is_signed_with, key_file=tmp_path / "other")).retired
 
 
-def test_a_stretch_that_is_no_longer_there_is_no_layer_where_a_new_one_is(tmp_path: Path) -> None:
+def test_a_stretch_that_is_no_longer_there_is_no_layer_where_a_new_one_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name, light in (("old", 0), ("older", 1)):
         build(tmp_path / name, Driven(light, made_s=MADE_S))
     count(tmp_path, "old", range(200), MADE_S + 10)
@@ -126,6 +129,8 @@ def test_a_stretch_that_is_no_longer_there_is_no_layer_where_a_new_one_is(tmp_pa
     names = [one.path.name for one in learned.drives]
     assert "no longer there" in learned.choice.retired[names.index("old")]
     assert "no longer there" not in str(learn(tmp_path, 1, stale_after=4))
+    assert main(["map", "info", str(tmp_path)]) == 0
+    assert "stale     old: places 50 to 149 are passed" in capsys.readouterr().out
     count(tmp_path, "old", range(200), MADE_S + 40)
     assert "no longer there" not in str(learn(tmp_path, 1)), "it was recognized again"
 
