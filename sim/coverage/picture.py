@@ -37,7 +37,7 @@ def verdict(sheet: Sheet, conditions: str, within_m: float) -> str:
     share = np.average([one.share or 0.0 for one in known], weights=lengths_m) if known else 0.0
     return (
         f"{what}: {conditions}, {share:.0%} of the frames are expected to be recognized, and on"
-        f" {sheet.completed:.0%} of the drives the drift stays within {within_m:g} m."
+        f" {sheet.completed:.0%} of the drives the drift stays within {within_m:g}\u00a0m."
     )
 
 

@@ -43,7 +43,7 @@ class TrackPoint:
     @property
     def description(self) -> str:
         """What is known of a place."""
-        parts = (self.fields.get("category"), self.fields.get("direction"), f"uniqueness {self.fields['uniqueness']}")
+        parts = (self.fields.get("direction"), f"uniqueness {self.fields['uniqueness']}")
         return ", ".join(part for part in parts if part)
 
     @property

@@ -57,7 +57,7 @@ def test_gpx(journal: Path) -> None:
     (waypoint,) = gpx.waypoints
     assert waypoint.time is not None
     assert (waypoint.name, waypoint.latitude, waypoint.time.year) == ("place 4", -27.001, 2023)
-    assert waypoint.description == "street, forward, uniqueness 1.3"
+    assert waypoint.description == "forward, uniqueness 1.3"
     assert [point.latitude for point in gpx.tracks[0].segments[0].points] == [-27.0, -27.001]
 
 
