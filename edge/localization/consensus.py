@@ -57,6 +57,11 @@ STILL_LIKE = 0.1
 """The same, for a frame that shows what the place shows."""
 
 
+_LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m")
+_KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "camera": "i1", "row_share": "f8", "was_believed": "?"}
+_VOTE = np.dtype([*((name, "f8") for name in _LENGTHS), *_KINDS.items()], align=True)
+"""A vote as it is kept. at_m, uncertain_m: driven, and how uncertain that was; offset_m, start_m, end_m, lap_m: along
+the drive; sign: 1 forward, -1 reverse."""
 Floats = NDArray[np.float64]
 PositionsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """Meters east and north (n, 2) of points along some drives: their numbers (n,), and along_m (n,); NaN where unknown."""
@@ -162,22 +167,12 @@ class PlaceConsensus:
         self._count = 0
         self._driven_m = self._uncertain_m = 0.0
         self._odometer_m: float | None = None
-        self._capacity = capacity = self._cameras * CAPACITY
         half = max(1, self.settings.length // 2)
-        self._rows = [deque[bool](maxlen=half) for _ in range(self._cameras)]
         self._newest = [deque[int](maxlen=half) for _ in range(self._cameras)]  # slots of each camera's votes
-        self._agree = np.zeros((capacity, capacity), dtype=np.float32)
-        self._weights = np.zeros(capacity, dtype=np.float32)
-        self._at_m = np.full(capacity, -np.inf)  # driven at the vote; an empty slot is out of reach
-        self._uncertain_at_m = np.zeros(capacity)
-        self._offsets_m = np.zeros(capacity)
-        self._signs = np.zeros(capacity)
-        self._of_camera = np.zeros(capacity, dtype=np.int8)
-        self._are_like = np.zeros(capacity, dtype=bool)
-        self._drives = np.zeros(capacity, dtype=np.int64)
-        self._bounds_m = np.zeros((2, capacity))
-        self._laps_m = np.full(capacity, NO_LAP_M)
-        self._was_believed = np.zeros(capacity, dtype=bool)
+        self._votes = np.zeros(self._cameras * CAPACITY, dtype=_VOTE)
+        self._votes["at_m"] = -np.inf  # an empty slot is out of reach
+        self._votes["lap_m"] = NO_LAP_M
+        self._agree = np.zeros((len(self._votes), len(self._votes)), dtype=np.float32)
 
     def update(self, vote: PlaceVote | None, odometer_m: float | None, places: float = 1.0) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
@@ -210,126 +205,113 @@ class PlaceConsensus:
 
     def _add(self, vote: PlaceVote, ahead_m: float) -> None:
         """ahead_m: driven from the newest update to the vote."""
-        slot = self._count % self._capacity
+        votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
         self._newest[vote.camera].append(slot)
-        self._of_camera[slot] = vote.camera
         at_m = self._driven_m + ahead_m
         sign = 1.0 if vote.direction == "forward" else -1.0
-        self._weights[slot] = self._weight(vote)
-        self._at_m[slot], self._uncertain_at_m[slot] = at_m, self._uncertain_m
-        self._offsets_m[slot] = vote.along_m - sign * at_m
-        self._signs[slot], self._drives[slot] = sign, vote.drive
-        self._bounds_m[:, slot], self._laps_m[slot] = (vote.start_m, vote.end_m), vote.lap_m
-        self._are_like[slot] = vote.row_share < STILL_LIKE
-        self._was_believed[slot] = False
-        allowed_m = self.settings.slack_m + self._uncertain_m - self._uncertain_at_m
-        agree = (self._drives == vote.drive) & (self._signs == sign)
-        agree &= np.abs(_within_lap(self._offsets_m - self._offsets_m[slot], vote.lap_m)) <= allowed_m
+        lengths_m = at_m, self._uncertain_m, vote.along_m - sign * at_m, vote.start_m, vote.end_m, vote.lap_m
+        votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.camera, vote.row_share, False)
+        votes["weight"][slot] = self._weight(vote)
+        allowed_m = self.settings.slack_m + self._uncertain_m - votes["uncertain_m"]
+        agree = (votes["drive"] == vote.drive) & (votes["sign"] == sign)
+        agree &= np.abs(_within_lap(votes["offset_m"] - votes["offset_m"][slot], vote.lap_m)) <= allowed_m
         self._agree[slot] = self._agree[:, slot] = agree | self._on_one_spot(slot, allowed_m)
         if vote.camera:
-            self._weights[slot] *= self._coherence(slot) ** 2
+            votes["weight"][slot] *= self._coherence(slot) ** 2
 
     def _coherence(self, slot: int) -> float:
         """Share of the recent votes of one camera that agree with the newest one.
 
         Where a camera cannot recognize anything, its matches are scattered. The other one's are not to be outvoted.
         """
-        own = self._is_recent() & (self._of_camera == self._of_camera[slot])
+        own = self._within(self.settings.recent_lines) & (self._votes["camera"] == self._votes["camera"][slot])
         return float(self._agree[slot, own].sum()) / max(FEWEST_OF_CAMERA, int(own.sum()))
 
     def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which votes in other drives put the vehicle within `allowed_m` of where the newest one does."""
-        near = np.zeros(self._capacity, dtype=bool)
-        others = (self._drives != self._drives[slot]) & self._in_reach()
+        drives = self._votes["drive"]
+        near = np.zeros(len(drives), dtype=bool)
+        others = (drives != drives[slot]) & self._within(self.settings.reach_lines)
         if self._positions_of is not None and others.any():
             now_m = self._now_m()
             at = np.append(np.flatnonzero(others & (self._overrun_m(now_m) == 0)), slot)
-            spots_m = self._positions_of(self._drives[at], now_m[at])
+            spots_m = self._positions_of(drives[at], now_m[at])
             near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= allowed_m[at[:-1]]
         return near
 
-    def _now_m(self) -> NDArray[np.float64]:
+    def _now_m(self) -> Floats:
         """Where each vote puts the vehicle now, along its drive."""
-        start_m, end_m = self._bounds_m
-        middle_m = (start_m + end_m) / 2
-        return middle_m + _within_lap(self._offsets_m + self._signs * self._driven_m - middle_m, self._laps_m)
+        votes = self._votes
+        middle_m = (votes["start_m"] + votes["end_m"]) / 2
+        now_m = votes["offset_m"] + votes["sign"] * self._driven_m
+        return np.asarray(middle_m + _within_lap(now_m - middle_m, votes["lap_m"]))
 
-    def _in_lap_m(self, along_m: float, slot: int) -> float:
-        middle_m = float(self._bounds_m[:, slot].mean())
-        return middle_m + float(_within_lap(np.array(along_m - middle_m), self._laps_m[slot]))
-
-    def _in_reach(self) -> NDArray[np.bool_]:
-        return self._driven_m - self._at_m <= self.settings.reach_lines * self.settings.line_m
-
-    def _is_recent(self) -> NDArray[np.bool_]:
-        return self._driven_m - self._at_m <= self.settings.recent_lines * self.settings.line_m
+    def _within(self, lines: float) -> NDArray[np.bool_]:
+        """Which votes were cast within so many lengths of a sequence."""
+        return np.asarray(self._driven_m - self._votes["at_m"] <= lines * self.settings.line_m)
 
     def _weight(self, vote: PlaceVote) -> float:
-        rows = self._rows[vote.camera]
-        rows.append(vote.row_share < LIKE_NEWEST)
-        support = sum(rows) / len(rows)
+        shares = self._votes["row_share"][np.array(self._newest[vote.camera])]
+        support = float((shares < LIKE_NEWEST).mean())
         uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
         return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
 
     def _believe(self) -> PlaceBelief | None:
-        settings = self.settings
-        in_reach = self._in_reach()
-        weights = self._weights * in_reach
-        recent = self._weights * self._is_recent()
-        live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
+        settings, votes = self.settings, self._votes
+        in_reach = self._within(settings.reach_lines)
+        weights, recent = votes["weight"] * in_reach, votes["weight"] * self._within(settings.recent_lines)
         now_m = self._now_m()
         overrun_m = self._overrun_m(now_m)
-        leader = int(np.where(in_reach & (overrun_m <= settings.slack_m), live, 0.0).argmax())
-        if not (in_reach[leader] and live[leader] > 0 and overrun_m[leader] <= settings.slack_m):
+        live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
+        live *= in_reach & (overrun_m <= settings.slack_m)
+        leader = int(live.argmax())
+        if live[leader] <= 0:
             return None
-        group = in_reach & (self._agree[leader] > 0)
-        same = group & (self._drives == self._drives[leader]) & (self._signs == self._signs[leader])
-        ahead_m = _within_lap(now_m[same] - now_m[leader], self._laps_m[leader])
-        along_m = self._in_lap_m(float(now_m[leader] + weights[same] @ ahead_m / weights[same].sum()), leader)
+        group, own = in_reach & (self._agree[leader] > 0), votes[leader]
+        same = group & (votes["drive"] == own["drive"]) & (votes["sign"] == own["sign"])
+        ahead_m = _within_lap(now_m[same] - now_m[leader], own["lap_m"])
+        middle_m = (own["start_m"] + own["end_m"]) / 2
+        along_m = now_m[leader] + weights[same] @ ahead_m / weights[same].sum()
+        along_m = float(middle_m + _within_lap(along_m - middle_m, own["lap_m"]))
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
-        against = in_reach & ~group & ~(self._was_believed & (overrun_m > settings.slack_m))
-        confidence = self._confidence(float(live[leader]), float(weights[against].sum()))
-        confidence *= max(0.0, 1 - self._overrun_m_at(along_m, leader) / settings.slack_m)
-        confidence *= min(1.0, 2 * self._pace(np.flatnonzero(same), weights))
+        others = in_reach & ~group & ~(votes["was_believed"] & (overrun_m > settings.slack_m))
+        agreeing, against = float(live[leader]), float(weights[others].sum())
+        prior = settings.prior * settings.length
+        confidence = max(0.0, (agreeing - against) / (agreeing + against + prior))
+        beyond_m = max(0.0, float(own["start_m"]) - along_m, along_m - float(own["end_m"]))
+        confidence *= max(0.0, 1 - beyond_m / settings.slack_m)
+        confidence *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
         if self._cameras > 1:
-            own = float(weights[group & (self._of_camera == 0)].sum())
-            confidence *= min(1.0, own / (LEAST_OWN * settings.prior * settings.length))
+            first = float(weights[group & (votes["camera"] == 0)].sum())
+            confidence *= min(1.0, first / (LEAST_OWN * prior))
         confidence *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
         is_believed = confidence >= settings.threshold
-        if is_believed:
-            self._was_believed |= group
-        direction: Direction = "forward" if self._signs[leader] > 0 else "reverse"
-        return PlaceBelief(int(self._drives[leader]), along_m, direction, confidence, is_believed)
+        votes["was_believed"] |= group & is_believed
+        direction: Direction = "forward" if own["sign"] > 0 else "reverse"
+        return PlaceBelief(int(own["drive"]), along_m, direction, confidence, is_believed)
 
-    def _confidence(self, live: float, others: float) -> float:
-        return max(0.0, (live - others) / (live + others + self.settings.prior * self.settings.length))
-
-    def _support(self, leader: int, along_m: float, now_m: NDArray[np.float64]) -> float:
+    def _support(self, leader: int, along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
-        there = (self._drives == self._drives[leader]) & (self._signs == self._signs[leader])
-        there &= np.abs(_within_lap(now_m - along_m, self._laps_m[leader])) <= self.settings.slack_m
-        there |= (self._agree[leader] > 0) & (self._drives != self._drives[leader])
-        there &= self._are_like
         slots = np.array(self._newest[0], dtype=np.intp)
-        return float(there[slots].mean()) if slots.size else 0.0
+        votes, own = self._votes[slots], self._votes[leader]
+        in_drive = votes["drive"] == own["drive"]
+        is_near = np.abs(_within_lap(now_m[slots] - along_m, own["lap_m"])) <= self.settings.slack_m
+        there = in_drive & (votes["sign"] == own["sign"]) & is_near
+        there |= (self._agree[leader, slots] > 0) & ~in_drive
+        return float((there & (votes["row_share"] < STILL_LIKE)).mean()) if slots.size else 0.0
 
-    def _pace(self, slots: NDArray[np.int64], weights: NDArray[np.float32]) -> float:
+    def _pace(self, slots: NDArray[np.int64]) -> float:
         """Share of what was driven between some votes of one drive that their places went along with."""
-        shares = weights[slots] / weights[slots].sum()
-        at_m, offsets_m = self._at_m[slots], self._offsets_m[slots]
-        offsets_m = _within_lap(offsets_m - offsets_m[0], self._laps_m[slots])
-        driven, strayed = (float(shares @ np.square(of - shares @ of)) for of in (at_m, offsets_m))
+        votes = self._votes[slots]
+        shares = votes["weight"] / votes["weight"].sum()
+        offsets_m = _within_lap(votes["offset_m"] - votes["offset_m"][0], votes["lap_m"])
+        driven, strayed = (float(shares @ np.square(of - shares @ of)) for of in (votes["at_m"], offsets_m))
         return max(0.0, driven - strayed) / (driven + (self.settings.slack_m / 4) ** 2)
 
-    def _overrun_m(self, now_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _overrun_m(self, now_m: Floats) -> Floats:
         """How far each vote's place, moved on to now, lies outside its drive."""
-        start_m, end_m = self._bounds_m
-        return np.maximum(0.0, np.maximum(start_m - now_m, now_m - end_m))
-
-    def _overrun_m_at(self, along_m: float, slot: int) -> float:
-        start_m, end_m = self._bounds_m[:, slot]
-        return max(0.0, float(start_m) - along_m, along_m - float(end_m))
+        return np.asarray(np.maximum(0.0, np.maximum(self._votes["start_m"] - now_m, now_m - self._votes["end_m"])))
 
 
 def _within_lap(apart_m: Floats, lap_m: Floats | float) -> Floats:

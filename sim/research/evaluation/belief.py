@@ -6,6 +6,7 @@ Each world is driven once with the rear camera by day (the map), and both ways w
 and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
 vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day), as
 is the parallax of the lane home.
+Believed frames of the other seeds' drives, whose road is on no map, are counted below the table.
 With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
@@ -157,11 +158,11 @@ def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
 
 @dataclass(frozen=True)
 class Judged:
-    """Answers by belief and by uniqueness alone, and meters driven on the map before the first right belief."""
+    """Answers by belief and by uniqueness alone, and meters driven on each part of the map before it is believed."""
 
     belief: Answers
     uniqueness: Answers
-    first_m: float
+    first_m: list[float]
 
 
 def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> Judged:
@@ -169,8 +170,14 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
     true_m = query.route_m + ahead_m
     on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
     right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
-    believed = np.flatnonzero(right & (beliefs.confidence >= AcceptanceConfig().confidence_min))
-    first_m = query.driven_m[believed[0]] - query.driven_m[on_map.argmax()] if believed.size else np.inf
+    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_min)
+    edges = np.flatnonzero(np.diff(on_map, prepend=False, append=False))
+    first_m = [
+        float(query.driven_m[enter + believed[enter:leave].argmax()] - query.driven_m[enter])
+        if believed[enter:leave].any()
+        else np.inf
+        for enter, leave in zip(edges[::2], edges[1::2], strict=True)
+    ]
     answers = [
         _answers(confidence, np.abs(place_m - true_m) <= TOLERANCE_M, on_map)
         for confidence, place_m in (
@@ -178,7 +185,7 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
             (beliefs.uniqueness, beliefs.match_m),
         )
     ]
-    return Judged(answers[0], answers[1], float(first_m))
+    return Judged(answers[0], answers[1], first_m)
 
 
 def _answers(confidence: Floats, right: NDArray[np.bool_], on_map: NDArray[np.bool_]) -> Answers:
@@ -233,7 +240,9 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
         at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
         precision, recall = at_threshold(joined(answers), threshold)
         cells.append(f"{at_100:.2f} / {precision:.4f} / {recall:.2f}")
-    return f"| {cut} | {' | '.join(cells)} | {np.median([one.first_m for one in judged]):.0f} m |"
+    first_m, again_m = ([one.first_m[part] for one in judged if len(one.first_m) > part] for part in (0, 1))
+    again = f"{np.median(again_m):.0f} m" if again_m else "-"
+    return f"| {cut} | {' | '.join(cells)} | {np.median(first_m):.0f} m | {again} |"
 
 
 def main() -> None:
@@ -247,12 +256,23 @@ def main() -> None:
     args = parser.parse_args()
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     args.cache.mkdir(parents=True, exist_ok=True)
-    for road, drives in worlds(args.seeds, args.length, args.cache, both=args.both_cameras):
+    seen = list(worlds(args.seeds, args.length, args.cache, both=args.both_cameras))
+    for road, drives in seen:
         for cut, one in judge_world(road, drives, args.odometer):
             judged[cut].append(one)
-    print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief |\n|---|---|---|---|")
+    print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |")
+    print("|---|---|---|---|---|")
     for cut in CUTS:
         print(_row(cut, judged[cut]))
+    foreign = [
+        believe(road, drive.front, "whole")
+        for road, _ in seen
+        for other, ds in seen
+        if other is not road
+        for drive in ds.values()
+    ]
+    wrong = sum(int((one.confidence >= AcceptanceConfig().confidence_min).sum()) for one in foreign)
+    print(f"on other roads: {wrong} of {sum(len(one.confidence) for one in foreign)} frames believed")
 
 
 if __name__ == "__main__":

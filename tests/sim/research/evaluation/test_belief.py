@@ -27,8 +27,8 @@ def way_home(of: Described, noise: float = 0.5) -> Described:
     return Described(raw, of.route_m[::-1].copy(), of.driven_m)
 
 
-@pytest.mark.parametrize("cut", ["whole", "first half", "second half"])
-def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut) -> None:
+@pytest.mark.parametrize(("cut", "parts"), [("whole", 1), ("first half", 1), ("second half", 1), ("thirds", 2)])
+def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, parts: int) -> None:
     mapped, query = road(1), way_home(road(1))
     beliefs = believe(mapped, query, cut)
     mapped_m = np.concatenate([mapped.route_m[start:end] for start, end in kept(cut, PLACES)])
@@ -37,7 +37,8 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut) 
     on_map = np.isin(query.route_m, mapped_m)
     assert believed[on_map].mean() > 0.3
     judged = judge(query, mapped_m, beliefs, ahead_m=0.0)
-    assert 0 < judged.first_m < 200
+    assert len(judged.first_m) == parts
+    assert all(0 < first_m < 140 for first_m in judged.first_m)
     assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_min].all()
 
 
