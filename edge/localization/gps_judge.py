@@ -19,15 +19,12 @@ from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
-from edge.localization.place_fix import line_middle, map_error_m, match_position, position_on_route
+from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
 from edge.localization.report import Report
 from edge.localization.route_estimate import CORRELATION_M
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
-MOST_ASIDE_RAD = math.radians(60)
-"""Between the vehicle's heading and that of a place with which GPS is compared. Where a mapped drive turned round and
-the vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
 FIRM = 0.85
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.8, two of five simulated drives in snow that were hardly recognized were warned of."""
@@ -84,7 +81,7 @@ class GpsJudge:
             comparison = compare(match, gps, self._route, self._rig, self._length)
         if comparison is not None:
             heading_deg = None if report.position is None else report.position.heading_deg
-            heads = heading_deg is None or _heads_along(comparison.heading_rad, math.radians(heading_deg))
+            heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
             comparison = replace(comparison, displacement=displacement) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
         is_wrong = self._referee.update(comparison, missed).state == "wrong"
@@ -130,11 +127,6 @@ class GpsJudge:
             return report
         lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, -self._error_m[0], -self._error_m[1])
         return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
-
-
-def _heads_along(road_rad: float, heading_rad: float) -> bool:
-    """Whether a vehicle heads along the road of a place: a match may go on through a turn of the map's drive."""
-    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
 
 
 def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:

@@ -57,8 +57,8 @@ WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 
 
-OF_LINE, OF_ROAD = (1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
-"""Which of the errors of matches a measurement has."""
+OF_ROAD = 0.0, 0.0, 0.0, 0.0
+"""How much of the errors of matches a measurement across the road has: nothing."""
 DOUBT, MATCH, LEFT, RIGHT = 4, 5, 7, 8
 """In the state: the share of what is doubtful, the first error of matches, and those of the regions' lines alone."""
 
@@ -192,9 +192,10 @@ class RouteEstimate:
         self.mean[MATCH:] = self.covariance[MATCH:, :] = self.covariance[:, MATCH:] = 0.0
         self.covariance[MATCH:, MATCH:] = np.diag(self._variances[MATCH - 2 :])
 
-    def innovation(self, passed: Passed, sigma_m: float) -> tuple[float, float]:
+    def innovation(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> tuple[float, float]:
         """By how many meters along a match differs from what was expected, and that difference's deviation."""
-        return self._innovation(passed, passed.along, self._row(passed.along, passed.since_m, OF_LINE), sigma_m)
+        row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
+        return self._innovation(passed, passed.along, row, sigma_m)
 
     def is_on_road(self, passed: Passed, road_sigma_m: float) -> bool:
         """Whether the vehicle may be on the road of a match; far beside it, what its regions show means nothing."""
@@ -202,9 +203,9 @@ class RouteEstimate:
         off_m, sigma_m = self._innovation(passed, left, self._row(left, passed.since_m, OF_ROAD), road_sigma_m)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
-    def correct(self, passed: Passed, sigma_m: float) -> None:
-        """Correct by the along part of a match; sigma_m: of what is independent in each match."""
-        row = self._row(passed.along, passed.since_m, OF_LINE)
+    def correct(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> None:
+        """Correct by the along part of a match; sigma_m: of what is independent in each match, faint: see `Sighting`."""
+        row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
         off_m, _ = self._innovation(passed, passed.along, row, sigma_m)
         self._update(row, off_m, sigma_m**2)
 
@@ -246,7 +247,7 @@ class RouteEstimate:
         across = self._row(left, seen.since_m, OF_ROAD)
         along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
         row = self._row(passed.along, passed.since_m, OF_ROAD) + further * across
-        row[error] = max(1.0, CLEAR_CONTRAST / max(line.contrast, LEAST_CONTRAST))
+        row[error] = lines.faint * max(1.0, CLEAR_CONTRAST / max(line.contrast, LEAST_CONTRAST))
         at_m = float(along_m + further * left_m + row[error] * self.mean[error])
         variance = float(row @ self.covariance @ row)
         weights = line.likely * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))

@@ -4,8 +4,8 @@ A believed match says how far along the map's drive the vehicle is. How far it i
 regions say, where [rig] parallax is measured; else the road's width is all that is known. Between matches the vehicle
 moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by how
 much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without it
-correct a position that is known. A match is used only if its line moved over the ground as the autopilot's velocity
-did, and if it agrees with the estimate, whose positions are disputed where several in a row do not. An estimate that is
+correct a position that is known. A match is used only if its line leads the way that the vehicle went, and if it agrees
+with the estimate, whose positions are disputed where several in a row do not. An estimate that is
 lost, since no match agreed with it for [tracking] lost_after_m, goes on by reckoning alone, and the next one begins
 where it is if it agrees with the match. If it does not, the positions of the next one are disputed for a correlation
 length.

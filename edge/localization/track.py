@@ -11,10 +11,6 @@ from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, LEAST_SUPPORT, RouteEstimate
 from edge.localization.sighting import Sighting
 
-OFF_LANE = 2.0
-"""Times by which the road counts as wider where a parallax could say where the vehicle is across. Without it, on two
-drives 12 m beside the map's, 6 of 30 positions were beyond three standard deviations."""
-
 
 @dataclass
 class Track:
@@ -51,7 +47,7 @@ class Track:
         if sighting.regions is not None and not self._begins_drive(sighting):
             return self.estimate.support(sighting.regions) >= LEAST_SUPPORT
         sigma_m = math.hypot(sighting.sigma_m, self._new_drive_m(sighting))
-        off_m, sigma_m = self.estimate.innovation(sighting.passed, sigma_m)
+        off_m, sigma_m = self.estimate.innovation(sighting.passed, sigma_m, sighting.faint)
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def _new_drive_m(self, sighting: Sighting) -> float:
@@ -68,14 +64,14 @@ class Track:
         """Correct the estimate by a match; road_sigma_m: one standard deviation of the position across the road."""
         if self._begins_drive(sighting):
             self.estimate.begin_drive(sighting.errors)
-        # Where a parallax could be, none is a sign that the vehicle is off its lane.
-        road_sigma_m *= OFF_LANE if sighting.shows_parallax else 1.0
+        # A vehicle that leaves its lane sees less of what the map shows.
+        road_sigma_m *= sighting.faint if sighting.shows_parallax else 1.0
         self.estimate.keep_on_road(sighting.passed, road_sigma_m)
         # The line of both regions together may be that of one of them, where a vehicle is far beside the map's drive:
         # it only says where to begin, and where the regions have said nothing for long.
         said_lately = sighting.shows_parallax and self.estimate.since_regions_m < CORRELATION_M
         if not self.matches or (sighting.regions is None and not said_lately):
-            self.estimate.correct(sighting.passed, sighting.sigma_m)
+            self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
         if sighting.regions is not None:
             self.estimate.correct_by_regions(sighting.regions)
         self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0

@@ -151,14 +151,19 @@ def test_a_line_too_steep_counts_by_its_middle(open_filter: Callable[..., RouteF
     assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
 
 
-@pytest.mark.parametrize("seen", [{"slope": 0.6}, {"slope": 1.5}, {"direction": "reverse"}])
-def test_a_line_that_did_not_move_as_the_vehicle_is_not_used(
-    open_filter: Callable[..., RouteFilter], seen: dict[str, Any]
+@pytest.mark.parametrize(
+    ("direction", "aside_m", "used"),
+    [("forward", 0.0, True), ("forward", 2.0, True), ("forward", 4.0, False), ("reverse", 0.0, False)],
+)
+def test_a_line_that_leads_another_way_than_the_vehicle_went_is_not_used(
+    open_filter: Callable[..., RouteFilter], direction: str, aside_m: float, used: bool
 ) -> None:
+    """aside_m: to the east, for each 2 m that it goes north."""
     drive = Drive(open_filter(), 60)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(30, lambda place: match(place, **{"direction": "forward", **seen}))
-    assert drive.filter.at_exposure() is None
+    for frame in range(LENGTH + 20):
+        drive.east_m += aside_m
+        drive.go(1, partial(match, direction=direction) if frame >= LENGTH else lambda _: None)
+    assert (drive.filter.at_exposure() is not None) == used
 
 
 @pytest.mark.parametrize(("sharpness", "used"), [(0.04, False), (0.06, True)])
@@ -169,6 +174,20 @@ def test_a_line_that_is_not_sharp_is_not_used(
     drive.go(LENGTH, lambda _: None)
     drive.go(10, lambda place: match(place, sharpness=sharpness))
     assert (drive.filter.at_exposure() is not None) == used
+
+
+def test_the_fainter_a_line_the_less_certain_the_position(open_filter: Callable[..., RouteFilter]) -> None:
+    def seen_at(sharpness: float, **seen: Any) -> tuple[float, float]:
+        drive = Drive(open_filter(rig=RigConfig(parallax=2.4)), 60)
+        drive.go(LENGTH, lambda _: None)
+        drive.go(10, partial(match, sharpness=sharpness, **seen))
+        fix = drive.filter.at_exposure()
+        assert fix is not None
+        return fix.sigma_along_m, fix.sigma_across_m
+
+    both: dict[str, Any] = {"order": "same", "parallax": regions(0.0, 0.0)}
+    assert seen_at(0.06)[0] > 1.5 * seen_at(0.2)[0] and seen_at(0.2) == seen_at(0.3)
+    assert all(faint > 1.2 * sharp for faint, sharp in zip(seen_at(0.06, **both), seen_at(0.2, **both), strict=True))
 
 
 @pytest.mark.parametrize(("start", "used"), [(0, False), (3, True), (196, True), (198, False)])
