@@ -74,8 +74,8 @@ class RegionLines:
 
     passed: what the line of both together passed at its mean row. seen: the same where the vehicle's place across the
     road counts, further on. parallax: meters by which the line of the right region lies further along than that of the
-    left one for each meter to the left of the map's drive. beyond_m: (n,) BEYOND_PLACES in meters. faint: times by which
-    both may be wrong by more, since the line of both together is faint.
+    left one for each meter to the left of the map's drive. beyond_m: (n,) BEYOND_PLACES in meters. faint: see
+    `Sighting`.
     """
 
     passed: Passed

@@ -204,7 +204,7 @@ class RouteEstimate:
         return abs(off_m) <= AGREE_SIGMAS * sigma_m
 
     def correct(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> None:
-        """Correct by the along part of a match; sigma_m: of what is independent in each match, faint: see `Sighting`."""
+        """Correct by the along part of a match; sigma_m: what is independent in each match; faint: see `Sighting`."""
         row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
         off_m, _ = self._innovation(passed, passed.along, row, sigma_m)
         self._update(row, off_m, sigma_m**2)

@@ -14,7 +14,7 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
-from edge.localization.place_fix import LineReadings, line_middle, moved_alike
+from edge.localization.place_fix import LineReadings, line_middle
 from edge.localization.region_lines import lag_places
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
@@ -22,8 +22,9 @@ from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order, PlaceMatch
 from sim.traverse import traverse
 
-DRIFT = 0.1
-"""Share by which the odometer of a recorded drive may be wrong."""
+ALIKE_M, ALIKE_SHARE = 3.0, 0.2
+"""A line is as long as what was driven if both differ by at most so many meters and that share, of which a tenth is for
+the odometer of a recorded drive."""
 
 OFF_ROUTE_M = 30.0
 """A vehicle further than this from the map's drive was not on it."""
@@ -93,15 +94,15 @@ def _lag_m(match: PlaceMatch, route: Route) -> float:
 def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:
     """How far beyond its place in the direction of travel a line ends, by its middle and the odometer; and its sigma.
 
-    0 and NaN for a line that the daemon would not use.
+    0 and NaN for a line that the daemon would not use, or that is not as long as what was driven.
     """
     line = line_middle(match, route, len(readings)) if len(readings) > 1 else None
     if line is None:
         return 0.0, float("nan")
-    driven_m = readings.back(0) - readings.back(2 * line.back)
-    if not moved_alike(np.array([line.length_m]), driven_m, DRIFT):
+    driven_m = float((readings.back(0) - readings.back(2 * line.back))[0])
+    if abs(line.length_m - driven_m) > ALIKE_M + ALIKE_SHARE * driven_m:
         return 0.0, float("nan")
-    return float(driven_m[0]) / 2 - line.length_m / 2, line.sigma_m
+    return (driven_m - line.length_m) / 2, line.sigma_m
 
 
 class MapDrives:

@@ -95,8 +95,9 @@ def lines(*at_m: float, here: float = 0.0, contrast: float = 0.4) -> RegionLines
     beyond_m = np.linspace(-32.0, 32.0, 129)
     anywhere = np.full(129, 1 / 129)
     each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
+    left, right = (RegionLine(likely, contrast) for likely in each)
     passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(3))
-    return RegionLines(passed, passed, 2.0, beyond_m, *(RegionLine(likely, contrast) for likely in each))
+    return RegionLines(passed, passed, 2.0, beyond_m, left, right)
 
 
 def _bell(away_m: Vector) -> Vector:
