@@ -50,8 +50,10 @@ class TrialCamera:
         *,
         latency_s: tuple[float, float] = LATENCY_S,
         hole_rate: float = HOLE_RATE,
+        is_rendered: bool = False,
     ) -> None:
-        """late_frames: by how many frames pictures are older than their stamps."""
+        """late_frames: by how many frames pictures are older than their stamps. is_rendered: they show the road."""
+        self._is_rendered = is_rendered
         self._latency_s, self._hole_rate = latency_s, hole_rate
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
@@ -96,6 +98,8 @@ class TrialCamera:
         self.network.seen = arrived[2]
         # Only so that it is not blank, and frozen only where the view is.
         picture = np.random.default_rng(arrived[3]).integers(0, 255, (32, 32, 3), np.uint8)
+        if self._is_rendered:
+            picture = self.network.library[arrived[2].scenario].picture(*arrived[2][1:])
         return Frame(picture, arrived[1], self._delivered)
 
     def close(self) -> None:

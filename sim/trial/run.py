@@ -25,6 +25,7 @@ from edge.config import (
     GatesConfig,
     MapConfig,
     MappingConfig,
+    MotionConfig,
     PageConfig,
     RigConfig,
     SamplingConfig,
@@ -126,7 +127,7 @@ def _run_daemon(
 
 def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path) -> Config:
     """The defaults, but for the rig and what the course asks for; nothing is kept from an earlier drive."""
-    for suffix in (".jsonl", ".bound"):
+    for suffix in (".jsonl", ".bound", ".height"):
         (folder / JOURNAL).with_suffix(suffix).unlink(missing_ok=True)
     origin = (*geodetic(*draft.origin_m, draft.lon_shift_deg), ORIGIN_ALT_M) if draft.origin_m else ()
     mapping = MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear"))
@@ -134,6 +135,7 @@ def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path) -> Conf
         camera=CameraConfig(kind="sim", view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(map_path)),
+        motion=MotionConfig(use="odometer" if draft.sees_road else "off"),
         mapping=mapping if draft.maps_live else MappingConfig(),
         page=PageConfig(port=0),
         rig=RIG,

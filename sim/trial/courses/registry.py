@@ -16,6 +16,7 @@ CASES = {
     "F": "odometer, heading, map and clock",
     "G": "home, steering itself",
     "H": "PX4, and streams",
+    "J": "PX4 that nothing but the camera gives a speed",
 }
 
 

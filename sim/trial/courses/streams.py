@@ -33,6 +33,18 @@ def _px4_no_aid(draft: Draft, value: str) -> None:
     draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
+SEEN_S = 25.0
+"""With GPS, in which about 200 m are driven: enough to learn the camera's height."""
+
+
+@course("J", "px4-camera{}", "", "-stop", "-turn-off", "-blind")
+def _px4_camera(draft: Draft, value: str) -> None:
+    """As px4-no-velocity-aid, with GPS for 25 s; the camera measures the speed, unless the road is not to be seen."""
+    COURSES[f"px4-no-velocity-aid{value.removesuffix('-blind')}"].lay(draft)
+    draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
+    draft.sees_road = value != "-blind"
+
+
 @course("H", "px4-aided{}", "", "-43003")
 def _px4_aided(draft: Draft, value: str) -> None:
     """PX4 with a velocity sensor whose scale is 3 % wrong."""
