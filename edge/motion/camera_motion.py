@@ -32,6 +32,9 @@ LEAST_SHARE, KNOWN_SHARE = 0.005, 0.05
 STRONGEST_MPS2, LEAST_M = 10.0, 0.5
 """No vehicle changes its speed faster by much, whose camera is at least so high: after a loss, one in five motions that
 were found was that of something else, and none twice."""
+STILL = 0.3
+"""Heights a second, below which it may be dirt on the lens that is seen in the dark: it stands where it came to a halt,
+and not where it was found to stand after nothing was seen."""
 LEARNT_MPS = 2.0
 """Slower, the velocity of GPS is wrong by too large a share."""
 RECORDED_NS, SAVED_NS = 1_000_000_000, 60_000_000_000
@@ -163,12 +166,16 @@ class CameraMotion:
         return Prior(ahead, turn_rad, pitch_rad, sigma, NODS_RAD)
 
     def _use(self, step: Step, stamp_ns: int, gps_mps: float | None) -> None:
-        before, self._step = self._step, step
-        since_s, self._stepped_ns = (stamp_ns - self._stepped_ns) / 1e9, stamp_ns
-        self._pitch_rad, self._pitch_sigma = step.pitch_rad, step.pitch_sigma
+        before, since_s = self._step, (stamp_ns - self._stepped_ns) / 1e9
         height_m = self.height.height_m
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * (height_m or LEAST_M)
-        if jump_mps > STRONGEST_MPS2 * since_s:
+        has_jumped = jump_mps > STRONGEST_MPS2 * since_s
+        if has_jumped and abs(step.ahead_per_s) < STILL:
+            self._forget("nothing moves: it stands, or sees no road")
+            return
+        self._step, self._stepped_ns = step, stamp_ns
+        self._pitch_rad, self._pitch_sigma = step.pitch_rad, step.pitch_sigma
+        if has_jumped:
             self.why = "the ground has not moved alike twice in a row"
             return
         if gps_mps is not None and gps_mps >= LEARNT_MPS:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from edge.config import CameraConfig, Config, MotionConfig, TelemetryConfig
 from edge.journal.records import MotionMeasured, Record
 from edge.motion import CameraMotion, CameraSpeed
 from edge.motion.camera_motion import WINDOW_M, WINDOWS, LearnedHeight
-from tests.motion.road import picture
+from tests.motion.road import HEIGHT, WIDTH, picture
 
 STEP_NS, STEP_M, MPS = 100_000_000, 0.7, 7.0
 
@@ -113,5 +114,18 @@ def test_comparisons_that_differ_make_the_height_unknown() -> None:
 def test_a_speed_that_no_vehicle_reaches_so_soon_is_not_published() -> None:
     motion = known(CameraMotion(config()))
     assert drive(motion, 4)[-1] is not None
-    assert motion.follow(picture(22.1, seed=7), 5 * STEP_NS, None) is None, "it would stand at once"
+    assert motion.follow(picture(22.35, seed=7), 5 * STEP_NS, None) is None, "2.5 after 7 m/s"
     assert motion.why == "the ground has not moved alike twice in a row"
+
+
+def test_dirt_on_the_lens_in_the_dark_is_no_halt_and_a_halt_is_one() -> None:
+    motion = known(CameraMotion(config()))
+    dirt = np.random.default_rng(3).integers(0, 60, (HEIGHT, WIDTH, 3), np.uint8)
+    assert drive(motion, 4)[-1] is not None
+    seen = [motion.follow(dirt + picture(20.0, light=0.0, seed=n) // 8, (5 + n) * STEP_NS, None) for n in range(20)]
+    assert seen == [None] * 20
+    assert motion.why == "nothing moves: it stands, or sees no road"
+    motion = known(CameraMotion(config()))
+    places_m = 20.0 + np.cumsum([0.4, 0.4, 0.4, 0.34, 0.28, 0.22, 0.16, 0.1, 0.04, 0.0, 0.0])
+    halt = [motion.follow(picture(at_m, seed=n), n * STEP_NS, None) for n, at_m in enumerate(places_m, start=30)]
+    assert halt[-1] is not None and abs(halt[-1].speed_mps) < 3 * halt[-1].sigma_mps + 0.05
