@@ -155,15 +155,14 @@ def check_motion(examined: Examined) -> Iterator[Found]:
     config = examined.settings
     if config.motion.use == "off":
         return
-    camera, motion = config.camera, CameraMotion(config)
+    camera, height = config.camera, CameraMotion(config).height
     view = GroundView(config.motion.fov_deg, camera.width, camera.height, math.radians(config.motion.pitch_deg))
-    share = view.ground_share
-    words = f"{share:.0%} of the picture are ground up to {FARTHEST:g} heights ahead"
-    yield good(words) if share >= LEAST_GROUND else note(words, "tilt the camera down, or cut off less of the picture")
-    if motion.height.height_m:
-        yield good(f"the camera is {motion.height.height_m:.2f} m above the ground, within {motion.height.share:.1%}")
+    words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead"
+    yield good(words) if view.ground_share >= LEAST_GROUND else note(words, "tilt the camera down, or crop less")
+    if height.height_m:
+        yield good(f"the camera is {height.height_m:.2f} m above the ground, within {height.share:.1%}")
     else:
-        yield note("the height of the camera is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
+        yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
 
 
 def check_links(examined: Examined) -> Iterator[Found]:

@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.files import replacing
 from edge.journal.records import MotionMeasured, Record
-from edge.motion.ground import GroundView, Prior, Step, measure
+from edge.motion.ground import GroundView, Step, measure
 
 LEAST_NS, LONGEST_NS = 60_000_000, 500_000_000
 """Between two pictures that are compared: of 30 a second one in two, which halves what they cost; and after the latter
 little of the ground is still to be seen, at 10 m/s and 1.4 m."""
 MOUNTED_RAD, RESTS_RAD = math.radians(2.0), math.radians(0.6)
 """Standard deviations of the pitch: of a camera that was mounted by hand, and of a car around where it rests."""
-NODS_RAD, RESTS_S = math.radians(0.2), 2.0
-"""Standard deviation of its change between two pictures, of a car on a road; and how soon it is back where it rests."""
+RESTS_S = 2.0  # how soon it is back where it rests
 WINDOW_M, WINDOWS, WINDOWS_MOST = 20.0, 5, 25
 """Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. How many make the
 height known, and how many are remembered: 500 m, so that another mount is learned in half of that."""
@@ -143,7 +142,7 @@ class CameraMotion:
             self._forget("no picture shortly before")
         else:
             elapsed_s = (stamp_ns - before[1]) / 1e9
-            step = measure(self._view, before[0], now[0], elapsed_s, self._prior(elapsed_s))
+            step = measure(self._view, before[0], now[0], elapsed_s, self._step, self._pitch_after(elapsed_s))
             if isinstance(step, str):
                 self.why = step
                 if stamp_ns - self._stepped_ns > LONGEST_NS:
@@ -156,14 +155,12 @@ class CameraMotion:
             self._record(MotionMeasured(stamp_ns, *values, gps_mps, self.height.height_m, self.why))
         return self.speed
 
-    def _prior(self, elapsed_s: float) -> Prior:
-        last, kept = self._step, math.exp(-elapsed_s / RESTS_S)
+    def _pitch_after(self, elapsed_s: float) -> tuple[float, float]:
+        """The camera's pitch in radians, on its way back to where it rests, and its standard deviation."""
+        kept = math.exp(-elapsed_s / RESTS_S)
         rests_rad = self.height.pitch_rad if self.height.height_m else self._pitch_rad
-        pitch_rad = rests_rad + kept * (self._pitch_rad - rests_rad)
         sigma = math.hypot(kept * self._pitch_sigma, math.sqrt(1 - kept**2) * RESTS_RAD)
-        share = elapsed_s / last.elapsed_s if last is not None else 0.0
-        ahead, turn_rad = (last.ahead * share, last.turn_rad * share) if last is not None else (None, 0.0)
-        return Prior(ahead, turn_rad, pitch_rad, sigma, NODS_RAD)
+        return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
     def _use(self, step: Step, stamp_ns: int, gps_mps: float | None) -> None:
         before, since_s = self._step, (stamp_ns - self._stepped_ns) / 1e9

@@ -27,31 +27,25 @@ APART_PX, BLOCK_PX, WINDOW_PX, BACK_PX = 5, 5, 11, 0.5
 SMOOTHED_PX, LOCAL_PX, CONTRAST = 0.8, 17, 24.0
 """Pictures are compared by their contrast against squares of LOCAL_PX, brought to CONTRAST gray levels: a beam that
 moves with the vehicle, and exposure, are gone."""
-QUALITY = 0.05
-"""Of the weakest corner that is tracked, against the best."""
-ROUNDS, STEP = 5, 1e-4
-"""Of least squares, by which it has converged; and by which slopes are found, in heights and radians."""
-NOISE = 1.0
-"""Gray levels of contrast that are left as weak as they are."""
+QUALITY = 0.05  # of the weakest corner that is tracked, against the best
+ROUNDS, STEP = 5, 1e-4  # of least squares until it has converged; for slopes, in heights and radians
+NOISE = 1.0  # gray levels of contrast that are left as weak as they are
 SEARCHED = np.arange(-0.6, 2.41, 0.12)
 """Heights ahead that are tried where no motion is known: 17 m/s at 5 pictures a second and 1.4 m."""
-SHARE = 0.5
-"""Of the tracks that the motion must explain: with fewer, another part of the picture may be the ground."""
-LEAST_PX = 0.15
-"""Standard deviation of the best tracks."""
+SHARE, FEWEST_OF_SIDE = 0.5, 5
+"""Of the tracks that the motion must explain, and tracks left and right; with fewer, the ground may be another part."""
+LEAST_PX = 0.15  # standard deviation of the best tracks
 TOGETHER = np.array([1.2, 1.0, 2.0, 1.0, 1.0])
 """By how much more each part of the motion is uncertain than if each track erred by itself: with these, the errors on
 simulated roads are as large as they say."""
 SIDEWAYS, SLIDES = 0.01, 0.03
 """Standard deviations of the motion to the right: in heights (rolling by 0.5 degrees), and of the motion ahead."""
-TURNS_RADPS = 0.35
-"""Standard deviation of the turn within a second: 20 degrees, as at a crossing."""
+TURNS_RADPS = 0.35  # standard deviation of the turn within a second: 20 degrees, as at a crossing
+NODS_RAD = math.radians(0.2)  # of the change of pitch between two pictures, of a car on a road
 ALIKE, MORE_ALIKE = 0.6, 0.15
 """Correlation of the pictures, moved as was found, from which the motion counts; or by how much it must be more than if
 nothing had moved. Lines along the road and reflections do not seem to move: on real pictures half a second apart, 29 of
 30 motions that were none had less of both, and all that were right had one."""
-HALVES, FEWEST_OF_HALF = 4.0, 5
-"""Standard deviations by which the ground on both sides, and near and far, may move differently, and tracks of each."""
 
 
 @dataclass(frozen=True)
@@ -76,20 +70,6 @@ class Step:
         return self.ahead / self.elapsed_s
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is expected of a step: ahead (None: nothing) and turn, as the last one; pitch of the camera and its change.
-
-    change_sigma: standard deviation of the pitch between the two pictures.
-    """
-
-    ahead: float | None
-    turn_rad: float
-    pitch_rad: float
-    pitch_sigma: float
-    change_sigma: float
-
-
 class GroundView:
     """A pinhole camera above level ground, and which of its pixels show ground that is used."""
 
@@ -97,7 +77,6 @@ class GroundView:
         """fov_deg: horizontal. pitch_rad: roughly, down from the horizon; it decides which rows are kept."""
         focal_px = WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
         self.focal_px = focal_px
-        self._shape = width, height
         rows = round(WIDTH_PX * height / width)
         self._camera = np.array([[focal_px, 0, WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
         mask = self._ground(pitch_rad, rows)
@@ -110,9 +89,9 @@ class GroundView:
     def _ground(self, pitch_rad: float, rows: int) -> NDArray[np.uint8]:
         u, v = np.meshgrid(np.arange(WIDTH_PX), np.arange(rows))
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self._camera).T
-        down = rays @ _down(pitch_rad)
+        down, ahead = (rays @ direction for direction in _down_and_ahead(pitch_rad))
         with np.errstate(divide="ignore", invalid="ignore"):
-            ahead, right = rays @ _ahead(pitch_rad) / down, rays[..., 0] / down
+            ahead, right = ahead / down, rays[..., 0] / down
         used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < ASIDE)
         return np.where(used, 255, 0).astype(np.uint8)
 
@@ -137,12 +116,10 @@ class GroundView:
         return np.asarray(np.column_stack([pixels, np.ones(len(pixels))]) @ self._inverse.T)
 
 
-def _down(pitch_rad: float) -> NDArray[np.float64]:
-    return np.array([0.0, math.cos(pitch_rad), math.sin(pitch_rad)])
-
-
-def _ahead(pitch_rad: float) -> NDArray[np.float64]:
-    return np.array([0.0, -math.sin(pitch_rad), math.cos(pitch_rad)])
+def _down_and_ahead(pitch_rad: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The two directions (3,) in the axes of a camera: right, down and along its view."""
+    sin, cos = math.sin(pitch_rad), math.cos(pitch_rad)
+    return np.array([0.0, cos, sin]), np.array([0.0, -sin, cos])
 
 
 def ground_motion(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,8 +128,8 @@ def ground_motion(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     parameters (5,): ahead and to the right in heights, turn to the right, change of pitch, pitch before.
     """
     ahead, right, turn_rad, change_rad, pitch_rad = parameters
-    down = _down(pitch_rad)
-    moved = ahead * _ahead(pitch_rad) + np.array([right, 0.0, 0.0])
+    down, along = _down_and_ahead(pitch_rad)
+    moved = ahead * along + np.array([right, 0.0, 0.0])
     turned = cv2.Rodrigues(-turn_rad * down)[0]
     nodded = cv2.Rodrigues(np.array([change_rad, 0.0, 0.0]))[0]
     return np.asarray(nodded @ turned @ (np.eye(3) - np.outer(moved, down)))
@@ -164,18 +141,27 @@ def _seen(motion: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.
 
 
 def measure(
-    view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], elapsed_s: float, prior: Prior
+    view: GroundView,
+    before: NDArray[np.uint8],
+    now: NDArray[np.uint8],
+    elapsed_s: float,
+    last: Step | None,
+    pitch: tuple[float, float],
 ) -> Step | str:
-    """The motion between two pictures, as `GroundView.contrast` gives them; else why it cannot be seen."""
-    ahead = prior.ahead if prior.ahead is not None else _search(view, before, now, prior.pitch_rad)
-    start = np.array([ahead, 0.0, prior.turn_rad, 0.0, prior.pitch_rad])
+    """The motion between two pictures, as `GroundView.contrast` gives them; else why it cannot be seen.
+
+    last: the step before, None where none is known. pitch: of the camera in radians, and its standard deviation.
+    """
+    share = elapsed_s / last.elapsed_s if last else 0.0
+    ahead = last.ahead * share if last else _search(view, before, now, pitch[0])
+    start = np.array([ahead, 0.0, last.turn_rad * share if last else 0.0, 0.0, pitch[0]])
     tracks = _track(view, before, now, view.in_pixels(ground_motion(start)))
     if tracks is None:
         return "too few corners of the ground to be tracked"
     corners, tracked = map(view.rays, tracks)
     corners = corners @ np.linalg.inv(ground_motion(start)).T
     sideways = math.hypot(SIDEWAYS, SLIDES * ahead)
-    sigmas = np.array([1.0, sideways, TURNS_RADPS * elapsed_s, prior.change_sigma, prior.pitch_sigma])
+    sigmas = np.array([1.0, sideways, TURNS_RADPS * elapsed_s, NODS_RAD, pitch[1]])
     step = _solve(view.focal_px, corners / corners[:, 2:], tracked[:, :2], start, sigmas, elapsed_s)
     if isinstance(step, str):
         return step
@@ -245,7 +231,7 @@ def _solve(
     first_px = residual_px(start)
     slopes = np.stack([(first_px - residual_px(start + STEP * unit)) / STEP for unit in np.eye(5)], axis=-1)
     motion, known = start.copy(), start * (1, 1, 0, 1, 1)
-    motion[0] = known[0] = start[0] + _shortest_half(first_px[:, 1] / slopes[:, 1, 0])
+    motion[0] = known[0] = start[0] + float(np.median(first_px[:, 1] / slopes[:, 1, 0]))
     scale_px = 1.0
     for _ in range(ROUNDS):
         off_px = residual_px(motion)
@@ -259,35 +245,12 @@ def _solve(
         scale_px = max(LEAST_PX, float(np.median(lengths_px)))
     off_px = residual_px(motion)
     agreeing = np.linalg.norm(off_px, axis=1) < 3 * scale_px
-    if agreeing.sum() < max(FEWEST, SHARE * len(off_px)):
+    on_right = int((tracked[agreeing, 0] > 0).sum())
+    sides = on_right, int(agreeing.sum()) - on_right
+    if sum(sides) < max(FEWEST, SHARE * len(off_px)) or min(sides) < FEWEST_OF_SIDE:
         return "the ground does not move as one"
-    if _halves_differ(off_px[agreeing], slopes[agreeing], tracked[agreeing], scale_px):
-        return "two halves of the ground move differently"
     covariance = np.linalg.inv(information)
     ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
     pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
     values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
     return Step(elapsed_s, *map(float, values))
-
-
-def _shortest_half(values: NDArray[np.float64]) -> float:
-    """The median of the shortest interval that has half of the values: up to half of them may be anything."""
-    ordered, half = np.sort(values), len(values) // 2
-    first = int(np.argmin(ordered[half:] - ordered[: len(ordered) - half]))
-    return float(np.median(ordered[first : first + half + 1]))
-
-
-def _halves_differ(
-    off_px: NDArray[np.float64], slopes: NDArray[np.float64], tracked: NDArray[np.float64], scale_px: float
-) -> bool:
-    """Whether left and right, or near and far, the ground moves ahead by more than they are uncertain."""
-    along = slopes[:, :, 0]
-    for second in (tracked[:, 0] > 0, tracked[:, 1] > np.median(tracked[:, 1])):
-        halves = ~second, second
-        if min(one.sum() for one in halves) < FEWEST_OF_HALF:
-            return True
-        powers = [(along[one] ** 2).sum() for one in halves]
-        first, other = ((off_px[one] * along[one]).sum() / power for one, power in zip(halves, powers, strict=True))
-        if abs(first - other) > HALVES * scale_px * math.sqrt(1 / powers[0] + 1 / powers[1]):
-            return True
-    return False

@@ -8,17 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.motion.ground import GroundView, Prior, Step, measure
+from edge.motion.ground import GroundView, Step, measure
 from tests.motion.road import FOV_DEG, HEIGHT, WIDTH, picture
 
-NOTHING_KNOWN = Prior(None, 0.0, 0.0, math.radians(0.5), math.radians(0.2))
 
-
-def step(
-    before: NDArray[np.uint8], now: NDArray[np.uint8], prior: Prior = NOTHING_KNOWN, pitch_rad: float = 0.0
-) -> Step | str:
+def step(before: NDArray[np.uint8], now: NDArray[np.uint8], pitch_rad: float = 0.0) -> Step | str:
     view = GroundView(FOV_DEG, WIDTH, HEIGHT, pitch_rad)
-    return measure(view, view.contrast(before), view.contrast(now), 0.1, prior)
+    return measure(view, view.contrast(before), view.contrast(now), 0.1, None, (pitch_rad, math.radians(0.5)))
 
 
 @pytest.mark.parametrize("moved_m", [-0.5, 0.0, 0.05, 0.7, 1.5])
@@ -46,9 +42,8 @@ def test_a_nose_that_dives_between_the_pictures_is_no_motion() -> None:
 
 
 def test_a_camera_that_looks_straight_down() -> None:
-    down = Prior(None, 0.0, math.radians(90), math.radians(0.5), math.radians(0.2))
     pitch_rad = math.radians(90)
-    found = step(picture(5.0, pitch_rad=pitch_rad), picture(5.4, pitch_rad=pitch_rad), down, pitch_rad)
+    found = step(picture(5.0, pitch_rad=pitch_rad), picture(5.4, pitch_rad=pitch_rad), pitch_rad)
     assert isinstance(found, Step)
     assert found.ahead == pytest.approx(0.4 / 1.4, abs=0.01)
 
