@@ -79,7 +79,7 @@ def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path],
     real = mavlink.MAV_PARAM_TYPE_REAL32
     values = {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 7.0, "EK3_SRC1_POSXY": 3.0, **WHEELS}
     connection = fly({name: (value, real) for name, value in values.items()})
-    config = write_config(telemetry={"connection": connection, "emit": "external_position"})
+    config = write_config(telemetry={"connection": connection, "emit": "external_position"}, motion={"use": "report"})
     findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert [one for one in findings if one.level == "bad"] == []
     assert "ArduPilot 4." in told(findings, "autopilot", "good")
@@ -90,6 +90,8 @@ def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path],
     assert "80 places, all checksums match" in told(findings, "map", "good")
     assert "160 x 120 pixels" in told(findings, "camera", "good")
     assert "two regions take" in told(findings, "model", "good")
+    assert "30% of the picture are ground" in told(findings, "motion", "good")
+    assert "height is not known yet -> drive 100 m with GPS" in told(findings, "motion", "note")
 
 
 def test_a_wrong_parameter_says_why_and_what_to_set(
