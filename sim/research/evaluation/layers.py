@@ -6,6 +6,9 @@ Eight drives, two of a rear camera (day, dusk) and six of a front camera (day, n
 folder of maps. A front camera drives over it the same way by dusk, and home by night. Each row is a folder: its places
 searched, the first right belief, recall and precision on both. After learning without counts, two drives each way are
 counted, as the daemon does, and the folder learns again. Descriptors are kept in FOLDER.
+
+With --rebuilt, a tenth of the road looks like that of the other seed from some day on. A folder of four drives from
+before gets a drive from after, and learns, again and again; each row is the recall on that tenth, by dusk.
 """
 
 from __future__ import annotations
@@ -13,8 +16,8 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,7 @@ from edge.layers import DriveTally
 from edge.reference_map import ModelKey, Retired, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
+from edge.sequence import Direction
 from edge.sequence_matcher import SequenceMatcher
 from sim.maps.learning import learn
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
@@ -42,6 +46,14 @@ DRIVES: tuple[tuple[View, LightName, int], ...] = (
     ("front", "snow", 15),
     ("front", "day", 16),
 )
+OLD: tuple[tuple[View, LightName, int], ...] = (
+    ("rear", "day", 1),
+    ("front", "day", 11),
+    ("front", "night", 12),
+    ("front", "rain", 14),
+)
+NEW: tuple[tuple[View, LightName, int], ...] = (("front", "snow", 15), ("front", "day", 16), ("front", "dusk", 13))
+REBUILT = slice(180, 220)
 GRAY: dict[LightName, int] = {"day": 120, "dusk": 60, "night": 20, "rain": 100, "snow": 140}
 M_PER_DEG = 110_574.0
 AHEAD_M = 30.0
@@ -59,8 +71,13 @@ def write_drive(path: Path, drive: Described, view: View) -> None:
         builder.finish(normalize, edge.__version__)
 
 
-def drive_over(folder: Path, query: Described, light: LightName, tally: DriveTally | None = None) -> list[float]:
-    """Meters to the first right belief, recall, precision, and places searched, of one drive of a front camera."""
+def drive_over(
+    folder: Path, query: Described, light: LightName, tally: DriveTally, judged: slice = slice(FIRST_FRAME, None)
+) -> list[float]:
+    """Meters to the first right belief, recall, precision, and places searched, of one drive of a front camera.
+
+    judged: frames that count for recall and precision.
+    """
     maps = open_map_set(folder)
     matcher = SequenceMatcher(maps, Config(rig=RigConfig(parallax=1.0)))
     image = np.full((16, 16, 3), GRAY[light], np.uint8)
@@ -72,15 +89,14 @@ def drive_over(folder: Path, query: Described, light: LightName, tally: DriveTal
         if match is not None:
             faces = maps.index.view(maps.index.segment_of(match.place_index)) == "rear" and match.direction == "forward"
             off_m = maps.places["route_m"][match.place_index] - query.route_m[frame] - AHEAD_M * faces
-            if is_believed and tally is not None:
+            if is_believed:
                 tally.count(maps, match.place_index, match.direction, image, driven_m, 0)
         is_right = is_believed and abs(off_m) <= TOLERANCE_M
         first_m = min(first_m, driven_m - query.driven_m[0]) if is_right else first_m
-        if frame >= FIRST_FRAME:
-            right.append(is_right)
-            believed.append(is_believed)
-    precision = sum(right) / max(1, sum(believed))
-    return [first_m, float(np.mean(right)), precision, float(maps.index.places)]
+        right.append(is_right)
+        believed.append(is_believed)
+    precision = sum(right[judged]) / max(1, sum(believed[judged]))
+    return [first_m, float(np.mean(right[judged])), precision, float(maps.index.places)]
 
 
 def folder_of(folder: Path, drives: Sequence[tuple[View, LightName, Described]]) -> Path:
@@ -90,25 +106,60 @@ def folder_of(folder: Path, drives: Sequence[tuple[View, LightName, Described]])
     return folder
 
 
+def rebuild(drive: Described, other: Described) -> Described:
+    """A drive over a road of which a tenth looks like another one."""
+    raw = drive.raw.copy()
+    raw[REBUILT] = other.raw[REBUILT]
+    return replace(drive, raw=raw)
+
+
+def main_rebuilt(seeds: Sequence[int], scene: Callable[..., Described]) -> None:
+    """Print a row for each drive since the road was rebuilt."""
+    print("| seed | drives since then | places | recall on the rebuilt tenth |\n|---|---|---|---|")
+    for seed, other in zip(seeds, [*seeds[1:], seeds[0]], strict=True):
+
+        def after(view: View, light: LightName, drive: int, seed: int = seed, other: int = other) -> Described:
+            of_both = (scene(one, view, light, drive) for one in (seed, other))
+            return rebuild(*of_both)
+
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            for view, light, drive in OLD:
+                write_drive(folder / f"old-{view}-{light}", scene(seed, view, light, drive), view)
+            for number, (_, light, drive) in enumerate((("", "dusk", 0), *NEW)):
+                if number:
+                    write_drive(folder / f"new-{number}", after("front", light, drive), "front")
+                    Retired(folder).replace(learn(folder).retired)
+                for run in range(2):
+                    tally = DriveTally(folder, "front", time.time(), f"{number}-{run}")
+                    results = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
+                    tally.close()
+                print(f"| {seed} | {number} | {results[3]:.0f} | {results[1]:.2f} |", flush=True)
+
+
 def main() -> None:
     """Print a row for each folder and seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--length", type=float, default=800.0, help="of the road, m")
+    parser.add_argument("--rebuilt", action="store_true", help="the road that was rebuilt instead")
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     network = Network.load()
+
+    def scene(seed: int, view: View, light: LightName, drive: int, way: Direction = "forward") -> Described:
+        scenario = Scenario(seed=seed, length_m=args.length, view=view, light=light, direction=way, drive_seed=drive)
+        return described(scenario, network, args.cache)
+
+    if args.rebuilt:
+        main_rebuilt(args.seeds, scene)
+        return
     print("| seed | folder | places | dusk, same way: first, recall, precision | home at night: the same |")
     print("|---|---|---|---|---|")
     for seed in args.seeds:
-        scene = partial(Scenario, seed=seed, length_m=args.length)
-        made = [
-            (view, light, described(scene(view=view, light=light, drive_seed=drive), network, args.cache))
-            for view, light, drive in DRIVES
-        ]
-        dusk = described(scene(light="dusk", drive_seed=21), network, args.cache)
-        home = described(scene(light="night", direction="reverse", drive_seed=22), network, args.cache)
+        made = [(view, light, scene(seed, view, light, drive)) for view, light, drive in DRIVES]
+        dusk, home = scene(seed, "front", "dusk", 21), scene(seed, "front", "night", 22, "reverse")
 
         def row(what: str, folder: Path, seed: int = seed, dusk: Described = dusk, home: Described = home) -> None:
             cells = []
