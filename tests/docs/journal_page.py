@@ -36,6 +36,7 @@ a crash has torn.
 - Each line begins with `unix_s`, the time of writing (seconds since 1970, UTC), and `event`, the kind of the record.
   `lookback replay` writes records of kind `frame` without both.
 - Readers should ignore keys and records that they do not know: new ones do not change the version.
+- Values without a type are strings.
 - Stamps are on CLOCK_MONOTONIC of the vehicle's computer: they only increase, and start anew with each boot.
 
 `python -m tests.docs.journal_page` makes this page from [edge/journal/records.py](../edge/journal/records.py).
@@ -72,7 +73,7 @@ def _row(field: Field) -> str:
     is_left_away = field.default is NODEFAULT and not field.required
     kind = _spell(field.type) + (", or absent" if is_left_away else "")
     kind = ", ".join(filter(None, [kind, meta["unit"]]))
-    return f"- `{field.encode_name}` ({kind}): {meta['about']}\n"
+    return f"- `{field.encode_name}`{'' if kind == 'string' else f' ({kind})'}: {meta['about']}\n"
 
 
 def _meta(kind: Any) -> dict[str, str]:
