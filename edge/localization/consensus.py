@@ -264,7 +264,7 @@ class PlaceConsensus:
         now_m = self._now_m()
         overrun_m = self._overrun_m(now_m)
         live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
-        live *= in_reach & (overrun_m <= settings.slack_m)
+        live *= (weights > 0) & (overrun_m <= settings.slack_m)  # one that says nothing leads nowhere
         leader = int(live.argmax())
         if live[leader] <= 0:
             return None
