@@ -44,8 +44,8 @@ TURNS_RADPS = 0.35  # standard deviation of the turn within a second: 20 degrees
 NODS_RAD = math.radians(0.2)  # of the change of pitch between two pictures, of a car on a road
 ALIKE, MORE_ALIKE = 0.6, 0.15
 """Correlation of the pictures, moved as was found, from which the motion counts; or by how much it must be more than if
-nothing had moved. Lines along the road and reflections do not seem to move: on real pictures half a second apart, 29 of
-30 motions that were none had less of both, and all that were right had one."""
+nothing had moved. Lines along the road and reflections do not seem to move: on real streets, in pictures half a second
+apart, cars that drove 3 to 5 m were found to stand; all of those are rejected by it."""
 
 
 @dataclass(frozen=True)
