@@ -23,7 +23,7 @@ PRICES = {
 
 def add_use(parser: argparse.ArgumentParser) -> None:
     """Add the options of `lookback dev model use`."""
-    parser.add_argument("network", choices=PRICES, metavar="NETWORK", help=" or ".join(PRICES))
+    parser.add_argument("network", choices=tuple(PRICES), metavar="NETWORK", help=" or ".join(PRICES))
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the config file; the network goes beside it")
     parser.set_defaults(run=_run)
 
