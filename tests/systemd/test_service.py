@@ -185,7 +185,7 @@ def test_never_ready_without_map_model_or_key(
     config.write_text(config.read_text().replace(*change))
     process = manager.start(config)
     starting, failed = manager.words()
-    assert starting == "STATUS=starting"
+    assert starting == "STATUS=starting: no picture has been used yet"
     assert failed.startswith("STATUS=failed: ")
     assert what in failed
     (line,) = process.communicate()[1].splitlines()
