@@ -120,7 +120,7 @@ class CameraMatcher:
     def with_parallax(self, match: PlaceMatch | None, drives: Drives) -> PlaceMatch | None:
         """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
         self._frame += 1
-        if match is None or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
+        if match is None or not match.accepted or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
             return match
         return replace(match, parallax=parallax_of(match, self._normalizer.rows, self._map_set, drives))
 

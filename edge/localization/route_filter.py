@@ -36,9 +36,6 @@ STOOD_NS = 30_000_000_000
 Without it, vehicles that reversed for long or were ferried were up to 5 and 501 standard deviations off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
-SHOWN = 3.0
-"""What `RouteEstimate.support` must be of a match that is not believed. Without such matches 10 instead of 6
-of 270 positions on laps 12 m apart were beyond three standard deviations."""
 DISAGREE = 3
 """Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
 
@@ -110,29 +107,15 @@ class RouteFilter:
             self._track, self._exposure = None, None
             if track.is_confirmed:
                 self._since_lost = track.estimate
-        if match is None:
+        if match is None or not match.accepted:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        says_where = match.uniqueness >= 1 and match.sharpness >= LEAST_SHARPNESS
-        if not says_where or (not match.accepted and match.parallax is None):
+        if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return
         sighting = self._sightings.of(match, None if track is None else track.estimate)
         if sighting is not None:
-            if match.accepted:
-                self._use(sighting, stamp_ns)
-            else:
-                self._follow(sighting)
+            self._use(sighting, stamp_ns)
             self._choose_origin()
-
-    def _follow(self, sighting: Sighting) -> None:
-        """A match that is not believed corrects an estimate whose expected lines it shows, and confirms nothing."""
-        track = self._track
-        estimate = self._since_lost if track is None else track.estimate
-        if estimate is None or sighting.regions is None:
-            return
-        is_on_road = estimate.is_on_road(sighting.passed, self._rig.sigma_across_m)
-        if is_on_road and estimate.support(sighting.regions) >= SHOWN:
-            estimate.correct_by_regions(sighting.regions)
 
     def at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
