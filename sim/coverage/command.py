@@ -142,7 +142,8 @@ def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], perce
 
 
 def _basis(args: argparse.Namespace) -> str:
-    basis = [f"{args.rehearsals} rehearsed drives {args.way} by {args.light}"] if args.rehearsals else []
+    drives = "drive" if args.rehearsals == 1 else "drives"
+    basis = [f"{args.rehearsals} rehearsed {drives} {args.way} by {args.light}"] if args.rehearsals else []
     return " and ".join([*basis, *([f"{len(args.journals)} earlier ones"] if args.journals else [])])
 
 

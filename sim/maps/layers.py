@@ -84,7 +84,7 @@ def _delta(args: argparse.Namespace) -> int:
     delta = write_delta(args.map, args.since, args.output)
     size_mb = delta.size_bytes / 1e6
     of_a_km = f", {size_mb / delta.length_km:.1f} MB for a km" if delta.length_km else ""
-    print(f"{args.output}: {delta.drives} drives, {delta.tallies} of counts, {size_mb:.1f} MB{of_a_km}")
+    print(f"{args.output}: drives: {delta.drives}, files of counts: {delta.tallies}, {size_mb:.1f} MB{of_a_km}")
     return 0
 
 

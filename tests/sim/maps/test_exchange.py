@@ -76,7 +76,7 @@ def test_a_delta_brings_what_is_missing_and_no_more(
     shutil.copytree(fleet[1], office)
     first, second, nothing = (tmp_path / f"{name}.tar.gz" for name in ("first", "second", "nothing"))
     assert main(["map", "delta", str(office), "--since", str(vehicle), "-o", str(first)]) == 0
-    assert "1 drives, 1 of counts" in (out := capsys.readouterr().out)
+    assert "drives: 1, files of counts: 1" in (out := capsys.readouterr().out)
     assert "MB for a km" in out
     assert main(["map", "apply", str(vehicle), str(first)]) == 0
     assert {one.recognized for one in learn(vehicle).drives} == {0, 11}
