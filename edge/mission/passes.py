@@ -1,7 +1,7 @@
 """Which pass of a drive the vehicle is on, where the drive comes by its position more than once.
 
 A bridge over the way out, a street beside it, the next level of a ramp: on the ground plan they are as near as the road
-that the vehicle is on. What tells them apart is how far the vehicle can have driven since the last place. Two passes
+that the vehicle is on. They differ in how far the vehicle can have driven since the last place. Two passes
 are one road if the later goes back along the earlier; then the earlier is used, which is nearer to home.
 """
 

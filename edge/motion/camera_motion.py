@@ -106,7 +106,7 @@ class CameraMotion:
         self._stepped_ns = 0
         self.speed: CameraSpeed | None = None
         """The newest, None where it could not be measured."""
-        self._forget("no picture yet")
+        self._begin_anew("no picture yet")
 
     def _read(self, camera: str) -> LearnedHeight:
         unknown = LearnedHeight(camera, math.radians(self._config.pitch_deg))
@@ -119,7 +119,7 @@ class CameraMotion:
             return unknown
         return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else unknown
 
-    def _forget(self, why: str) -> None:
+    def _begin_anew(self, why: str) -> None:
         self.why, self._step = why, None
         self._pitch_rad = self.height.pitch_rad
         self._pitch_sigma = RESTS_RAD if self.height.height_m else MOUNTED_RAD
@@ -139,14 +139,14 @@ class CameraMotion:
         now = self._seen = self._view.contrast(image), stamp_ns
         self.speed = None
         if before is None or not 0 < stamp_ns - before[1] <= LONGEST_NS:
-            self._forget("no picture shortly before")
+            self._begin_anew("no picture shortly before")
         else:
             elapsed_s = (stamp_ns - before[1]) / 1e9
             step = measure(self._view, before[0], now[0], elapsed_s, self._step, self._pitch_after(elapsed_s))
             if isinstance(step, str):
                 self.why = step
                 if stamp_ns - self._stepped_ns > LONGEST_NS:
-                    self._forget(step)
+                    self._begin_anew(step)
             else:
                 self._use(step, stamp_ns, gps_mps)
         if stamp_ns - self._recorded_ns >= RECORDED_NS:
@@ -168,7 +168,7 @@ class CameraMotion:
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * (height_m or LEAST_M)
         has_jumped = jump_mps > STRONGEST_MPS2 * since_s
         if has_jumped and abs(step.ahead_per_s) < STILL:
-            self._forget("nothing moves: it stands, or sees no road")
+            self._begin_anew("nothing moves: it stands, or sees no road")
             return
         self._step, self._stepped_ns = step, stamp_ns
         self._pitch_rad, self._pitch_sigma = step.pitch_rad, step.pitch_sigma

@@ -97,7 +97,7 @@ def _run(args: argparse.Namespace) -> int:
         words = [
             f"{gap_in_words(sheet.gap, percent).capitalize()}.",
             f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
-            " nobody drove have one share, since what tells them apart is not known.",
+            " nobody drove have one share, since nothing is known of their differences.",
         ]
         write_sheet(args.picture, sheet, lines, found, headline, words)
     return 0

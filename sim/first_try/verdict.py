@@ -202,7 +202,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
         missing = [feed.path.name for feed in (tried.reference, tried.query) if not _is_placed(feed)]
         found.append(
             f"no positions in {' and '.join(missing) or 'the map'}: with a GPX track or a log of the drive, frames are"
-            " compared at equal distances whatever the speed, and right can be told from wrong"
+            " compared at equal distances whatever the speed, and right can be separated from wrong"
         )
     if share < GOOD:
         found += _picture_advice(tried, could)
