@@ -33,8 +33,8 @@ by a degree sees what one would that is 0.2 m further to that side. Of 0, 8, 12 
 home stayed on their lane best."""
 SHARP = 0.15
 """Sharpness of a line below which it may be wrong by more, inversely, since a vehicle that leaves its lane sees less of
-what the map shows. In 78 recorded drives of 36 courses, positions by lines of 0.05 to 0.08 were off by 1.3 times what
-they said, sharper ones by 0.8 to 1.0; with it 1 of 3,202 was beyond three standard deviations, 8 of 3,306 before."""
+what the map shows. In 68 recorded drives of 29 courses, positions by lines of 0.05 to 0.08 were off by 1.3 times what
+they said, sharper ones by 0.8 to 1.1; with it none of 3,182 was beyond three standard deviations, 8 of 3,306 before."""
 KNOTS = 9
 """Points of a line on the ground, between which it is straight."""
 KNOWN_SCALE = 0.015
@@ -63,7 +63,8 @@ class Sighting:
 
     passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along the drive.
     shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the vehicle may be
-    off its lane. regions: the lines of its two regions; None where the match has none.
+    off its lane. regions: the lines of its two regions; None where the match has none. faint: times by which it may be
+    wrong by more than a match whose line is sharp.
     """
 
     match: PlaceMatch
@@ -76,11 +77,7 @@ class Sighting:
     map_sigma_m: float
     shows_parallax: bool
     regions: RegionLines | None
-
-    @property
-    def faint(self) -> float:
-        """Times by which the match may be wrong by more than one whose line is sharp."""
-        return faint_of(self.match)
+    faint: float
 
 
 class Sightings:
@@ -128,6 +125,7 @@ class Sightings:
         if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * line.back))):
             return None
         scale_sigma = self._drift if estimate is None else estimate.scale_sigma
+        faint = max(1.0, SHARP / match.sharpness)
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
         return Sighting(
@@ -140,7 +138,8 @@ class Sightings:
             errors=self._errors(match),
             map_sigma_m=middle.map_sigma_m,
             shows_parallax=match.order == "same" and self._rig.parallax > 0,
-            regions=self._regions(match, line, estimate, scale_sigma),
+            regions=self._regions(match, line, estimate, scale_sigma, faint),
+            faint=faint,
         )
 
     def _errors(self, match: PlaceMatch) -> MatchErrors:
@@ -161,7 +160,7 @@ class Sightings:
         return OnDrive(self.local(found), along, map_error_m(found))
 
     def _regions(
-        self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None, scale_sigma: float
+        self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None, scale_sigma: float, faint: float
     ) -> RegionLines | None:
         """The lines of both regions on the ground; what they say of the position across counts `SEES_M` further on."""
         parallax = match.parallax
@@ -195,7 +194,7 @@ class Sightings:
             return None
         at, seen_at = (Passed(*(values[-1] for values in one)) for one in (passed, seen))
         beyond_m = spacing_m * BEYOND_PLACES
-        return RegionLines(at, seen_at, self._rig.parallax, beyond_m, left, right, faint_of(match))
+        return RegionLines(at, seen_at, self._rig.parallax, beyond_m, left, right, faint)
 
     def _passed_at(self, match: PlaceMatch, line: LineMiddle, ages: Vector) -> Passed | None:
         """What a line passed at some ages in frames (n,), each (n, 2); on straight lines between KNOTS of them."""
@@ -225,11 +224,6 @@ class Sightings:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
-
-
-def faint_of(match: PlaceMatch) -> float:
-    """Times by which a match may be wrong by more than one whose line is sharp."""
-    return max(1.0, SHARP / match.sharpness)
 
 
 def _further(driven_m: Vector, doubtful_m: Vector, scale_sigma: float, doubt_sigma: float) -> tuple[Vector, Vector]:
