@@ -46,7 +46,7 @@ class ReadOptions:
     """Options of reading; each kind has some of them, see `KINDS`. None is the kind's own default."""
 
     camera: str | None = None
-    """Which camera (RobotCar: stereo/left; KITTI: image_2; NSAVP: mono_left) or topic (ROS)."""
+    """Which camera (RobotCar: stereo/left; KITTI: image_2; NSAVP: mono_left), end of names (video) or topic (ROS)."""
     positions: str | None = None
     """Which positions: a file (a log, a CSV file, poses), a topic, or gps | ins (RobotCar)."""
     names: Path | None = None
@@ -124,6 +124,7 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             "start_s",
             "start_time",
         ),
+        "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "positions", 25.0, "camera"),
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "positions", 25.0, "camera", "positions"),
     }
 )
@@ -147,5 +148,5 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        raise FeedError(f"{kind}: needs the package {package}: {install_command('eval')}") from None
+        raise FeedError(f"{kind}: needs the package {package}: {install_command('import')}") from None
     return traverse

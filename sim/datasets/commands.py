@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
-from edge.feed import read_feed
+from edge.extras import install_command
+from edge.feed import Feed, read_feed
 from sim.datasets import KINDS, ReadOptions, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
@@ -96,10 +97,23 @@ def import_dataset(args: argparse.Namespace) -> int:
         skip_unreadable=args.skip_unreadable,
         lossless=args.lossless,
     )
+    feed = read_feed(args.output)
     print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}")
-    for word, line in summarize(read_feed(args.output)):
+    for word, line in summarize(feed):
         print(f"  {word:<12} {line}")
+    print(f"  {'sheet':<12} {_write_sheet(feed)}")
     return 0
+
+
+def _write_sheet(feed: Feed) -> str:
+    """Write the page beside the feed's header; the page's path, or what it needs."""
+    try:
+        from sim.datasets import sheet
+    except ModuleNotFoundError as error:
+        return f"needs {error.name}: {install_command('import')}"
+    page = feed.path / sheet.NAME
+    page.write_text(sheet.render(feed), encoding="utf-8")
+    return str(page)
 
 
 def _check_ranges(args: argparse.Namespace) -> None:

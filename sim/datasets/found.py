@@ -8,6 +8,7 @@ from pathlib import Path
 from edge.errors import FeedError
 from sim.datasets import KINDS
 from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from sim.datasets.video import holds_positions
 from sim.datasets.video_log import LOG_SUFFIXES, log_beside
 
 LAYOUTS = (
@@ -28,10 +29,7 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
     positions: a log or a CSV file that is named for it.
     """
     if path.is_file():
-        suffix = path.suffix.lower()
-        if suffix in {".bag", ".db3"}:
-            return "rosbag"
-        return "video-log" if suffix in VIDEO_SUFFIXES and (positions or log_beside(path)) else None
+        return _kind_of_file(path, positions)
     if not path.is_dir():
         raise FeedError(f"{path}: no such file or folder")
     if (path / "feed.toml").exists() or (path / "frames").is_dir():
@@ -41,6 +39,9 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
             return kind
     pictures = [file.name for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
     if not pictures:
+        videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES]
+        if any(map(holds_positions, videos)):
+            return "video"
         raise FeedError(
             f"{path}: neither a feed (feed.toml), nor pictures, nor a layout of {', '.join(sorted(KINDS))}; of a video,"
             f" name the file, and put its track ({', '.join(LOG_SUFFIXES)}) of the same name beside it"
@@ -49,3 +50,13 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
         return "utm-names"
     has_table = positions or next(path.glob("*.csv"), None) or path.with_name(f"{path.name}.csv").is_file()
     return "pictures" if has_table else "geotagged"
+
+
+def _kind_of_file(file: Path, positions: str | None) -> str | None:
+    if file.suffix.lower() in {".bag", ".db3"}:
+        return "rosbag"
+    if file.suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    if positions or log_beside(file):
+        return "video-log"
+    return "video" if holds_positions(file) else None

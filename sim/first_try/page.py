@@ -7,7 +7,7 @@ import numpy as np
 import edge
 from edge.feed import FeedImages
 from sim.calibration.command import Lines
-from sim.datasets.summary import summarize
+from sim.datasets import sheet
 from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
 from sim.first_try.verdict import Tried, Verdict, distances_m
@@ -37,7 +37,8 @@ def render(tried: Tried, found: Verdict, rig: Lines) -> str:
             "rig", "", ("key", "m"), [[f"[{section}] {key}", value] for (section, key), value in rig.items()]
         )
         sections.append(report.Section("The camera's offset", text, tables=[table]))
-    sections.append(_recordings(tried))
+    for role, feed in ("reference", tried.reference), ("query", tried.query):
+        sections.append(sheet.section(feed, f"The {role} as it was understood: {feed.path}"))
     return report.render_page(found.headline, about, sections, lead=found.facts)
 
 
@@ -112,11 +113,3 @@ def _error(tried: Tried, row: int) -> str:
     assert tried.judged is not None
     at = np.flatnonzero(tried.judged.rows == row)
     return f", {tried.judged.error_m[at[0]]:.1f} m off" if at.size else ""
-
-
-def _recordings(tried: Tried) -> report.Section:
-    tables = [
-        report.Table(name, f"{name}: {feed.path}", ("", ""), [list(line) for line in summarize(feed)])
-        for name, feed in (("reference", tried.reference), ("query", tried.query))
-    ]
-    return report.Section("The recordings, as they were understood", tables=tables)

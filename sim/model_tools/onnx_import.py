@@ -95,7 +95,7 @@ def import_onnx(
 def _load(data: bytes) -> onnx.ModelProto:
     try:
         import onnx
-        from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+        from google.protobuf.message import DecodeError
     except ImportError:
         raise ModelError(f"importing a model needs the onnx package: {install_command('model')}") from None
     try:

@@ -162,7 +162,7 @@ def test_an_unknown_kind_and_an_option_that_means_nothing_are_named(walk: Path) 
 def test_a_package_that_is_not_installed_is_named(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     monkeypatch.delitem(sys.modules, "sim.datasets.rosbag", raising=False)
-    with pytest.raises(FeedError, match=r"^rosbag: needs the package rosbags: .* pip install .*\[eval\]'$"):
+    with pytest.raises(FeedError, match=r"^rosbag: needs the package rosbags: .* pip install .*\[import\]'$"):
         open_dataset("rosbag", walk)
 
 

@@ -123,3 +123,21 @@ def test_each_recording_is_known_by_what_lies_there(
     (tmp_path / "kitti").mkdir()
     (tmp_path / "kitti/times.txt").touch()
     assert find_kind(tmp_path / "kitti") == "kitti"
+
+
+def test_the_sheet_shows_what_was_understood(
+    tmp_path: Path, sim_import: Callable[..., int], write_pictures: WritePictures, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_pictures(tmp_path / "walk", ["a.png", "b.png", "c.png"])
+    (tmp_path / "walk.csv").write_text("file,t,lat,lon\na,0,51.76,-1.26\nb,1,51.7601,-1.26\nc,4,51.7602,-1.26\n")
+    sim_import(tmp_path / "walk", "-o", tmp_path / "feed")
+    page = (tmp_path / "feed/sheet.html").read_text()
+    for what in (
+        "3 of 64 x 48 pixels",
+        "22 m, a frame every 11 m",
+        "3.0 s, 11.1 m, before frame 2",
+        "The track from above",
+    ):
+        assert what in page
+    assert page.count("data:image/jpeg") == 2
+    assert f"sheet        {tmp_path / 'feed/sheet.html'}" in capsys.readouterr().out

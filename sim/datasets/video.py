@@ -1,0 +1,170 @@
+"""A video that holds its own positions, or a folder of such videos: the parts of one drive in the order of their names.
+
+    GX010042.MP4                     GoPro (GPMF), CAMM, BlackVue: read by mapillary_tools
+    2024_0101_120000_0001F.MP4       other dashcams: by mapillary_tools from what ExifTool finds, if it is installed
+    2025-12-14_21-13-01-front.mp4    Tesla: see `tesla_clip`
+    2025-12-14_21-13-01-back.mp4
+
+`camera` chooses among the videos of a folder by the end of their names: front, back, F, R. A rear camera is known by
+such an end (`REAR`). Parts are put together without a gap. Positions of BlackVue, and those that ExifTool finds, count
+from the first of them: where that came late after the start, they are late as well.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import shutil
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import FeedError
+from edge.feed import Feed, Pictures
+from sim.datasets import ReadOptions, Traverse
+from sim.datasets.pictures import VIDEO_SUFFIXES, natural_key, open_video
+from sim.datasets.track import Fix, Track
+
+log = logging.getLogger(__name__)
+
+SIGNS = (b"gpmd", b"camm", b"gps ", b"GPS ")
+"""Kinds of tracks and boxes that hold positions: GoPro, CAMM, BlackVue, Novatek."""
+SIGNED_BYTES = 1 << 26
+"""Bytes of a box that are searched for SIGNS: an index (moov) has a few MB, the video itself (mdat) is passed over."""
+TESLA = re.compile(r"-(front|back|left_repeater|right_repeater|left_pillar|right_pillar)$")
+REAR = re.compile(r"(-back|[_\d][A-Z]?R)$")
+"""Ends of names of rear cameras: Tesla; 20240101_120000_NR (BlackVue), 0001R (VIOFO)."""
+
+
+def open_traverse(path: Path, options: ReadOptions) -> Traverse:
+    """The frames of the videos at their own positions. FeedError where there are none, or names what is missing."""
+    files = [path] if path.is_file() else _parts(path, options.camera)
+    names: list[str] = []
+    stamps_ns: list[int] = []
+    fixes: list[Fix] = []
+    opened: list[Pictures] = []
+    starts, start_ns = [], 0
+    for file in files:
+        feed, pictures = open_video(file)
+        opened.append(pictures)
+        starts.append(len(names))
+        fixes += [replace(fix, stamp_ns=start_ns + fix.stamp_ns) for fix in positions_in(file, feed)]
+        names += [str(row) if path.is_file() else f"{file.name} {row}" for row in range(len(feed.rows))]
+        stamps_ns += [start_ns + row.stamp_ns for row in feed.rows]
+        start_ns = stamps_ns[-1] + (feed.rows[-1].stamp_ns // max(len(feed.rows) - 1, 1) or 1)
+    if not fixes:
+        raise FeedError(
+            f"{path}: no positions in it that mapillary_tools{'' if _has_exiftool() else ' (without ExifTool)'} can"
+            " read; name a track with --positions"
+        )
+    return Traverse(
+        name=path.stem,
+        view=options.view or ("rear" if REAR.search(files[0].stem) else "front"),
+        source=path.name,
+        rows=Track(str(path), fixes).rows(str(path), names, stamps_ns),
+        pictures=_Joined(opened, starts),
+        notes=f"{len(files)} video(s), {len(fixes)} positions in them",
+    )
+
+
+class _Joined:
+    """The pictures of videos that follow each other; starts: rows at which each begins."""
+
+    def __init__(self, parts: Sequence[Pictures], starts: Sequence[int]) -> None:
+        self._parts, self._starts = parts, starts
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        part = bisect_right(self._starts, index) - 1
+        return self._parts[part].read(index - self._starts[part])
+
+    def close(self) -> None:
+        for part in self._parts:
+            part.close()
+
+
+def _parts(folder: Path, camera: str | None) -> list[Path]:
+    files = [file for file in folder.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES]
+    files = [file for file in files if file.stem.endswith(camera or "")]
+    ends = {(match[1] if (match := TESLA.search(file.stem)) else bool(REAR.search(file.stem))) for file in files}
+    if len(ends) != 1:
+        what = "several cameras; choose with --camera, as in --camera front" if ends else f"no {camera or ''} video"
+        raise FeedError(f"{folder}: {what}")
+    return sorted(files, key=lambda file: natural_key(file.name))
+
+
+def holds_positions(file: Path) -> bool:
+    """Whether a video seems to hold positions of its own, by the kinds of its tracks; needs no package."""
+    if TESLA.search(file.stem):
+        return True
+    with suppress(OSError), file.open("rb") as stream:
+        for start, kind, length in _boxes(stream, file.stat().st_size):
+            if kind != b"mdat":
+                stream.seek(start)
+                content = stream.read(min(length, SIGNED_BYTES))
+                if any(sign in content for sign in SIGNS):
+                    return True
+    return False
+
+
+def _boxes(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, int]]:
+    """Start, kind and length in bytes of the boxes of an ISO base media file (ISO/IEC 14496-12, 4.2)."""
+    at = 0
+    while at + 8 <= size:
+        stream.seek(at)
+        head = stream.read(16)
+        length = int.from_bytes(head[:4], "big")
+        length = int.from_bytes(head[8:16], "big") if length == 1 else length or size - at
+        if length < 8:
+            return
+        yield at, head[4:8], length
+        at += length
+
+
+def positions_in(file: Path, feed: Feed) -> list[Fix]:
+    """The positions that a video holds, stamped from its first frame on; empty where there are none."""
+    if TESLA.search(file.stem):
+        from sim.datasets.tesla_clip import read_clip
+
+        front = file.with_name(TESLA.sub("-front", file.stem) + file.suffix)
+        return read_clip(file, feed) or (read_clip(front, feed) if front.is_file() else [])
+    return list(_mapillary_fixes(file))
+
+
+def _mapillary_fixes(file: Path) -> Iterator[Fix]:
+    from mapillary_tools.exceptions import MapillaryDescriptionError, MapillaryVideoGPSNotFoundError
+    from mapillary_tools.geotag.video_extractors.native import NativeVideoExtractor
+
+    points: Sequence[Any] = []
+    try:
+        points = NativeVideoExtractor(file).extract().points
+    except MapillaryVideoGPSNotFoundError:
+        points = _exiftool_points(file)
+    except MapillaryDescriptionError as error:
+        log.warning("%s: %s", file, error)  # a track of positions without a fix: a garage, a tunnel
+    for point in points:
+        alt_m, heading_deg = (math.nan if value is None else value for value in (point.alt, point.angle))
+        yield Fix(round(point.time * 1e9), point.lat, point.lon, alt_m, heading_deg, source="gps")
+
+
+def _exiftool_points(file: Path) -> Sequence[Any]:
+    """mapillary_tools' points of what ExifTool finds; none without ExifTool."""
+    if not _has_exiftool():
+        return []
+    from mapillary_tools.exiftool_read_video import ExifToolReadVideo
+    from mapillary_tools.exiftool_runner import ExiftoolRunner
+
+    xml = ExiftoolRunner().extract_xml([file])
+    found = next(iter(ElementTree.fromstring(xml)), None) if xml else None
+    return [] if found is None else list(ExifToolReadVideo(ElementTree.ElementTree(found)).extract_gps_track())
+
+
+def _has_exiftool() -> bool:
+    return shutil.which("exiftool") is not None

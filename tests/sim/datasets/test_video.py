@@ -1,0 +1,260 @@
+"""Videos that hold their own positions, in containers that are written here as their makers document them."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from edge.errors import FeedError
+from edge.feed import FeedImages, read_feed
+from sim.datasets import ReadOptions, open_dataset
+from sim.datasets.found import find_kind
+from tests.sim.datasets.conftest import HEIGHT, WIDTH, picture
+
+COUNT, FPS = 30, 10
+Degrees = Callable[[float, float], tuple[float, float]]
+Messages = Sequence[bytes | None]
+IndexOf = Callable[[Any], int]
+
+
+def box(kind: bytes, *content: bytes) -> bytes:
+    data = b"".join(content)
+    return struct.pack(">I", 8 + len(data)) + kind + data
+
+
+def full_box(kind: bytes, *content: bytes) -> bytes:
+    return box(kind, bytes(4), *content)
+
+
+def write_mp4(file: Path, messages: Messages = (None,) * COUNT, codec: str = "libx264") -> None:
+    """Pictures of `picture`, the first darkest, each with an SEI NAL unit where there is a message."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(file), "w") as video:
+        stream: Any = video.add_stream(codec, rate=FPS, options={"x264-params": "bframes=2:keyint=10"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.time_base = Fraction(1, FPS)
+        packets: list[Any] = []
+        for index in range(COUNT):
+            frame = av.VideoFrame.from_ndarray(picture(index), format="bgr24")
+            frame.pts = index
+            packets += stream.encode(frame)
+        for packet in [*packets, *stream.encode(None)]:
+            message = messages[round(packet.pts * packet.time_base * FPS)]
+            told = av.Packet((message or b"") + bytes(packet))
+            told.pts, told.dts, told.time_base, told.stream = packet.pts, packet.dts, packet.time_base, stream
+            told.is_keyframe = packet.is_keyframe
+            video.mux(told)
+
+
+def add_track(file: Path, samples: Sequence[bytes]) -> None:
+    """A track of kind gpmd, a sample a second (ISO/IEC 14496-12, chapter 8)."""
+    data = file.read_bytes()
+    at = data.rindex(b"moov") - 4
+    media, moov = data[:at], data[at:]
+    first = len(media) + 8
+    offsets = np.cumsum([first, *map(len, samples)])[:-1].tolist()
+    matrix = struct.pack(">9i", 65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30)
+    count = len(samples)
+    table = box(
+        b"stbl",
+        full_box(b"stsd", struct.pack(">I", 1), box(b"gpmd", bytes(6), struct.pack(">H", 1))),
+        full_box(b"stts", struct.pack(">III", 1, count, 1000)),
+        full_box(b"stsc", struct.pack(">IIII", 1, 1, 1, 1)),
+        full_box(b"stsz", struct.pack(">II", 0, count), *(struct.pack(">I", len(one)) for one in samples)),
+        full_box(b"stco", struct.pack(">I", count), *(struct.pack(">I", one) for one in offsets)),
+    )
+    track = box(
+        b"trak",
+        full_box(b"tkhd", struct.pack(">IIIII", 0, 0, 9, 0, 1000 * count), bytes(16), matrix, bytes(8)),
+        box(
+            b"mdia",
+            full_box(b"mdhd", struct.pack(">IIIIHH", 0, 0, 1000, 1000 * count, 0x55C4, 0)),
+            full_box(b"hdlr", bytes(4), b"meta", bytes(12), b"GoPro MET\0"),
+            box(
+                b"minf",
+                full_box(b"nmhd"),
+                box(b"dinf", full_box(b"dref", struct.pack(">I", 1), box(b"url ", b"\0\0\0\1"))),
+                table,
+            ),
+        ),
+    )
+    file.write_bytes(media + box(b"mdat", *samples) + box(b"moov", moov[8:], track))
+
+
+def klv(key: bytes, kind: bytes, size: int, data: bytes) -> bytes:
+    """A GPMF element (github.com/gopro/gpmf-parser): key, type, bytes of a structure, their number; padded to 4."""
+    return key + kind + struct.pack(">BH", size, len(data) // size) + data + bytes(-len(data) % 4)
+
+
+def gps5(points: Sequence[tuple[float, float]], fix: int) -> bytes:
+    """One second of a HERO5 to HERO10."""
+    rows = [(round(lat * 1e7), round(lon * 1e7), 100_000, 2_000, 200) for lat, lon in points]
+    stream = [
+        klv(b"GPSF", b"L", 4, struct.pack(">I", fix)),
+        klv(b"GPSU", b"U", 16, b"240504123000.000"),
+        klv(b"GPSP", b"S", 2, struct.pack(">H", 200)),
+        klv(b"SCAL", b"l", 4, struct.pack(">5i", 10_000_000, 10_000_000, 1000, 1000, 100)),
+        klv(b"GPS5", b"l", 20, b"".join(struct.pack(">5i", *row) for row in rows)),
+    ]
+    device = klv(b"DVID", b"L", 4, struct.pack(">I", 1)) + klv(b"DVNM", b"c", 1, b"Hero9 Black")
+    return klv(b"DEVC", b"\0", 1, device + klv(b"STRM", b"\0", 1, b"".join(stream)))
+
+
+def north_m(file: Path, degrees_at: Degrees, **options: Any) -> np.ndarray[Any, Any]:
+    """How far north of the start each frame was taken, NaN where that is not known."""
+    rows = open_dataset("video", file, ReadOptions(**options)).rows
+    start, end = degrees_at(0, 0)[0], degrees_at(0, 100)[0]
+    lats = np.array([np.nan if row.lat_deg is None else row.lat_deg for row in rows])
+    return (lats - start) / (end - start) * 100
+
+
+def gopro(file: Path, degrees_at: Degrees, *, from_m: float = 0.0, fix: int = 3) -> None:
+    write_mp4(file)
+    seconds = [
+        gps5([degrees_at(0, from_m + 10 * second + step) for step in range(0, 10, 2)], fix) for second in range(3)
+    ]
+    add_track(file, seconds)
+
+
+def test_a_gopro_places_its_own_pictures(tmp_path: Path, degrees_at: Degrees) -> None:
+    gopro(tmp_path / "GX010042.MP4", degrees_at)
+    assert find_kind(tmp_path / "GX010042.MP4") == "video"
+    # 10 m a second, 10 pictures a second; after the last position there is none.
+    assert north_m(tmp_path / "GX010042.MP4", degrees_at)[:28] == pytest.approx(np.arange(28.0), abs=0.05)
+
+
+def test_chapters_of_a_gopro_are_one_drive(
+    tmp_path: Path, degrees_at: Degrees, sim_import: Callable[..., int], index_of: IndexOf
+) -> None:
+    gopro(tmp_path / "drive/GX010042.MP4", degrees_at)
+    gopro(tmp_path / "drive/GX020042.MP4", degrees_at, from_m=30.0)
+    sim_import(tmp_path / "drive", "-o", tmp_path / "feed")
+    feed = read_feed(tmp_path / "feed")
+    assert np.array([row.distance_m for row in feed.rows]) == pytest.approx(np.arange(0.0, 60.0, 2.0), abs=0.2)
+    assert [index_of(FeedImages(feed).read(row)) for row in (1, 14, 15, 16)] == pytest.approx([2, 28, 0, 2], abs=1)
+    assert feed.rows[16].extra["source_file"] == "GX020042.MP4 2"
+
+
+def test_a_gopro_without_a_fix_is_refused(tmp_path: Path, degrees_at: Degrees, refused: Callable[..., None]) -> None:
+    gopro(tmp_path / "indoors.MP4", degrees_at, fix=0)
+    refused("video", tmp_path / "indoors.MP4", r"indoors\.MP4: no positions in it .*; name a track with --positions")
+
+
+def nmea(text: str) -> str:
+    total = 0
+    for letter in text:
+        total ^= ord(letter)
+    return f"${text}*{total:02X}"
+
+
+def minutes(degrees: float, width: int) -> str:
+    return f"{int(abs(degrees)):0{width}}{abs(degrees) % 1 * 60:09.6f}"
+
+
+def test_a_blackvue_places_its_own_pictures(tmp_path: Path, degrees_at: Degrees) -> None:
+    """As mapillary_tools and ExifTool read it: NMEA lines, each with the camera's clock, in a box gps of a box free."""
+    file = tmp_path / "20240504_123000_NR.mp4"
+    write_mp4(file)
+    lines = []
+    for second in range(4):
+        lat, lon = degrees_at(0, 10 * second)
+        at = f"{minutes(lat, 2)},N,{minutes(lon, 3)},W"
+        lines.append(f"[{1714825800000 + 1000 * second}]{nmea(f'GPRMC,12300{second}.00,A,{at},19.4,0.0,040524,,,A')}\n")
+    with file.open("ab") as stream:
+        stream.write(box(b"free", box(b"gps ", "".join(lines).encode())))
+    assert find_kind(file) == "video"
+    assert north_m(file, degrees_at) == pytest.approx(np.arange(30.0), abs=0.05)
+    assert open_dataset("video", file).view == "rear"
+
+
+@pytest.mark.skipif(shutil.which("exiftool") is None, reason="needs ExifTool: apt-get install libimage-exiftool-perl")
+def test_another_dashcam_is_read_by_exiftool(tmp_path: Path, degrees_at: Degrees) -> None:
+    """Novatek, as ExifTool documents it: a box gps in moov lists blocks freeGPS of one position each."""
+    file = tmp_path / "2024_0504_123000_0001F.MP4"
+    write_mp4(file)
+    data = file.read_bytes()
+    at = data.rindex(b"moov") - 4
+    media, moov = data[:at], data[at:]
+    blocks = []
+    for second in range(4):
+        lat, lon = (float(minutes(one, 0)) for one in degrees_at(0, 10 * second))
+        head = struct.pack("<6I", 12, 30, second, 24, 5, 4) + b"ANW\0" + struct.pack("<4f", lat, lon, 19.4, 0.0)
+        blocks.append(box(b"free", b"GPS ", struct.pack("<I", 76), head).ljust(0x8000, b"\0"))
+    blocks = [struct.pack(">I", len(one)) + one[4:] for one in blocks]
+    table = b"".join(struct.pack(">II", len(media) + 0x8000 * number, 0x8000) for number in range(4))
+    gps = box(b"gps ", struct.pack(">II", 0x101, 4), table)
+    after_header = 8 + int.from_bytes(moov[8:12], "big")
+    file.write_bytes(media + b"".join(blocks) + box(b"moov", moov[8:after_header], gps, moov[after_header:]))
+    assert find_kind(file) == "video"
+    assert north_m(file, degrees_at) == pytest.approx(np.arange(30.0), abs=1.0)
+
+
+def varint(number: int) -> bytes:
+    return bytes([number]) if number < 128 else bytes([number & 127 | 128]) + varint(number >> 7)
+
+
+def sei(lat: float, lon: float, *, number: int, gear: int = 1) -> bytes:
+    """A NAL unit as Tesla's sei_extractor.py reads it, with fields of dashcam.proto that are not used as well."""
+    body = b"\x08\x01\x10" + varint(gear) + b"\x18" + varint(number) + b"\x25" + struct.pack("<f", 10.0)
+    body += b"\x35" + struct.pack("<f", -3.5) + b"\x38\x01"
+    for field, value in ((11, lat), (12, lon), (13, 0.0), (14, 0.25)):
+        body += varint(field << 3 | 1) + struct.pack("<d", value)
+    payload = b"\x42\x42\x42\x69" + body
+    escaped = bytearray()
+    for byte in b"\x06\x05" + bytes([len(payload)]) + payload + b"\x80":
+        if escaped[-2:] == b"\0\0" and byte <= 3:
+            escaped.append(3)
+        escaped.append(byte)
+    return b"\0\0\0\1" + bytes(escaped)
+
+
+def drive(degrees_at: Degrees, **options: int) -> list[bytes]:
+    return [sei(*degrees_at(0, index), number=7 + index, **options) for index in range(COUNT)]
+
+
+def test_a_tesla_places_its_own_pictures_front_and_back(tmp_path: Path, degrees_at: Degrees) -> None:
+    for camera, messages in (("front", drive(degrees_at)), ("back", [None] * COUNT)):
+        write_mp4(tmp_path / f"2026-05-04_12-30-00-{camera}.mp4", messages)
+    for camera, view in (("front", "front"), ("back", "rear")):
+        file = tmp_path / f"2026-05-04_12-30-00-{camera}.mp4"
+        assert find_kind(file) == "video"
+        traverse = open_dataset("video", file)
+        assert traverse.view == view
+        # The back camera's clip may lack messages: then those of the front camera's, picture for picture.
+        assert north_m(file, degrees_at) == pytest.approx(np.arange(30.0), abs=0.01)
+        assert {row.speed_mps for row in traverse.rows} == {10.0}
+
+
+def test_the_clips_of_one_tesla_camera_are_one_drive(tmp_path: Path, degrees_at: Degrees) -> None:
+    first, second = drive(degrees_at), [sei(*degrees_at(0, 30 + index), number=index) for index in range(COUNT)]
+    for camera in ("front", "back"):
+        write_mp4(tmp_path / f"2026-05-04_12-30-00-{camera}.mp4", first)
+        write_mp4(tmp_path / f"2026-05-04_12-31-00-{camera}.mp4", second)
+    with pytest.raises(FeedError, match="several cameras; choose with --camera, as in --camera front"):
+        open_dataset("video", tmp_path)
+    assert find_kind(tmp_path) == "video"
+    assert north_m(tmp_path, degrees_at, camera="back") == pytest.approx(np.arange(60.0), abs=0.01)
+
+
+def test_a_tesla_that_drives_in_reverse_has_no_place(
+    tmp_path: Path, degrees_at: Degrees, caplog: pytest.LogCaptureFixture
+) -> None:
+    messages = [*drive(degrees_at)[:20], *drive(degrees_at, gear=2)[22:], None, None]
+    write_mp4(tmp_path / "2026-05-04_12-30-00-front.mp4", messages)
+    known = np.isfinite(north_m(tmp_path / "2026-05-04_12-30-00-front.mp4", degrees_at))
+    assert known.tolist() == [True] * 20 + [False] * 10
+    assert "2 pictures are missing in it, by their numbers" in caplog.text
+
+
+def test_a_plain_video_is_used_as_it_is(tmp_path: Path, refused: Callable[..., None]) -> None:
+    write_mp4(tmp_path / "plain.mp4", codec="mpeg4")
+    assert find_kind(tmp_path / "plain.mp4") is None
+    refused("video", tmp_path / "plain.mp4", r"plain\.mp4: no positions in it")
