@@ -12,6 +12,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
     mission/        -> WayHome          a drive of the map reversed into a mission, on request
+    ros2/           -> ROS 2            places, positions and state by DDS; odometry from there
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd

@@ -240,6 +240,17 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("origin: expected [latitude deg, longitude deg, meters above sea level], or []")
 
 
+class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True):
+    """[ros2]: what is published to ROS 2 by DDS, and whose odometry is used; off while domain is -1."""
+
+    domain: Annotated[int, Meta(ge=-1, le=232)] = -1
+    namespace: Annotated[str, Meta(pattern="^[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = "lookback"
+    map_frame: str = "map"
+    base_frame: str = "base_link"
+    odometry: Annotated[str, Meta(pattern="^$|^/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = ""
+    odometry_is_enu: bool = False
+
+
 class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[page]: the live page; read-only without a token."""
 
@@ -303,6 +314,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     tracking: TrackingConfig = TrackingConfig()
     gates: GatesConfig = GatesConfig()
     telemetry: TelemetryConfig = TelemetryConfig()
+    ros2: Ros2Config = Ros2Config()
     page: PageConfig = PageConfig()
     recording: RecordingConfig = RecordingConfig()
     mapping: MappingConfig = MappingConfig()

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.service import Supervision, notify
 from edge.journal.records import Stopped
-from edge.localization import AGREE_SIGMAS
+from edge.localization import AGREE_SIGMAS, Limits
 from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
 from edge.localization.velocity_error import VelocityError
 from edge.opened_parts import OpenedParts
@@ -36,6 +37,7 @@ from edge.sequence import PlaceMatch
 from edge.sequence.place_search import Near
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
+ROS2_OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
 log = logging.getLogger(__name__)
 
 
@@ -63,7 +65,7 @@ class Daemon:
         self._recognizer, self._verification = opened.recognizer, opened.verification
         self._mapper, self._tally, self._warm_start = opened.mapper, opened.tally, opened.warm_start
         self._live_status, self._page = opened.live_status, opened.page
-        self._motion = opened.motion
+        self._motion, self._ros2 = opened.motion, opened.ros2
         self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
         self._sampler = Sampler(config.sampling)
         self._estimator = opened.estimator
@@ -92,6 +94,7 @@ class Daemon:
         if self._update_health():
             self._reset()
         self._publish_position()
+        self._exchange_with_ros2()
         self._update_page()
         self._feed_watchdog()
         return not self._camera.ended
@@ -144,7 +147,7 @@ class Daemon:
             return
         speed = self._motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
         if speed is not None and self._config.motion.use == "odometer":
-            self._autopilot.vehicle.use_camera_speed(speed.stamp_ns, speed.speed_mps)
+            self._autopilot.vehicle.use_speed(speed.stamp_ns, speed.speed_mps)
 
     def _process_frame(self, frame: Frame, motion: ReportedMotion) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
@@ -263,6 +266,8 @@ class Daemon:
             self._events += 1
             self._record(fix)
             self._autopilot.publish_place(fix)
+            if self._ros2 is not None:
+                self._ros2.publish_place(fix)
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, without which frames must be as far apart as places."""
@@ -308,6 +313,23 @@ class Daemon:
             fix = self._estimator.position(now_ns, self._autopilot.vehicle.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
+
+    def _exchange_with_ros2(self) -> None:
+        """Odometry in, state and positions out: by the conditions for an autopilot without GPS, since none is moved."""
+        ros2, health = self._ros2, self.monitor.health
+        if ros2 is None:
+            return
+        for odometry in ros2.odometry():
+            self._autopilot.vehicle.use_odometry(*odometry)
+        ros2.publish_state(health.state, health.why, self._autopilot.status())
+        fix = self._estimator.position_at_exposure()
+        if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self._pictures.fault:
+            return
+        ros2.judged_ns, limits = fix.stamp_ns, Limits(self._config.gates.min_interval_s, ROS2_OLDEST_S)
+        report = replace(self._autopilot.report(), gps="not healthy")
+        displacement = self._autopilot.vehicle.displacement(fix.stamp_ns)
+        if self._estimator.refusal(fix, limits, ros2.published_ns, report, displacement) is None:
+            ros2.publish_position(fix)
 
     def _show_maps(self) -> None:
         if self._page is not None:

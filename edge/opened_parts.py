@@ -17,6 +17,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.drive_mapper import DriveMapper
 from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
+from edge.geodesy import first_known
 from edge.health.health import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
@@ -29,6 +30,7 @@ from edge.page import LiveStatus, Sources, map_view, open_page
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import HEADER
+from edge.ros2 import Ros2
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.local_socket import LocalSocket
 from edge.warm_start import WarmStart
@@ -75,6 +77,7 @@ class OpenedParts:
             self._open_recognizer(parts, network, mapping_frames)
             self._open_camera(parts, frames)
             self._open_page(parts)
+            self._open_ros2(parts)
             self._open_home(parts)
 
     def _open_recognizer(self, parts: ExitStack, network: Network | None, mapping_frames: Frames | None) -> None:
@@ -135,6 +138,14 @@ class OpenedParts:
         self.page = open_page(config.page, map_view(maps))
         if self.page is not None:
             parts.enter_context(closing(self.page))
+
+    def _open_ros2(self, parts: ExitStack) -> None:
+        config, places = self._config, self.recognizer.map_set.places
+        datum = (config.telemetry.origin[0], config.telemetry.origin[1]) if config.telemetry.origin else None
+        datum = datum or first_known(places["lat_deg"], places["lon_deg"])
+        self.ros2: Ros2 | None = None
+        if config.ros2.domain >= 0:
+            self.ros2 = parts.enter_context(closing(Ros2(config, datum, self._clock_ns)))
 
     def _open_home(self, parts: ExitStack) -> None:
         home, left_m = self._config.home, self._config.rig.left_reverse_m

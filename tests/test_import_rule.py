@@ -23,6 +23,7 @@ STAGES = (
     "sequence",
     "localization",
     "mission",
+    "ros2",
     "telemetry",
     "health",
     "page",

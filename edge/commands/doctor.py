@@ -54,6 +54,7 @@ CHECKS = (
     Check("motion", ("config",), doctor_setup.check_motion),
     Check("way home", ("maps",), doctor_setup.check_way_home),
     Check("mapping", ("config",), doctor_computer.check_mapping),
+    Check("ROS 2", ("config",), doctor_setup.check_ros2, "or set [ros2] domain = -1"),
     Check("link", ("config",), doctor_setup.check_links, "correct [telemetry]"),
     Check("camera", ("config", "devices"), doctor_computer.check_camera),
     Check("disk", ("config", "devices"), doctor_computer.check_disk),

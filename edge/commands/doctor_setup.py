@@ -27,6 +27,7 @@ from edge.motion.ground import FARTHEST, GroundView
 from edge.recognizer import open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.place_records import spell_accuracy
+from edge.ros2.messages import message_types
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge.toml_file import read_text, toml_values
@@ -163,6 +164,16 @@ def check_motion(examined: Examined) -> Iterator[Found]:
         yield good(f"the camera is {height.height_m:.2f} m above the ground, within {height.share:.1%}")
     else:
         yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
+
+
+def check_ros2(examined: Examined) -> Iterator[Found]:
+    """Whether ROS 2 can be spoken, where [ros2] names a domain."""
+    ros2 = examined.settings.ros2
+    if ros2.domain >= 0:
+        message_types()
+        yield good(f"domain {ros2.domain}: /{ros2.namespace}/place, pose and fix, and /diagnostics")
+        if not ros2.odometry:
+            yield note("no odometry is read", "set [ros2] odometry where nothing measures the autopilot's velocity")
 
 
 def check_links(examined: Examined) -> Iterator[Found]:

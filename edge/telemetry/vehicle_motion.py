@@ -23,7 +23,8 @@ MAY_BE = 0.5
 at a deviation of 2 m/s and a true speed of 8."""
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
-CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot
+CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
+ODOMETRY, CAMERA = 5, 6  # ranks of speeds, after those of the autopilot and of wheels
 POSITIONS_APART_S = 0.5
 PULLS_KEPT = 16
 """More than are sent within PULLED_NS."""
@@ -41,7 +42,8 @@ class VehicleMotion:
         """When positions of ours were sent, and how far they were from the autopilot's own."""
         self._wheels: tuple[int, float] | None = None
         self._wheel_speed: tuple[int, float] | None = None
-        self._camera_speed: tuple[int, float] | None = None
+        self._other_speeds: dict[int, tuple[int, float]] = {}  # by source
+        self._reported_ns = 0
         self._error: tuple[int, tuple[float, float]] | None = None
         self._error_sigma_mps = 0.0
         self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
@@ -55,7 +57,8 @@ class VehicleMotion:
         """The session has ended."""
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._pulls.clear()
-        self._wheels = self._wheel_speed = self._camera_speed = self._error = None
+        self._wheels = self._wheel_speed = self._error = None
+        self._other_speeds.clear()
         self.is_aided = True
 
     def distance_m(self, stamp_ns: int) -> float | None:
@@ -77,15 +80,27 @@ class VehicleMotion:
         return self.is_aided or self._own_speed(now_ns) is not None
 
     def _own_speed(self, now_ns: int) -> float | None:
-        """By the wheels, else by the camera, which is silent within a second; None where neither measures it."""
+        """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
         wheels_mps = _newest(self._wheel_speed, now_ns)
-        return wheels_mps if wheels_mps is not None else _newest(self._camera_speed, now_ns, CAMERA_FRESH_NS)
+        others = (_newest(self._other_speeds.get(source), now_ns, CAMERA_FRESH_NS) for source in (ODOMETRY, CAMERA))
+        return next((one for one in (wheels_mps, *others) if one is not None), None)
 
-    def use_camera_speed(self, stamp_ns: int, speed_mps: float) -> None:
-        """The speed ahead that the camera measured; of use where neither autopilot nor wheels report one."""
-        self._camera_speed = stamp_ns, speed_mps
+    def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
+        """The speed ahead by the camera or by ODOMETRY; of use where neither autopilot nor wheels report one."""
+        if math.isfinite(speed_mps):
+            self._other_speeds[source] = stamp_ns, speed_mps
         if _newest(self._wheel_speed, stamp_ns) is None:
-            self._motion.add_speed(stamp_ns, speed_mps, source=5)
+            self._motion.add_speed(stamp_ns, speed_mps, source)
+
+    def use_odometry(self, stamp_ns: int, ahead_mps: float, left_mps: float, yaw_rad: float | None) -> None:
+        """The velocity by another program; yaw_rad: counterclockwise from east, used where no autopilot reports."""
+        self.use_speed(stamp_ns, ahead_mps, ODOMETRY)
+        if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
+            return
+        sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
+        self._velocity_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
+        self._heading_rad = math.pi / 2 - yaw_rad
+        self._motion.add_velocity(stamp_ns, *self._velocity_mps)
 
     def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float, now_ns: int) -> None:
         """What the velocity is wrong by, and one standard deviation of that ahead; of use while nothing measures it."""
@@ -153,7 +168,7 @@ class VehicleMotion:
         reported_mps: tuple[float, float] | None = None,
     ) -> None:
         """A velocity by the autopilot's estimate; where nothing aids that, only what is known of it ahead counts."""
-        self._velocity_mps = east_mps, north_mps
+        self._velocity_mps, self._reported_ns = (east_mps, north_mps), stamp_ns
         if heading_deg is not None:
             self._heading_rad = math.radians(heading_deg)
         if not self.is_aided:

@@ -73,7 +73,7 @@ def test_so_does_the_camera_where_there_are_no_wheels_until_a_second_after_it_is
     speaker = Speaker()
     vehicle = unaided(speaker)
     for tenth in range(41, 81):
-        vehicle.use_camera_speed(tenth * S // 10 - S // 20, 9.0)
+        vehicle.use_speed(tenth * S // 10 - S // 20, 9.0)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=-float(tenth)), tenth * S // 10)
     assert moved_m(vehicle, 5 * S, 8 * S) == pytest.approx((0.0, 27.0), abs=0.1)
     assert vehicle.motion(8 * S, 8 * S).is_measured
@@ -81,7 +81,7 @@ def test_so_does_the_camera_where_there_are_no_wheels_until_a_second_after_it_is
     assert first_m is not None and last_m is not None and last_m - first_m == pytest.approx(18.0, abs=0.1)
     assert not vehicle.motion(9 * S, 9 * S).is_measured
     run_away(vehicle, speaker, None, wheels_mps=5.0)
-    vehicle.use_camera_speed(8 * S + 1, 9.0)
+    vehicle.use_speed(8 * S + 1, 9.0)
     assert vehicle.speed_mps(8 * S + 1) == pytest.approx(5.0), "wheels slip less often than a road is misread"
 
 
@@ -90,7 +90,7 @@ def test_the_camera_counts_not_where_the_autopilot_measures_its_speed() -> None:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-        vehicle.use_camera_speed(tenth * S // 10 + 1, 3.0)
+        vehicle.use_speed(tenth * S // 10 + 1, 3.0)
     assert vehicle.speed_mps(4 * S) == pytest.approx(10.0)
 
 
