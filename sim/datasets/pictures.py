@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
 
 import cv2
@@ -38,6 +40,25 @@ class PictureFiles:
 
     def close(self) -> None:
         """Nothing is kept open."""
+
+
+class JoinedPictures:
+    """The pictures of several recordings, one after the other; they may differ in size."""
+
+    def __init__(self, parts: Sequence[Pictures], counts: Iterable[int]) -> None:
+        """counts: how many each has."""
+        self._parts = parts
+        self._starts = [0, *accumulate(counts)]
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture `index` of all; FrameError names the file."""
+        part = bisect_right(self._starts, index) - 1
+        return self._parts[part].read(index - self._starts[part])
+
+    def close(self) -> None:
+        """Release the files."""
+        for part in self._parts:
+            part.close()
 
 
 def list_pictures(folder: Path) -> list[str]:

@@ -16,7 +16,6 @@ import logging
 import math
 import re
 import shutil
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -24,13 +23,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
-import numpy as np
-from numpy.typing import NDArray
-
 from edge.errors import FeedError
 from edge.feed import Feed, Pictures
 from sim.datasets import ReadOptions, Traverse
-from sim.datasets.pictures import VIDEO_SUFFIXES, natural_key, open_video
+from sim.datasets.pictures import VIDEO_SUFFIXES, JoinedPictures, natural_key, open_video
 from sim.datasets.track import Fix, Track
 
 log = logging.getLogger(__name__)
@@ -51,11 +47,11 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     stamps_ns: list[int] = []
     fixes: list[Fix] = []
     opened: list[Pictures] = []
-    starts, start_ns = [], 0
+    counts, start_ns = [], 0
     for file in files:
         feed, pictures = open_video(file)
         opened.append(pictures)
-        starts.append(len(names))
+        counts.append(len(feed.rows))
         fixes += [replace(fix, stamp_ns=start_ns + fix.stamp_ns) for fix in positions_in(file, feed)]
         names += [str(row) if path.is_file() else f"{file.name} {row}" for row in range(len(feed.rows))]
         stamps_ns += [start_ns + row.stamp_ns for row in feed.rows]
@@ -70,24 +66,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         view=options.view or ("rear" if REAR.search(files[0].stem) else "front"),
         source=path.name,
         rows=Track(str(path), fixes).rows(str(path), names, stamps_ns),
-        pictures=_Joined(opened, starts),
+        pictures=JoinedPictures(opened, counts),
         notes=f"{len(files)} video(s), {len(fixes)} positions in them",
     )
-
-
-class _Joined:
-    """The pictures of videos that follow each other; starts: rows at which each begins."""
-
-    def __init__(self, parts: Sequence[Pictures], starts: Sequence[int]) -> None:
-        self._parts, self._starts = parts, starts
-
-    def read(self, index: int) -> NDArray[np.uint8]:
-        part = bisect_right(self._starts, index) - 1
-        return self._parts[part].read(index - self._starts[part])
-
-    def close(self) -> None:
-        for part in self._parts:
-            part.close()
 
 
 def _parts(folder: Path, camera: str | None) -> list[Path]:

@@ -59,15 +59,21 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
 
 def _add_match(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "costs", type=Path, metavar="COSTS.npy", help="array (reference x query); lower is more similar"
+        "costs",
+        type=Path,
+        metavar="COSTS.npy",
+        help="array (reference x query), lower is more similar; or a folder of VPR-Bench",
     )
     parser.add_argument(
-        "--truth", type=Path, help=".csv or .npy: the true reference index of each query frame, -1 off the map"
+        "--truth",
+        type=Path,
+        help=".csv or .npy: the true reference index of each query frame, -1 off the map; or .npy: which reference is"
+        " right for which query (reference x query, true or false); or ground_truth_new.npy of VPR-Bench",
     )
     parser.add_argument(
         "--tolerance", type=float, default=5.0, metavar="N", help="a match is correct within N places (default 5)"
     )
-    parser.add_argument("--length", type=int, default=20, help="frames in a sequence (default 20)")
+    parser.add_argument("--length", type=int, help="frames in a sequence (default 20; 1 for VPR-Bench)")
     parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches to this CSV file")
     parser.set_defaults(run=_match)

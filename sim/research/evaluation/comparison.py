@@ -14,7 +14,7 @@ from sim.evaluation.metrics import precision_recall
 from sim.evaluation.report import Cell, Figure, Picture, Section, Table
 from sim.research.evaluation import plots
 from sim.research.evaluation.bootstrap import difference, interval
-from sim.research.evaluation.matching import errors_of
+from sim.research.evaluation.matching import CANDIDATES, errors_of
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair
 from sim.research.evaluation.scores import at_threshold, max_f1_of_places, recall_of_best, scores
@@ -62,6 +62,7 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
         tables=[_score_table(runner, pair, slug, outcomes), _recall_table(runner, pair, slug, outcomes)],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
+            Figure(f"{slug}_recall", f"R@N within {pair.tolerance:g}", _recall_plot(pair, outcomes)),
             Figure(
                 f"{slug}_matches", f"Costs and matches of {shown.method.name}", plot, "Between the blue lines: true."
             ),
@@ -236,6 +237,18 @@ def _recall_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequenc
         rows,
         "The best places of the sequence search, neighbors included.",
     )
+
+
+def _recall_plot(pair: Pair, outcomes: Sequence[Outcome]) -> bytes:
+    """Recall of the best N places within the tolerance, over N."""
+    counts = range(1, CANDIDATES + 1)
+    lines = {}
+    for outcome in outcomes:
+        errors = errors_of(outcome.matches.candidates, outcome.errors)[outcome.judged]
+        nearest = outcome.errors.min(axis=1)[outcome.judged]
+        recalls = recall_of_best(errors, nearest, counts, [pair.tolerance])[:, 0]
+        lines[outcome.method.name] = (counts, recalls.tolist())
+    return plots.line_plot(lines, "N", "recall of the best N")
 
 
 def _first_answers(runner: MethodRunner, results: Results) -> Table:

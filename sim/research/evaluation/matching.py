@@ -19,7 +19,8 @@ from sim.evaluation.metrics import Answers
 from sim.model_tools.fidelity import unit_rows
 from sim.research.evaluation import seqslam
 
-CANDIDATES = 10
+CANDIDATES = 25
+"""Best places that are kept of each query: papers print R@N up to that."""
 LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
 
 

@@ -14,6 +14,7 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, FeedImages, FeedRow, Pictures, read_feed
 from sim.datasets import TruthKind
+from sim.datasets.pictures import JoinedPictures
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.seqslam import describe
 from sim.research.evaluation.truth import Truth, truth_between
@@ -50,22 +51,6 @@ class Traverse:
         return [slice(start, end) for start, end in pairwise(bounds)]
 
 
-class _JoinedPictures:
-    """The pictures of several feeds, one feed after the other; they may differ in size."""
-
-    def __init__(self, feeds: Sequence[Feed]) -> None:
-        self._images = [FeedImages(feed) for feed in feeds]
-        self._starts = np.cumsum([0, *(len(feed.rows) for feed in feeds)])
-
-    def read(self, index: int) -> NDArray[np.uint8]:
-        drive = int(np.searchsorted(self._starts, index, side="right")) - 1
-        return self._images[drive].read(index - int(self._starts[drive]))
-
-    def close(self) -> None:
-        for images in self._images:
-            images.close()
-
-
 def read_feeds(paths: Sequence[Path]) -> Feed:
     """One feed, or several as if they were one; each row then has its number in its own feed as `source_frame`."""
     feeds = [read_feed(path) for path in paths]
@@ -78,7 +63,11 @@ def read_feeds(paths: Sequence[Path]) -> Feed:
         for feed in feeds
         for number, row in enumerate(feed.rows)
     ]
-    return Feed(paths[0].parent, feeds[0].header, tuple(rows), lambda: _JoinedPictures(feeds))
+    return Feed(paths[0].parent, feeds[0].header, tuple(rows), lambda: _joined(feeds))
+
+
+def _joined(feeds: Sequence[Feed]) -> Pictures:
+    return JoinedPictures([FeedImages(feed) for feed in feeds], [len(feed.rows) for feed in feeds])
 
 
 def open_pictures(feed: Feed) -> Pictures:

@@ -48,7 +48,7 @@ def test_a_scale_of_the_costs_changes_nothing() -> None:
 
 
 def test_candidates_are_the_places_of_lowest_cost() -> None:
-    costs = np.random.default_rng(2).uniform(1, 2, (12, 6))
+    costs = np.random.default_rng(2).uniform(1, 2, (40, 6))
     found = match_costs(costs, SequenceConfig(length=1, region_order="frame"), 2)
     for query in range(6):
         assert found.candidates[query].tolist() == np.argsort(costs[:, query])[:CANDIDATES].tolist()
