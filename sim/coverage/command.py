@@ -20,7 +20,7 @@ from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, pas
 from sim.coverage.aliases import Span
 from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
-from sim.coverage.sheet import KNOWN_M, SOON_M, Stretch, spans_of
+from sim.coverage.sheet import KNOWN_M, SOON_M, Gap, Stretch, spans_of
 from sim.evaluation.replay import config_for_map
 from sim.journal import records_of
 
@@ -172,7 +172,7 @@ def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float)
             {**_properties(one, resembles.get(one.span)), "line": _thinned(_line(maps, one.span))}
             for one in sheet.stretches
         ],
-        "longest_gap": sheet.gap,
+        "longest_gap": None if sheet.gap is None else {"length_m": sheet.gap.length_m, **_where(sheet.gap)},
         "drift_m": None if sheet.gap is None else round(percent / 100 * sheet.gap.length_m, 1),
         "completed": round(sheet.completed, 3),
     }
@@ -180,8 +180,13 @@ def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float)
 
 def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
-    span = {field: getattr(one.span, field) for field in Span.__dataclass_fields__}
-    return {**span, "share": share, "soon": soon, "drives": one.drives, "believed_in": one.believed_in, "alias": other}
+    found = {"share": share, "soon": soon, "drives": one.drives, "believed_in": one.believed_in}
+    return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
+
+
+def _where(one: Span | Gap) -> dict[str, Any]:
+    """Drives of the map are counted from 1, as people read them."""
+    return {"drive": one.segment + 1, "from_m": one.from_m, "to_m": one.to_m}
 
 
 def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias]) -> dict[str, object]:

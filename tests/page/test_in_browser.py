@@ -6,6 +6,7 @@ The daemon recognizes a real corridor in real time, with a simulated autopilot a
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import re
 import shutil
@@ -19,6 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -26,11 +29,20 @@ pytest.importorskip("starlette")
 pytest.importorskip("selenium")
 
 from selenium import webdriver
+from selenium.webdriver.support import expected_conditions
 from selenium.webdriver.support.wait import WebDriverWait
 
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import DescriptorConfig, PageConfig, SamplingConfig
 from edge.feed import FeedImages, FeedWriter, read_feed
+from edge.mapping import MappingView
+from edge.mapping.status import MappingStatus
+from edge.page import map_view
+from edge.page.server import StatusPage
+from edge.page.snapshot import Snapshot
+from edge.telemetry import LinkStatus
 from sim.maps.command import build_map
+from tests.page.test_server import TOKEN, Loop, snapshot
+from tests.sim.coverage.roads import road, walk
 from tests.udp_port import free_port
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -139,6 +151,14 @@ DRAWN = """[...document.querySelectorAll('canvas')].every((one) =>
 PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).naturalWidth > 50)"
 
 
+def save_whole(driver: Any, width: int, name: str) -> None:
+    whole = driver.execute_script("return document.documentElement.scrollHeight")
+    metrics = {"width": width, "height": whole, "deviceScaleFactor": 1, "mobile": width < 600}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    until(driver, DRAWN)
+    driver.save_screenshot(str(Path(PICTURES) / name))
+
+
 @pytest.mark.parametrize(("width", "height", "dark"), [(390, 844, True), (1280, 900, False)])
 def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark: bool) -> None:
     with daemon(config), autopilot(config), browser(width, height, dark=dark) as driver:
@@ -159,11 +179,7 @@ def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark:
         assert (sum(map(int, background[4:-1].split(","))) < 200) == dark
         assert [line for line in driver.get_log("browser") if line["level"] == "SEVERE"] == []
         if PICTURES:
-            whole = driver.execute_script("return document.documentElement.scrollHeight")
-            metrics = {"width": width, "height": whole, "deviceScaleFactor": 1, "mobile": width < 600}
-            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-            until(driver, DRAWN)
-            driver.save_screenshot(str(Path(PICTURES) / f"page_{width}.png"))
+            save_whole(driver, width, f"page_{width}.png")
 
 
 def test_it_survives_a_restart_and_says_what_is_wrong(config: Path) -> None:
@@ -198,3 +214,74 @@ def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
         assert "/dev/no-such-camera: No such file" in text(driver, "answer")
         assert driver.find_element("id", "state").get_attribute("class") == "bad"
         assert text(driver, "frame-words") == "no frame yet"
+
+
+def on_the_road(number: int) -> Snapshot:
+    """A vehicle 200 m along a road that leads north, whose drive is mapped."""
+    at = 200 / 110_574, 0.0
+    link = LinkStatus("up", "udpin:127.0.0.1:1", "report", *at, heading_deg=0.0)
+    mapping = MappingView(MappingStatus("mapping", "", "drive", 40, 20, 80.0), ((0.0018, 0.0), at), 1, None)
+    shown = snapshot(number)
+    status = shown.status
+    newest = replace(status.newest, lat_deg=at[0], lon_deg=at[1], map=msgspec.UNSET) if status.newest else None
+    history = tuple(replace(one, vehicle=at) for one in status.history)
+    status = replace(status, link=link, mapping=mapping, newest=newest, history=history)
+    return dataclasses.replace(shown, status=status)
+
+
+def click(driver: Any, name: str) -> None:
+    (button,) = driver.find_elements("css selector", name)
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+    button.click()
+
+
+def answer_prompt(driver: Any, given: str) -> None:
+    prompt = WebDriverWait(driver, PATIENCE_S).until(expected_conditions.alert_is_present())
+    prompt.send_keys(given)
+    prompt.accept()
+
+
+def test_every_button_does_what_it_says(tmp_path: Path) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0, token=TOKEN), map_view(maps))) as page,
+        contextlib.closing(Loop(page, on_the_road)),
+        browser(390, 844) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        until(driver, "status !== null && status.may_write")
+        until(driver, "!document.getElementById('place').hasAttribute('src')")  # this map has no pictures
+        near = driver.execute_script("return document.getElementById('route').toDataURL()")
+        click(driver, "#fit")
+        assert text(driver, "fit") == "track"
+        assert driver.execute_script("return document.getElementById('route').toDataURL()") != near
+        click(driver, "#fit")
+        assert text(driver, "fit") == "whole map"
+
+        click(driver, "[data-ask=home]")
+        answer_prompt(driver, "not the token")
+        until(driver, "document.getElementById('said').textContent === 'this is not [page] token\\n'")
+        assert page.requested() is None
+        click(driver, "[data-ask=home]")
+        answer_prompt(driver, TOKEN)
+        wait = WebDriverWait[Any](None, PATIENCE_S, poll_frequency=0.05)
+        assert wait.until(lambda _: page.requested()) == "home"
+        for button, request in (("[data-ask=restore]", "restore"), ("#mapping-ask", "pause")):
+            click(driver, button)  # without another question for the token
+            assert wait.until(lambda _: page.requested()) == request
+        until(driver, "document.getElementById('said').textContent.startsWith('requested')")
+
+        driver.find_element("id", "coverage-light").send_keys("day")
+        driver.find_element("id", "coverage-for").send_keys("the")
+        click(driver, "#coverage-ask")
+        assert driver.find_element("id", "coverage-ask").get_attribute("disabled")
+        until(driver, "!document.getElementById('coverage-bar').hidden")
+        until(driver, "document.getElementById('coverage-state').textContent.startsWith('done in ')")
+        assert text(driver, "coverage-state").endswith(" s: again by day")
+        assert not driver.find_element("id", "coverage-bar").is_displayed()
+        assert "drive 1, 0 to 100 m" in text(driver, "coverage")
+        click(driver, "#details summary")
+        assert until(driver, DRAWN)
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+        if PICTURES:
+            save_whole(driver, 390, "buttons_390.png")

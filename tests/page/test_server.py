@@ -9,7 +9,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -78,9 +78,9 @@ def snapshot(number: int) -> Snapshot:
 class Loop:
     """The daemon's side: hands over a snapshot when one is wanted, and counts them."""
 
-    def __init__(self, page: StatusPage) -> None:
+    def __init__(self, page: StatusPage, shown: Callable[[int], Snapshot] = snapshot) -> None:
         self.handed_over = 0
-        self._page = page
+        self._page, self._shown = page, shown
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -89,7 +89,7 @@ class Loop:
         while not self._stop.wait(0.002):
             if self._page.wanted:
                 self.handed_over += 1
-                self._page.show(snapshot(self.handed_over))
+                self._page.show(self._shown(self.handed_over))
 
     def close(self) -> None:
         self._stop.set()

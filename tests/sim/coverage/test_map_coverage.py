@@ -200,8 +200,9 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert len(lines) == 1 + 3 + 2
     assert main(["map", "coverage", str(maps.path), *options, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert len(found["stretches"]) == 3
+    assert [(one["drive"], one["from_m"]) for one in found["stretches"]] == [(1, 0.0), (1, 100.0), (1, 200.0)]
     assert found["stretches"][1]["share"] > 0.5
+    assert found["longest_gap"]["drive"] == 1, "as people read it"
 
 
 def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
