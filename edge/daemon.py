@@ -24,6 +24,7 @@ from edge.camera import Frame, Frames
 from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
+from edge.errors import SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.service import Supervision, notify
@@ -31,6 +32,7 @@ from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS, Limits
 from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
 from edge.localization.velocity_error import VelocityError
+from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
 from edge.sequence import PlaceMatch
@@ -224,9 +226,27 @@ class Daemon:
         if maps is None:
             return True
         self._recognizer.use_maps(maps)
-        self._estimator.use_maps(self._verification.as_uncertain(maps))
-        self._show_maps()
+        self._use_maps()
         return False
+
+    def reopen_maps(self) -> None:
+        """Use the maps as they are on the disk now, from the next frame on; those so far where they cannot be used."""
+        try:
+            self._recognizer.reopen_maps(self._mapper.live.so_far() if self._mapper else None)
+        except SetupError as error:
+            log.warning("%s; the maps so far stay in use", error)
+            self._autopilot.status_text("Lookback: new map is not usable", mavlink.MAV_SEVERITY_WARNING)
+            return
+        maps = self._recognizer.map_set
+        self._verification = MapVerification(maps, self._record, self._autopilot.status_text)
+        self._use_maps()
+        log.info("maps opened again: %s", maps)
+        self._autopilot.status_text(f"Lookback: new map, {maps.index.places} places", mavlink.MAV_SEVERITY_INFO)
+
+    def _use_maps(self) -> None:
+        """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
+        self._estimator.use_maps(self._verification.as_uncertain(self._recognizer.map_set))
+        self._show_maps()
 
     def _map_frame(self, frame: Frame, distance_m: float | None, missed: int) -> None:
         """Map a frame that was recognized, and search what of this drive's map lies far enough behind by now."""
@@ -359,13 +379,20 @@ class Daemon:
         return stopped
 
 
-def run(config: Config, stop: threading.Event, opened: Callable[[], object] = lambda: None) -> Stopped:
-    """Run until `stop` is set or the camera comes to its end; `opened` is called when all parts are open."""
+def run(
+    config: Config, stop: threading.Event, reload: threading.Event, opened: Callable[[], object] = lambda: None
+) -> Stopped:
+    """Run until `stop` is set or the camera comes to its end; `opened` is called when all parts are open.
+
+    reload: set when the maps are to be opened again.
+    """
     with ExitStack() as parts:
         daemon = Daemon(config, parts)
         opened()
         with daemon.monitor.failures():
             while not stop.is_set() and daemon.turn():
-                pass
+                if reload.is_set():
+                    reload.clear()
+                    daemon.reopen_maps()
         notify("STOPPING=1")
         return daemon.last_words()

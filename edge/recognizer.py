@@ -144,9 +144,13 @@ class PlaceRecognizer:
         return self.matcher.first.search.cost_view(match)
 
     def use_maps(self, map_set: MapSet) -> None:
-        """Search these maps from now on (after one was excluded), beginning a new sequence."""
+        """Search these maps from now on, beginning a new sequence."""
         self.matcher.use_maps(map_set)
         self.reset()
+
+    def reopen_maps(self, newest: MapSoFar | None) -> None:
+        """Search the maps that the config names as they are on the disk now. SetupError; then those so far stay."""
+        self.use_maps(open_maps(self.config, newest).fitting(model_key(self._network), self.config.descriptor))
 
     def grow_maps(self, map_set: MapSet) -> None:
         """Search further places after those of the maps so far, without beginning a new sequence."""
@@ -228,11 +232,15 @@ def open_recognizer(
     """
     network = network or open_network(config.descriptor)
     head = Head.load(network) if network.info.labels else None
-    if map_set is None:
-        key = config.map.require_signature_by
-        map_set = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)
+    map_set = map_set or open_maps(config, newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
     return PlaceRecognizer(network, head, map_set, config, stopwatch)
+
+
+def open_maps(config: Config, newest: MapSoFar | None) -> MapSet:
+    """The maps that the config names, and that of this drive. SetupError."""
+    key = config.map.require_signature_by
+    return open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)
 
 
 def model_key(network: Network) -> ModelKey:

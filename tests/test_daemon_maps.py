@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +16,31 @@ import numpy as np
 import pytest
 import tomli_w
 
-from edge.config import SamplingConfig
+from edge.camera import Frame
+from edge.config import (
+    AcceptanceConfig,
+    Config,
+    MapConfig,
+    PageConfig,
+    SamplingConfig,
+    SequenceConfig,
+    TelemetryConfig,
+)
+from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
+from edge.feed import FeedImages, read_feed
 from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.store import DESCRIPTORS, RegionsKey, open_map
+from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.maps.tiles import split_map
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
+from tests.faults.simulated_daemon import ScriptedFrames
+from tests.udp_port import free_port
 
 FRAMES, PERIOD_MS = 80, 60
 PLACES, APART_M = 300, 40.0
@@ -130,3 +145,65 @@ def test_a_large_map_is_searched_where_the_autopilot_says(
         flying.join()
     assert process.returncode == 0, said
     assert ("off the map" in states(tmp_path)) == gps
+
+
+@pytest.fixture
+def elsewhere(network: Network, tmp_path: Path) -> Path:
+    path = tmp_path / "maps"
+    with MapBuilder(path, model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+        builder.begin_segment("elsewhere", "front")
+        for row, raw in enumerate(np.random.default_rng(0).random((60, 2, 4096), dtype=np.float32)):
+            builder.add(raw, Place(row, 0.0, 0.0, route_m=2.0 * row))
+        builder.finish(normalize, "test")
+    return path
+
+
+def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
+    street: Path, elsewhere: Path, network: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_ns, images = 10**12, FeedImages(read_feed(street / "feed"))
+    frames = ScriptedFrames(lambda: now_ns)
+    config = Config(
+        sampling=SamplingConfig(by="frames"),
+        map=MapConfig(path=str(elsewhere)),
+        sequence=SequenceConfig(length=10),
+        acceptance=AcceptanceConfig(window_m=10.0, hold_off_s=0.2),
+        telemetry=TelemetryConfig(connection=f"udpin:127.0.0.1:{free_port()}", journal=str(tmp_path / "events.jsonl")),
+        page=PageConfig(port=0),
+    )
+
+    with ExitStack() as parts:
+        daemon = Daemon(config, parts, lambda: now_ns, frames=frames, network=network)
+
+        def drive(first: int, last: int) -> int:
+            nonlocal now_ns
+            for index in range(first, last):
+                now_ns += PERIOD_MS * 1_000_000
+                frames.next = Frame(images.read(index), now_ns, index)
+                daemon.turn()
+            return len(list(records_of(tmp_path / "events.jsonl", PlaceFix)))
+
+        assert drive(0, 40) == 0
+        elsewhere.rename(tmp_path / ".old")
+        shutil.copytree(street / "map", elsewhere)
+        assert drive(0, 40) == 0, "not opened again yet"
+        daemon.reopen_maps()
+        found = drive(0, 40)
+        assert found > 0
+        (elsewhere / HEADER).unlink()
+        daemon.reopen_maps()
+        assert "the maps so far stay in use" in caplog.text
+        assert drive(40, 80) > found
+
+
+def test_a_running_daemon_opens_its_maps_again_at_sighup(street: Path, tmp_path: Path) -> None:
+    process = start(tmp_path, street / "feed", street / "map", "udp:127.0.0.1:9")
+    assert process.stderr is not None
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if "sampling:" in line:
+            process.send_signal(signal.SIGHUP)
+        if "maps opened again: 80 places" in line:
+            process.terminate()
+    assert process.wait(timeout=120) == 0 and "maps opened again" in "".join(said), said
