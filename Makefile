@@ -53,7 +53,7 @@ soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
 	$(BIN)/python -m pip install -qq --editable '.[dev,fuzz]'
-	$(BIN)/python -m pytest -m soak tests/faults tests/localization
+	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(nproc) -o soak
 	$(BIN)/lookback dev gps -o soak/gps
 

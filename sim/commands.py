@@ -1,16 +1,17 @@
-"""`lookback dev sim`: record simulated drives, simulate an autopilot, try positions in drives without GPS."""
+"""`lookback dev sim`: record simulated drives, simulate an autopilot, and in a clone drive the trial."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from tqdm import tqdm
 
 from edge.errors import ConfigError
-from sim.trial import command as trial_command
 from sim.vehicle import command as autopilot_command
 from sim.world.recording import SPACING_M, record_drive
 from sim.world.scenario import load_scenario
@@ -29,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pace.add_argument("--fps", metavar="HZ", type=float, help="or HZ frames per second")
     drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)
-    trial_command.add_command(sim_commands)
+    if find_spec("sim.research"):  # by name, since it is in a clone only
+        import_module("sim.research.trial.fixes_command").add_command(sim_commands)
 
 
 def _record(args: argparse.Namespace) -> int:

@@ -54,7 +54,7 @@ MOVED = {
     "sim import": "import",
     "sim gps": "dev gps",
     "sim flights": "dev flights",
-    **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run", "shrinking")},
+    **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run")},
     **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "model", "sim", "train")},
 }
 """Commands of earlier versions, and what they are now."""

@@ -7,17 +7,14 @@ import tempfile
 from pathlib import Path
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import REGION_COUNT, Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
-from edge.errors import FeedError, ModelError
-from edge.feed import Feed, read_feed
-from edge.geodesy import east_north
+from edge.errors import ModelError
+from edge.feed import read_feed
 from sim.model_tools import onnx_graph, providers
-from sim.model_tools.fidelity import compare, matching_accuracy
+from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import describe_feed
 from sim.model_tools.import_command import add_import
 from sim.model_tools.use_command import add_use
@@ -45,9 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="the weights or the float network",
     )
-    verify.add_argument("--reference", type=Path, metavar="FEED", help="also match FEED to this one")
-    verify.add_argument("--tolerance-frames", type=int, default=3, help="a match within this many rows is right")
-    verify.add_argument("--tolerance-m", type=float, default=10.0, help="or within this distance, with positions")
     verify.set_defaults(run=_verify)
 
     help_text = "compare the installed providers of ONNX Runtime with the CPU: agreement and time, as a table"
@@ -69,23 +63,15 @@ def _verify(args: argparse.Namespace) -> int:
     rounded = Network.load(args.model)
     networks = (_float_of(rounded, args.weights), rounded)
     feed = read_feed(args.feed)
-    reference = read_feed(args.reference) if args.reference else None
-    correct = _correct(feed, reference, args) if reference else None
     passed = True
     for kind in REGION_COUNT:
         descriptors = [describe_feed(network, feed, kind) for network in networks]
         found = compare(*descriptors)
         passed = passed and found.nsd_mean >= NSD_COSINE_MIN
-        print(f"{kind}: cosine to float, raw {found.raw_mean:.5f}, after NSD {found.nsd_mean:.4f}", end="")
-        print(f" (least {found.nsd_least:.4f})")
-        if reference is not None and correct is not None:
-            shares = [
-                matching_accuracy(query, describe_feed(network, reference, kind), correct)
-                for network, query in zip(networks, descriptors, strict=True)
-            ]
-            print(
-                f"{kind}: single frames matched right, float {shares[0]:.3f}, {rounded.info.precision} {shares[1]:.3f}"
-            )
+        print(
+            f"{kind}: cosine to float, raw {found.raw_mean:.5f}, after NSD {found.nsd_mean:.4f}"
+            f" (least {found.nsd_least:.4f})"
+        )
     print("passed" if passed else f"FAILED: mean cosine after NSD below {NSD_COSINE_MIN}")
     return 0 if passed else 1
 
@@ -112,22 +98,3 @@ def _checked_float(network: Network, exact: Network) -> Network:
     if exact.info.precision != "float32" or any(getattr(exact.info, k) != getattr(network.info, k) for k in keys):
         raise ModelError(f"{exact.path}: not the float network of {network.path}; import it again with --float")
     return exact
-
-
-def _correct(query: Feed, reference: Feed, args: argparse.Namespace) -> NDArray[np.bool_]:
-    """(N, M): the reference frames that are right for each query frame, by position or else by row."""
-    here, there = _positions(query), _positions(reference)
-    if here is not None and there is not None:
-        meters = east_north(*np.concatenate([here, there]).T)
-        apart_m = np.linalg.norm(meters[: len(here), None] - meters[len(here) :], axis=2)
-        return np.asarray(apart_m <= args.tolerance_m)
-    if len(query.rows) != len(reference.rows):
-        raise FeedError(f"{query.path}, {reference.path}: no positions, and not the same number of rows to go by")
-    rows = np.arange(len(query.rows))
-    return np.asarray(abs(rows[:, None] - rows) <= args.tolerance_frames)
-
-
-def _positions(feed: Feed) -> NDArray[np.float64] | None:
-    """Latitude and longitude (N, 2) in degrees, None unless every row has both."""
-    found = [(row.lat_deg, row.lon_deg) for row in feed.rows if row.lat_deg is not None and row.lon_deg is not None]
-    return np.array(found, dtype=np.float64) if len(found) == len(feed.rows) else None

@@ -1,4 +1,4 @@
-"""`lookback dev sim fixes`: do the daemon's positions help, and are they honest? Named courses, judged by the truth.
+"""Do the daemon's positions help, and are they honest? Named courses, judged by the truth.
 
 way         where a drive truly goes, and what the camera sees there
 views       what is seen, as descriptors, rendered once
@@ -7,6 +7,4 @@ courses     the table: each course changes what its case is about, and names its
 simulation  vehicle, autopilot and camera, in simulated time
 run         one drive: the daemon beside them, its map, and what it was worth
 rules       pass or fail, from truth, positions and the same drive without Lookback
-table       figures of all drives
-command     the command line
 """

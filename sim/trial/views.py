@@ -1,7 +1,7 @@
 """What a camera sees of a road, as descriptors: rendered and described once for each cell of the road, then kept.
 
-A cell is a meter along the road, a meter across it and 2 degrees of heading, so that many drives share the minutes
-that rendering and the network cost. The matching of the recognizer itself works on these descriptors as on a vehicle.
+A cell is a meter along the road (`cell_m`), a meter across it and 2 degrees of heading, so that many drives share the
+minutes that rendering and the network cost. The recognizer itself matches these descriptors as on a vehicle.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ Cell: TypeAlias = tuple[int, int, int]
 class RoadViews:
     """One camera on one road, in one light; close it in the end."""
 
-    def __init__(self, scenario: Scenario, network: Network, folder: Path) -> None:
+    def __init__(self, scenario: Scenario, network: Network, folder: Path, cell_m: int) -> None:
         """folder: where descriptors are kept, one file for each scenario."""
+        self._cell_m = cell_m
         self.drive: Drive = scenario.drive()
         self._scenario, self._network = scenario, network
         self._renderer: Renderer | None = None
@@ -49,7 +50,8 @@ class RoadViews:
     def raw(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.float32]:
         """Raw descriptors (R, D) at an arc length, beside the lane, looking so far to the right of the lane."""
         turns = round(((turn_deg + 180.0) % 360.0 - 180.0) / CELL_DEG)
-        cell = round(route_m), int(np.clip(round(left_m), -MOST_LEFT_M, MOST_LEFT_M)), turns
+        along_m = self._cell_m * round(route_m / self._cell_m)
+        cell = along_m, int(np.clip(round(left_m), -MOST_LEFT_M, MOST_LEFT_M)), turns
         if cell not in self._known:
             self._known[cell] = self._describe(*cell).astype(np.float16)
         return self._known[cell].astype(np.float32)
@@ -88,15 +90,16 @@ class RoadViews:
 class RoadLibrary:
     """The views of all roads that were asked for."""
 
-    def __init__(self, network: Network, folder: Path) -> None:
-        self._network, self._folder = network, folder
+    def __init__(self, network: Network, folder: Path, cell_m: int = 1) -> None:
+        """folder: of one `cell_m`, how far apart views along a road are."""
+        self._network, self._folder, self._cell_m = network, folder, cell_m
         self._views: dict[bytes, RoadViews] = {}
 
     def __getitem__(self, scenario: Scenario) -> RoadViews:
         """The views of a scenario."""
         key = msgspec.msgpack.encode(scenario)
         if key not in self._views:
-            self._views[key] = RoadViews(scenario, self._network, self._folder)
+            self._views[key] = RoadViews(scenario, self._network, self._folder, self._cell_m)
         return self._views[key]
 
     def save(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from edge.localization.refusals import as_table
-from sim.trial.table import put_between
+from sim.research.trial.table import put_between
 
 PAGE = Path(__file__).parents[2] / "docs/positions.md"
 MARKS = "<!-- refusals: begin -->", "<!-- refusals: end -->"

@@ -25,7 +25,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from edge.localization.claims import STRETCH_WRONG
-from sim.trial.table import put_between
+from sim.research.trial.table import put_between
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course, Stretch
 
 ROAD_M, STRETCH_M = 3000.0, 500.0

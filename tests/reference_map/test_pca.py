@@ -1,4 +1,4 @@
-"""Shrunk descriptors: directions against NumPy's own, maps that keep them, and what they cost."""
+"""Shrunk descriptors: directions against NumPy's own, and maps that keep them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.costs import COST_ONE, CostMatcher, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
 from sim.maps.shrinking import principal_directions, shrink_to
-from sim.research.evaluation.shrinking import cost_of_shrinking
 
 DIMENSIONS = 64
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
@@ -91,22 +90,3 @@ def test_a_damaged_projection_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "m" / PROJECTION).write_bytes(data)
     with pytest.raises(MapError, match=rf"{PROJECTION}: damaged"):
         open_map(tmp_path / "m")
-
-
-def test_fewer_dimensions_cost_more(tmp_path: Path) -> None:
-    raw = street(240, carriers=30, noise=0.3)
-    prices = [cost_of_shrinking(build(tmp_path / str(kept), raw, kept, segments=3)) for kept in (40, 2)]
-    dear, cheap = prices[1], prices[0]
-    assert cheap.sequences == dear.sequences == 3 * (40 - 4)
-    assert cheap.right == dear.right > 0.9
-    assert cheap.same > 0.9
-    assert dear.right_shrunk < 0.8
-    assert dear.margin_shrunk < cheap.margin_shrunk
-    assert "sequences of 5" in str(cheap)
-
-
-def test_a_map_that_cannot_be_measured_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match="whole: its descriptors are whole; build it with --dimensions"):
-        cost_of_shrinking(build(tmp_path / "whole", street(20, carriers=4), None))
-    with pytest.raises(MapError, match="short: no segment of it is long enough for a sequence of 5 places"):
-        cost_of_shrinking(build(tmp_path / "short", street(4, carriers=4), 8))

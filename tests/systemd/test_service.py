@@ -154,7 +154,7 @@ sys.exit(main())
 )
 def test_a_vehicle_needs_no_desk_packages(command: list[str], code: int, says: str) -> None:
     """Lookback as a vehicle has it, without its extras: what a desk needs must not keep the daemon from starting."""
-    desk = "depthai,onnx,torch,panda3d,direct,jinja2,matplotlib,scipy,hypothesis,mavsdk,pytest"
+    desk = "depthai,onnx,torch,panda3d,direct,jinja2,matplotlib,hypothesis,mavsdk,pytest"
     result = subprocess.run(
         [sys.executable, "-c", WITHOUT, desk, *command], capture_output=True, text=True, check=False
     )

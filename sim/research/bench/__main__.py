@@ -14,13 +14,12 @@ import cv2
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
-from sim.research.bench import frame_rows, map_rows, mapping_rows, memory_rows, network_rows, page_rows, search_rows
+from sim.research.bench import frame_rows, map_rows, mapping_rows, network_rows, search_rows
 from sim.research.bench.machine import Machine, measure_machine
 from sim.research.bench.rows import Section, page
 
 FULL = (1_000, 10_000, 100_000)
 QUICK = (1_000, 10_000)
-QUICK_PARTS = ("network", "matching", "dimensions", "search", "frames", "mapping", "maps", "memory")
 FULL_MAPS = (1_000, 10_000, 100_000, 1_000_000)
 
 
@@ -30,16 +29,10 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="smaller sizes and fewer runs: under a minute")
     parser.add_argument("--places", type=int, nargs="+", metavar="N", help="sizes of maps instead of the usual ones")
     parser.add_argument("--rounds", type=int, metavar="R", help="runs of each row (default 21, quick 7)")
-    parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame and memory runs")
-    parser.add_argument(
-        "--page-s", type=float, default=15.0, metavar="S", help="seconds of each run of the page's part"
-    )
+    parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame runs")
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
     parser.add_argument(
-        "--only",
-        nargs="+",
-        metavar="PART",
-        help="network, matching, dimensions, search, frames, mapping, maps, page, memory",
+        "--only", nargs="+", metavar="PART", help="network, matching, dimensions, search, frames, mapping, maps"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
@@ -82,14 +75,12 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
         "frames": lambda: frame_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "maps": lambda: map_rows.measure(folder, maps, rounds, model),
-        "page": lambda: page_rows.measure(folder, usual, args.page_s, 1 if args.quick else 5, model),
-        "memory": lambda: memory_rows.measure(folder, usual, args.frames or (100 if args.quick else 1200), model),
     }
     unknown = set(args.only or ()) - set(sections)
     if unknown:
         raise ConfigError(f"--only: {', '.join(sorted(unknown))}: it is one of {', '.join(sections)}")
     for name, measure in sections.items():
-        if name not in (args.only or (QUICK_PARTS if args.quick else sections)):
+        if name not in (args.only or sections):
             continue
         print(f"{name} ...", file=sys.stderr)
         yield measure()

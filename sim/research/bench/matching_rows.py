@@ -7,7 +7,6 @@ from collections.abc import Callable
 import faiss
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from edge.reference_map.costs import CostMatcher, encode, squared_norms
 from sim.bench.timing import race
@@ -17,8 +16,7 @@ from sim.research.bench.rows import Row, Section, Target, against
 faiss.omp_set_num_threads(1)
 REGIONS, DIMENSIONS = 2, 4096
 BLOCK = 1000
-OURS, READING = "ours", "reading the map's bytes once"
-LARGEST_FLOAT = 20_000  # places of which the rivals in float32 and float64 still fit beside each other into memory
+OURS, READING, FAISS = "ours", "reading the map's bytes once", "faiss SQ8, one order"
 
 
 def measure(machine: Machine, places: list[int], rounds: int, dimensions: int = DIMENSIONS) -> Section:
@@ -38,15 +36,11 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
     query = rng.normal(size=(1, REGIONS, dimensions)).astype(np.float32)
     ring = rng.normal(size=(40, REGIONS, dimensions)).astype(np.float32)
     flat = query.reshape(1, -1)
-    both = np.concatenate([flat, query[:, ::-1].reshape(1, -1)])
     racers: dict[str, Callable[[], object]] = {
         OURS: lambda: matcher.costs(query),
         READING: lambda: read_all(descriptors),
-        "faiss SQ8, one order": lambda: sq8.search(flat, 1),
-        "faiss SQ8": lambda: sq8.search(both, 1),
+        FAISS: lambda: sq8.search(flat, 1),
     }
-    if places <= LARGEST_FLOAT:
-        racers |= _float_rivals(descriptors, both)
     times = race(racers, rounds)
     size = f"{places:,} places x {REGIONS * dimensions}"
     rows = [against(OURS, OURS, times, READING, size)]
@@ -58,7 +52,7 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
     if places < 10_000:
         return rows, []
     over = times[OURS].ratio(times[READING])
-    to_faiss = times[OURS].ratio(times["faiss SQ8, one order"])
+    to_faiss = times[OURS].ratio(times[FAISS])
     return rows, [
         Target(
             f"matching {places:,} x {REGIONS * dimensions} against reading the map's bytes once",
@@ -67,7 +61,7 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
             over <= 1.3,
         ),
         Target(
-            f"matching {places:,} x {REGIONS * dimensions} against faiss SQ8, one order",
+            f"matching {places:,} x {REGIONS * dimensions} against {FAISS}",
             "1x or less",
             f"{to_faiss:.2f}x",
             to_faiss <= 1.0,
@@ -93,17 +87,3 @@ def _norms(descriptors: NDArray[np.int8]) -> NDArray[np.int32]:
     """Squared norms in blocks: in one piece they would need four times the map."""
     starts = range(0, descriptors.shape[1], BLOCK)
     return np.concatenate([squared_norms(descriptors[:, start : start + BLOCK]) for start in starts])
-
-
-def _float_rivals(descriptors: NDArray[np.int8], both: NDArray[np.float32]) -> dict[str, Callable[[], object]]:
-    """Exact search in float32 with unit rows (NumPy's BLAS, faiss), and SciPy's own loop."""
-    floats = descriptors.swapaxes(0, 1).reshape(descriptors.shape[1], -1).astype(np.float32)
-    floats /= np.linalg.norm(floats, axis=1, keepdims=True)
-    index = faiss.IndexFlatIP(floats.shape[1])
-    index.add(floats)
-    return {
-        # A product with one vector after another is four times as fast here as one with both.
-        "numpy float32": lambda: [1 - floats @ one for one in both],
-        "scipy cdist cosine": lambda: cdist(both, floats, "cosine"),
-        "faiss IndexFlatIP": lambda: index.search(both, 1),
-    }

@@ -1,4 +1,4 @@
-"""Sequence search: running sums against eq. 2 computed directly for every frame, and against SeqSLAM's search."""
+"""Sequence search: running sums against eq. 2 computed directly for every frame."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from edge.sequence import VIEWS_OPPOSED
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 from sim.bench.timing import Times, race
 from sim.research.bench.rows import Row, Section, Target, against
-from sim.research.evaluation import seqslam
 
 LENGTHS = (10, 40, 80)
-LARGEST_SEQSLAM = 10_000  # places; all its trajectories are held at once, 8 bytes each of their frames
+GATHERED = 40
 SLOPES = slopes_around_diagonal(0.2, 21)
 
 
@@ -26,18 +25,15 @@ def measure(places: list[int], rounds: int) -> Section:
     for count in places:
         ours: dict[int, Callable[[], object]] = {length: running(count, length) for length in LENGTHS}
         steady = race({str(length): ours[length] for length in LENGTHS}, rounds)
+        size = f"{count:,} places"
         for length in LENGTHS:
-            rivals = {"ours": ours[length], "direct gather": direct(count, length)}
-            if count <= LARGEST_SEQSLAM:
-                rivals["SeqSLAM's, one direction"] = _seqslam(count, length)
-            times = race(rivals, max(2, rounds // 5))
-            size, line = f"{count:,} places", f"L = {length}"
             ratio = steady[str(length)].ratio(steady["10"])
-            rows.append(Row(f"{line}: ours", steady[str(length)], "L = 10", ratio, size=size))
-            rows += [against(f"{line}: {rival}", rival, times, "ours", size) for rival in list(rivals)[1:]]
-            if count == max(places) and length == 40:
-                targets.append(_gather_target(f"{size}, {line}", times))
-        targets += [_length_target(count, steady)] if count == max(places) else []
+            rows.append(Row(f"L = {length}: ours", steady[str(length)], "L = 10", ratio, size=size))
+        line = f"L = {GATHERED}"
+        times = race({"ours": ours[GATHERED], "direct gather": direct(count, GATHERED)}, max(2, rounds // 5))
+        rows.append(against(f"{line}: direct gather", "direct gather", times, "ours", size))
+        if count == max(places):
+            targets += [_gather_target(f"{size}, {line}", times), _length_target(count, steady)]
     return Section("Sequence search, one frame", rows, targets)
 
 
@@ -87,10 +83,3 @@ def direct(places: int, length: int) -> Callable[[], NDArray[np.int32]]:
         return best
 
     return step
-
-
-def _seqslam(places: int, length: int) -> Callable[[], object]:
-    """The published search for one query, through differences whose contrast was enhanced before."""
-    differences = _rows(places, length + 1)[:, 0].T.astype(np.float32)
-    settings = seqslam.SeqslamSettings(length=length, mode="causal", slope_min=SLOPES[0], slope_max=SLOPES[-1])
-    return lambda: seqslam.search(differences, settings)

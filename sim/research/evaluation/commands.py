@@ -15,11 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_run(actions.add_parser("run", help="run a plan and write its report"))
     _add_networks(actions.add_parser("networks", help="compare networks on the traverses of a plan"))
     _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
-    shrinking = actions.add_parser(
-        "shrinking", help="measure the effect of fewer dimensions on matching, with a map that has them"
-    )
-    shrinking.add_argument("map", type=Path, metavar="MAP", help="a map that `map build --dimensions` made")
-    shrinking.set_defaults(run=_shrinking)
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
@@ -93,11 +88,5 @@ def _networks(args: argparse.Namespace) -> int:
 
 def _match(args: argparse.Namespace) -> int:
     from sim.research.evaluation.match_command import run
-
-    return run(args)
-
-
-def _shrinking(args: argparse.Namespace) -> int:
-    from sim.research.evaluation.shrinking import run
 
     return run(args)

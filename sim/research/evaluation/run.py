@@ -23,11 +23,10 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError
 from sim.evaluation.report import Section, write_report
 from sim.research.evaluation import experiments
-from sim.research.evaluation.comparison import compare, overview, pair_section, shown_outcome, slug_of
+from sim.research.evaluation.comparison import compare, overview, pair_section
 from sim.research.evaluation.descriptions import Descriptions
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import Plan, TraversePlan, load_plan
-from sim.research.evaluation.trajectories import write_trajectories
 from sim.research.evaluation.traverses import Traverse, load_traverse
 from sim.world.recording import record_drive
 from sim.world.scenario import load_scenario
@@ -36,8 +35,8 @@ SHIPPED = Path(__file__).with_name("plans")
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
 
-def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
-    """All comparisons and experiments of a plan, section by section; trajectories are written into `folder`."""
+def run_plan(runner: MethodRunner) -> Iterator[Section]:
+    """All comparisons and experiments of a plan, section by section."""
     plan, wanted = runner.plan, runner.plan.experiments
     total = sum(len(runner.methods_for(pair)) for pair in plan.pairs)
     swept = len(experiments.sweep_pairs(plan))
@@ -53,7 +52,6 @@ def run_plan(runner: MethodRunner, folder: Path) -> Iterator[Section]:
         results = compare(runner, step)
         yield overview(runner, results)
         for pair in plan.pairs:
-            write_trajectories(folder, slug_of(pair), shown_outcome(runner, pair, results))
             yield pair_section(runner, pair, results)
         if wanted.sequence_lengths:
             yield experiments.sequence_lengths(runner, step)
@@ -98,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     runner = open_runner(plan, folders_of(args, path))
     for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
         runner.method(text)
-    sections = list(run_plan(runner, args.output))
+    sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(path, plan, runner), sections)
     _print_overview(sections[0])
     print(page)

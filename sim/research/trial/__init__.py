@@ -1,1 +1,1 @@
-"""Statistics of the trial: GPS that is wrong or honest, and recorded drives with the daemon of today."""
+"""Statistics of the trial: many drives of its courses, GPS that is wrong or honest, and recorded drives anew."""

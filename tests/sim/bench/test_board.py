@@ -10,7 +10,7 @@ import pytest
 
 from sim.bench.board import HEADER, Run, board_name, hottest_c, row, throttling
 
-DESK = "faiss,psutil,scipy,onnx,torch,panda3d,matplotlib,jinja2"
+DESK = "faiss,onnx,torch,panda3d,matplotlib,jinja2"
 WITHOUT = (
     "import sys; sys.modules.update(dict.fromkeys(sys.argv.pop(1).split(','))); from edge.__main__ import main; main()"
 )

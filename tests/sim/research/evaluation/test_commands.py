@@ -68,8 +68,6 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     page = (out / "report.html").read_text()
     for heading in ("Overview", "Sequence length", "Spacing", "Cold start", "Standing still"):
         assert heading in page
-    truth, answers = ((out / f"there_and_here_{name}.tum").read_text().splitlines() for name in ("truth", "answers"))
-    assert (len(truth), len(answers)) == (12, 9)  # the first 3 frames end no sequence
     standing = [row.split(",") for row in (out / "standing.csv").read_text().splitlines()[1:]]
     assert [int(row[3]) for row in standing] == [12, 12, 12]
 

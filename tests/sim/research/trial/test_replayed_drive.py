@@ -23,7 +23,7 @@ def replayed(shared: Path, tmp_path: Path) -> Callable[[str], Replayed]:
         folder = shared / "flights_b06f79e" / name
         if not folder.is_dir():
             pytest.skip(f"needs the recorded drive {folder}")
-        library = RoadLibrary(Network.load(), tmp_path / "views")
+        library = RoadLibrary(Network.load(), tmp_path / "views", cell_m=2)
         try:
             return replay(read_drive(folder), tmp_path, library)
         finally:
@@ -46,6 +46,7 @@ def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], Replayed])
     assert now.share == pytest.approx(then.share, abs=0.2)
 
 
+@pytest.mark.soak
 def test_a_pull_does_not_stall_the_velocity_filter(replayed: Callable[[str], Replayed]) -> None:
     """PX4 without a velocity aid: a position 161 m from its own took 13 m/s off its velocity, 75 m before the end."""
     found = replayed("px4_no_aid_person_296_w921")

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
+from sim.research.trial.table import HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run
 from sim.trial.run import drive
-from sim.trial.table import HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
