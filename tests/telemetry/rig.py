@@ -115,9 +115,9 @@ class Rig:
         self.pty = None
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Step both ends 20 ms at a time, as often as a vehicle's loop turns; whether `until` came true."""
-        for _ in range(round(seconds * 50)):
-            self.now_ns += 20_000_000
+        """Step both ends 10 ms at a time; whether `until` came true."""
+        for _ in range(round(seconds * 100)):
+            self.now_ns += 10_000_000
             if self.pty is not None:
                 self.autopilot.step()
             self.connection.poll()

@@ -261,11 +261,15 @@ def test_a_malformed_connection_is_refused_at_once() -> None:
 def test_recorded_autopilots_played_into_the_port(
     rig: Rig, read_tlog: Callable[[str], Iterator[tuple[int, bytes]]], recording: str
 ) -> None:
-    """All of it: link up, streams asked for, time base right, TIMESYNC answered, and no position in `report`."""
+    """Its first half minute at least: link up, streams asked for, time base right, TIMESYNC answered, no position."""
     sent, errors_s, codec, theirs, next_fix_ns = [], [], MavlinkCodec(1, 1), MavlinkCodec(1, 191), 0
+    began_ns = None
     pty = rig.pty
     assert pty is not None
     for rig.now_ns, frame in read_tlog(recording):
+        began_ns = began_ns or rig.now_ns
+        if rig.now_ns - began_ns > 30_000_000_000 and len(errors_s) >= 7:
+            break
         for message in theirs.decode(frame):
             boot_s = rig.connection.vehicle.boot_time_s(rig.now_ns)
             if message.get_type() == "TIMESYNC" and message.tc1 == 0 and boot_s is not None:

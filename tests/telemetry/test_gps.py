@@ -189,7 +189,7 @@ def test_the_loss_of_the_fix_is_noticed_after_a_second(rig: Rig) -> None:
     assert sky.state == "not healthy"
 
 
-@pytest.mark.parametrize("good_s", [0.25, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("good_s", [0.25, 1.0, 3.0])
 def test_gps_that_flickers_every_four_seconds_is_never_healthy_and_bounds_nothing(rig: Rig, good_s: float) -> None:
     sky, states = Sky(rig, NO_FIX), []
     sky.run(3.0)
