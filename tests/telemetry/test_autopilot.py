@@ -262,7 +262,8 @@ def test_recorded_autopilots_played_into_the_port(
     rig: Rig, read_tlog: Callable[[str], Iterator[tuple[int, bytes]]], recording: str
 ) -> None:
     """Its first half minute at least: link up, streams asked for, time base right, TIMESYNC answered, no position."""
-    sent, errors_s, codec, theirs, next_fix_ns = [], [], MavlinkCodec(1, 1), MavlinkCodec(1, 191), 0
+    sent, codec, theirs, next_fix_ns = [], MavlinkCodec(1, 1), MavlinkCodec(1, 191), 0
+    errors_s: list[float] = []
     began_ns = None
     pty = rig.pty
     assert pty is not None
