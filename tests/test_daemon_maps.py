@@ -197,13 +197,13 @@ def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
 
 
 def test_a_running_daemon_opens_its_maps_again_at_sighup(street: Path, tmp_path: Path) -> None:
-    process = start(tmp_path, street / "feed", street / "map", "udp:127.0.0.1:9")
-    assert process.stderr is not None
     said = []
-    for line in process.stderr:
-        said.append(line)
-        if "sampling:" in line:
-            process.send_signal(signal.SIGHUP)
-        if "maps opened again: 80 places" in line:
-            process.terminate()
-    assert process.wait(timeout=120) == 0 and "maps opened again" in "".join(said), said
+    with start(tmp_path, street / "feed", street / "map", "udp:127.0.0.1:9") as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            said.append(line)
+            if "sampling:" in line:
+                process.send_signal(signal.SIGHUP)
+            if "maps opened again: 80 places" in line:
+                process.terminate()
+    assert process.returncode == 0 and "maps opened again" in "".join(said), said
