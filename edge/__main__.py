@@ -91,7 +91,8 @@ def command() -> NoReturn:
     """`main`, and the end of the process.
 
     While it finalizes, the interpreter ends threads that still run in a driver or in the network by unwinding their C++
-    code, which may abort the process. So where there are any, the process ends at once, when all is written.
+    code, which may abort the process. So where there are any, the process ends at once, when all is written. The thread
+    of a progress bar is none of those, and what the bar leaves behind is a warning on Python 3.14.
     """
     sys.stdout, sys.stderr = (cast("TextIO", PlainText(one)) for one in (sys.stdout, sys.stderr))
     code: str | int | None
@@ -99,7 +100,8 @@ def command() -> NoReturn:
         code = main()
     except SystemExit as stop:
         code = stop.code
-    if isinstance(code, int) and any(thread.daemon for thread in threading.enumerate()):
+    hanging = [one for one in threading.enumerate() if one.daemon and not type(one).__module__.startswith("tqdm.")]
+    if isinstance(code, int) and hanging:
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

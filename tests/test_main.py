@@ -202,7 +202,7 @@ def test_the_default_config_can_be_printed_and_used(
 
 def test_a_reader_that_goes_away_is_no_error(traverse: Path, street_map: Path) -> None:
     command = (
-        f'"{sys.executable}" -m edge replay "{traverse}" --map "{street_map}" --sequence-length 2 --all | head -n 1'
+        f'"{sys.executable}" -um edge replay "{traverse}" --map "{street_map}" --sequence-length 2 --all | head -n 1'
     )
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stdout.count("\n") == 1

@@ -3,7 +3,8 @@
 healthy      a receiver has reported a 3-D fix of good accuracy for RETURN_NS, and the filter uses it
 not healthy  no receiver has reported one for LOST_NS, after a short return for RETURN_NS, and all that were heard
              still report
-unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use
+unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use,
+             reports of two senders in turns
 
 Only "not healthy" permits positions. GPS that comes and goes within RETURN_NS is unknown throughout: the filter follows
 it, and is better at that alone.
@@ -18,6 +19,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.geodesy import PositionSource, VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, GpsFix, GpsState
 from edge.telemetry.codec import Message
+from edge.telemetry.position_history import Alternation
 
 FRESH_NS = 3_000_000_000
 LOST_NS = 1_000_000_000
@@ -40,6 +42,7 @@ SOURCES: dict[int, PositionSource] = {
     mavlink.GPS_FIX_TYPE_PPP: "ppp",
 }
 UNSTEADY = "its fix has just come or gone"
+TAKES_TURNS = "two senders report in turns"
 GLITCHES = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: 1 << 15,  # EKF_GPS_GLITCHING, in EKF_STATUS_REPORT
     mavlink.MAV_AUTOPILOT_PX4: mavlink.ESTIMATOR_GPS_GLITCH,
@@ -58,9 +61,11 @@ class Receiver:
         self.at = (0.0, 0.0)
         """Latitude and longitude in degrees (WGS 84)."""
         self._good_ns: int | None = None  # since when it has been
+        self._fix_ns: int | None = None  # of the newest good fix
         self._bad_ns: int | None = None
         self._lost_ns = LOST_NS
         self._is_healthy = self._had_outage = False
+        self.alternation = Alternation(APART_M, LOST_NS)
 
     @property
     def sigma_m(self) -> float:
@@ -77,6 +82,7 @@ class Receiver:
         by_hdop_m = M_PER_HDOP * message.eph / 100 if message.eph != UNREPORTED else 0.0
         is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._is_healthy else GOOD_M)
         if is_good and (message.lat or message.lon):
+            self._notice_turn(message, now_ns)
             self.at = message.lat / 1e7, message.lon / 1e7
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
             self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
@@ -85,6 +91,17 @@ class Receiver:
                 was_followed = not self._is_healthy and now_ns - self._good_ns >= FOLLOWED_NS
                 self._lost_ns = RETURN_NS if was_followed else LOST_NS
             self._good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
+
+    def _notice_turn(self, message: Message, now_ns: int) -> None:
+        """Fixes in two places, or a fix and none, in turns: a stranger forges some of them."""
+        is_known = UNREPORTED not in (message.vel, message.cog)
+        speed_mps, course_rad = (message.vel / 100, math.radians(message.cog / 100)) if is_known else (0.0, 0.0)
+        east_mps, north_mps = speed_mps * math.sin(course_rad), speed_mps * math.cos(course_rad)
+        at = message.lat / 1e7, message.lon / 1e7
+        self.alternation.add(VehiclePosition(now_ns, *at, 0.0, None, speed_mps, east_mps, north_mps), now_ns)
+        if self._good_ns is None and self._fix_ns is not None and now_ns - self._fix_ns <= LOST_NS:
+            self.alternation.notice(now_ns)
+        self._fix_ns = now_ns
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether it has not been heard for three seconds, or never."""
@@ -108,6 +125,8 @@ class Gps:
 
     def __init__(self) -> None:
         self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
+        self._alternation = Alternation()  # of the filter's flags
+        self._used_ns: int | None = None
         self._flags_ns: int | None = None
         self._unused_ns: int | None = None  # since when the filter has not used it
         self._absent: tuple[int, int] | None = None  # since when SYS_STATUS says so, and when it did last
@@ -116,6 +135,9 @@ class Gps:
         """The flags of EKF_STATUS_REPORT (ArduPilot) or ESTIMATOR_STATUS (PX4)."""
         is_used = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)
         self._flags_ns = now_ns
+        if is_used and self._unused_ns and self._used_ns and now_ns - self._used_ns <= LOST_NS:
+            self._alternation.notice(now_ns)
+        self._used_ns = now_ns if is_used else self._used_ns
         self._unused_ns = None if is_used else self._unused_ns or now_ns
 
     def read_sensors(self, present: int, now_ns: int) -> None:
@@ -125,11 +147,15 @@ class Gps:
         else:
             self._absent = (self._absent or (now_ns, now_ns))[0], now_ns
 
+    def takes_turns(self, now_ns: int) -> bool:
+        """Whether two senders report in turns, of whom one may be a stranger: then nothing says where GPS is."""
+        return any(one.is_found(now_ns) for one in (self._alternation, *(one.alternation for one in self.receivers)))
+
     def receiver_state(self, now_ns: int) -> GpsState:
         """By the receivers alone, whether or not the filter uses them."""
         first, second = (one.state(now_ns) for one in self.receivers)
         if "healthy" in (first, second):
-            return "healthy"
+            return "unknown" if self.takes_turns(now_ns) else "healthy"
         if self.receivers[0].heard_ns is None and self._is_absent(now_ns):
             first = "not healthy"
         if self.receivers[1].heard_ns is None:
@@ -148,6 +174,8 @@ class Gps:
             return ""
         if self.receiver_state(now_ns) == "healthy":
             return "unused by the autopilot"
+        if self.takes_turns(now_ns):
+            return TAKES_TURNS
         silent = [one.name for one in self.receivers if one.state(now_ns) == "unknown" and one.is_silent(now_ns)]
         return f"no {silent[0]}" if silent else UNSTEADY
 
@@ -161,7 +189,7 @@ class Gps:
 
         Nor where the filter reports that it does not use GPS.
         """
-        if own is None or (self._unused_ns and self._hears_filter(now_ns)):
+        if own is None or self.takes_turns(now_ns) or (self._unused_ns and self._hears_filter(now_ns)):
             return None
         near = [one for one in self.receivers if one.state(now_ns) == "healthy" and _is_near(one, own)]
         return max(near, key=lambda one: one.sigma_m, default=None)
@@ -171,7 +199,7 @@ class Gps:
 
         None without a healthy receiver, and without the autopilot's velocity.
         """
-        if own is None:
+        if own is None or self.takes_turns(now_ns):
             return None
         sigma_m, at, at_ns = self.bound_m(own, now_ns), (own.lat_deg, own.lon_deg), own.stamp_ns
         if sigma_m is None:

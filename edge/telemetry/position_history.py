@@ -22,6 +22,8 @@ JUMP_M, JUMP_SHARE = 3.0, 0.5
 TURNS, TURNS_NS, BACK_NS = 3, 10_000_000_000, 500_000_000
 """How often within TURNS_NS one is back after at most BACK_NS, before two autopilots are found: a single one reboots
 once in that time, its filters (EKF lanes) take turns less often, and resets are sent a second apart."""
+JUMP_MPS, STRONGEST_MPS2 = 3.0, 9.8
+"""Two velocities that differ by more, beyond what friction or leaning can do (`DeadReckoning`), are of two senders."""
 
 
 class PositionHistory:
@@ -57,19 +59,26 @@ class PositionHistory:
 
 
 class Alternation:
-    """Whether two autopilots send with the same ids: their positions come in turns, or their clocks seem to go back."""
+    """Whether two senders have the same ids: what they report comes in turns, or their clocks seem to go back.
 
-    def __init__(self) -> None:
+    The other one is a second autopilot, or a stranger who forges messages.
+    """
+
+    def __init__(self, jump_m: float = JUMP_M, back_ns: int = BACK_NS) -> None:
+        self._jump_m, self._back_ns = jump_m, back_ns
         self._newest: VehiclePosition | None = None
-        self._left: VehiclePosition | None = None  # the newest before the last jump
+        # By what jumps, position or velocity: the newest before the last jump.
+        self._left: dict[Callable[[VehiclePosition, VehiclePosition], bool], VehiclePosition] = {}
         self._noticed_ns: deque[int] = deque(maxlen=TURNS)
 
     def add(self, position: VehiclePosition, now_ns: int) -> None:
         """A position; a reset moves it once, and it is back soon only where another one sent those between."""
-        left, before, self._newest = self._left, self._newest, position
-        if before is not None and _differ(before, position):
-            self._left = before
-            if left is not None and position.stamp_ns - left.stamp_ns <= BACK_NS and not _differ(left, position):
+        before, self._newest = self._newest, position
+        for differ in (self._jumped, _turned):
+            if before is None or not differ(before, position):
+                continue
+            left, self._left[differ] = self._left.get(differ), before
+            if left and position.stamp_ns - left.stamp_ns <= self._back_ns and not differ(left, position):
                 self.notice(now_ns)
 
     def notice(self, now_ns: int) -> None:
@@ -82,10 +91,15 @@ class Alternation:
         is_often = len(noticed_ns) == TURNS and noticed_ns[-1] - noticed_ns[0] <= TURNS_NS
         return is_often and now_ns - noticed_ns[-1] <= TURNS_NS
 
+    def _jumped(self, first: VehiclePosition, second: VehiclePosition) -> bool:
+        """Whether two positions cannot be of one vehicle that moves by its velocity."""
+        return _jumped(first, second, (second.stamp_ns - first.stamp_ns) / 1e9, self._jump_m)
 
-def _differ(first: VehiclePosition, second: VehiclePosition) -> bool:
-    """Whether two positions cannot be of one vehicle that moves by its velocity."""
-    return _jumped(first, second, (second.stamp_ns - first.stamp_ns) / 1e9)
+
+def _turned(first: VehiclePosition, second: VehiclePosition) -> bool:
+    """Whether two velocities cannot be of one vehicle."""
+    changed_mps = math.hypot(second.east_mps - first.east_mps, second.north_mps - first.north_mps)
+    return changed_mps > JUMP_MPS + STRONGEST_MPS2 * (second.stamp_ns - first.stamp_ns) / 1e9
 
 
 def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:
@@ -116,13 +130,13 @@ def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> 
     )
 
 
-def _jumped(before: VehiclePosition, after: VehiclePosition, gap_s: float) -> bool:
+def _jumped(before: VehiclePosition, after: VehiclePosition, gap_s: float, jump_m: float = JUMP_M) -> bool:
     east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
     by_velocity_m = [
         (first + second) / 2 * gap_s
         for first, second in ((before.east_mps, after.east_mps), (before.north_mps, after.north_mps))
     ]
-    allowed_m = JUMP_M + JUMP_SHARE * math.hypot(*by_velocity_m)
+    allowed_m = jump_m + JUMP_SHARE * math.hypot(*by_velocity_m)
     return math.hypot(east_m - by_velocity_m[0], north_m - by_velocity_m[1]) > allowed_m
 
 

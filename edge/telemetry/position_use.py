@@ -82,7 +82,10 @@ class PositionUse:
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The autopilot has answered the newest position."""
         verdict = VERDICTS.get(result, "not now")
-        if self._unanswered is None or verdict == "wait":
+        if verdict == "wait":
+            return
+        if self._unanswered is None:
+            self.is_off &= verdict == "never"  # of two answers to one position, a stranger may have forged the refusal
             return
         fix, _, _ = self._unanswered
         self._unanswered = None

@@ -74,7 +74,11 @@ class SourceSelection:
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """COMMAND_ACK of 42007 that was addressed to us."""
         verdict = VERDICTS.get(result, "not now")
-        if self._asked is None or verdict == "wait":
+        if verdict == "wait":
+            return
+        if self._asked is None:  # of two answers, a stranger may have forged the first: ask again where they differ
+            self._refused &= verdict == "never"
+            self._selected = self._selected if verdict == "accepted" else None
             return
         number, _ = self._asked
         if verdict != "accepted":

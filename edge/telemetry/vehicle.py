@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.geodesy import VehiclePosition
+from edge.geodesy import VehiclePosition, moved
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.confirmation import JUMP_MS, AnotherClock, Modes, Origin, Origins
@@ -25,6 +25,7 @@ LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
 DOUBLED = "two autopilots have the same ids"
+POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 HEADING_UNKNOWN = 65535
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
@@ -58,7 +59,7 @@ class Vehicle(VehicleMotion):
         self._origins, self._another_clock = Origins(), AnotherClock()
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
-        self._alternation = Alternation()
+        self._alternation, self._local_alternation = Alternation(), Alternation()
         self._heard_ns: dict[int, int] = {}  # heartbeats, by system
         self._message_ns: dict[int, int] = {}  # of this session, by message id
         self._clock = BootClock()
@@ -97,13 +98,13 @@ class Vehicle(VehicleMotion):
             return False
         self._message_ns[message.get_msgId()] = now_ns
         reader = self._handlers.get(message.get_msgId())
-        if reader is not None and (not self.is_doubled or reader == self._read_global_position):
+        if reader is not None and (not self.is_doubled or message.get_msgId() in POSITIONS):
             reader(message, now_ns)
             self._notice_double(now_ns)
         return True
 
     def _notice_double(self, now_ns: int) -> None:
-        if self._alternation.is_found(now_ns) != self.is_doubled:
+        if any(one.is_found(now_ns) for one in (self._alternation, self._local_alternation)) != self.is_doubled:
             self.is_doubled = not self.is_doubled
             log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
             self._start_session(is_same_vehicle=False)
@@ -233,6 +234,10 @@ class Vehicle(VehicleMotion):
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         if stamp_ns is None:
+            return
+        at = stamp_ns, *moved(0.0, 0.0, message.y, message.x), 0.0, None
+        self._local_alternation.add(VehiclePosition(*at, 0.0, message.vy, message.vx), now_ns)
+        if self.is_doubled:
             return
         self._origins.add_local(stamp_ns, message.y, message.x)
         own = self.position(now_ns)

@@ -1,6 +1,6 @@
 #!/bin/bash
 # Boot a real Debian in a container, install Lookback as README says, and try what happens to a service: starts, crashes,
-# hangs, missing devices, unreadable paths, updates, failed and killed updates, the Debian package, removal.
+# hangs, missing devices, unreadable paths, updates, failed and killed updates, a rollback, the Debian package, removal.
 # Usage: sudo tests/systemd/boot.sh [WORK]   (default /var/tmp/lookback-boot; about 3 GB, kept for the next run)
 # Needs mmdebstrap and systemd-container; PYTHON with Lookback's packages makes the map (default .venv/bin/python).
 # Exit code 77: this computer cannot boot one, and why. DEB=FILE uses a package that build-deb.sh has made for Debian 12.
@@ -82,7 +82,7 @@ write_config() { # KEY=VALUE of one line that is changed
     esac >"$root/etc/lookback/lookback.toml"
 }
 
-make_data() { # a feed that plays for ten minutes, and a map of its beginning
+make_data() { # a feed that plays for four hours, longer than all of this on a slow machine, and a map of its beginning
     [ -e "$work/data/map" ] || (cd "$here" && "$python" - "$work/data" <<'PYTHON'
 import sys
 from pathlib import Path
@@ -96,10 +96,13 @@ from edge.feed import FeedHeader, FeedWriter, read_feed
 folder = Path(sys.argv[1])
 folder.mkdir(parents=True)
 pictures = np.random.default_rng(0).integers(0, 256, (8, 96, 128, 3), dtype=np.uint8)
-for name, frames in (("feed", 600), ("beginning", 8)):
+for name in ("feed", "beginning"):
     with FeedWriter(folder / name, FeedHeader(name, "front", 128, 96)) as writer:
-        for index in range(frames):
-            writer.write(pictures[index % 8], 1_000_000_000 * (index + 1))
+        for index in range(8):
+            writer.write(pictures[index], 1_000_000_000 * (index + 1))
+files = [row.file for row in read_feed(folder / "feed").rows]
+rows = [f"{files[second % 8]},{1_000_000_000 * (second + 1)}" for second in range(4 * 3600)]
+(folder / "feed/frames.csv").write_text("\n".join(["file,stamp_ns", *rows, ""]))
 build_map([read_feed(folder / "beginning")], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
 PYTHON
     )
@@ -195,6 +198,22 @@ try_updates() {
     step "killed update: the next run cleans up"
 }
 
+try_rollback() { # of a version that accepts the config, starts, and crashes after 15 s
+    local before
+    before=$(inside lookback --version)
+    rm -rf "$root/srv/broken" && cp -r "$root/srv/lookback" "$root/srv/broken"
+    sed -i '/^class Daemon/i import os, threading\nthreading.Timer(15, os._exit, [1]).start()\n' \
+        "$root/srv/broken/edge/daemon.py"
+    sed -i 's/^__version__ = .*/__version__ = "9.9"/' "$root/srv/broken/edge/__init__.py"
+    inside /srv/broken/systemd/install.sh >"$work/rollback.txt" 2>&1 && fail "a version that crashes was installed"
+    grep -q "so the old one is back" "$work/rollback.txt" || fail "rollback: $(tail -n 5 "$work/rollback.txt")"
+    [ "$(inside lookback --version)" = "$before" ] || fail "after the rollback: $(inside lookback --version)"
+    wait_for 60 is_active || fail "the old version does not run again"
+    [ "$(ls "$root/opt")" = lookback ] || fail "left in /opt: $(ls "$root/opt")"
+    step "rollback: a version that crashes is taken back, $before runs"
+    rm -rf "$root/srv/broken"
+}
+
 what_is_left() { # of Lookback, but for what this script and systemd's journal have put there
     find "$root" -xdev \( -path "$root/srv" -o -path "$root/proc" -o -path "$root/sys" -o -path "$root/var/log" \
         -o -path "$root/tmp" -o -path "$root/root" \) -prune -o -iname '*lookback*' -print
@@ -236,6 +255,11 @@ try_package() {
     [ "$(property MainPID)" != "$before" ] && is_active || fail "the upgrade did not restart the service"
     [ "$(inside systemctl is-enabled lookback || true)" = disabled ] || fail "the upgrade enabled the service"
     step "package: upgraded without a question; config and disabled service as they were"
+    inside dpkg --remove lookback >"$work/deb.txt" 2>&1 || fail "remove: $(tail -n 5 "$work/deb.txt")"
+    inside dpkg --install /srv/lookback.deb >"$work/deb.txt" 2>&1 </dev/null || fail "again: $(tail -n 5 "$work/deb.txt")"
+    [ "$config" = "$(md5sum <"$root/etc/lookback/lookback.toml")" ] || fail "removed and installed: the config is changed"
+    inside systemctl start lookback && is_active || fail "removed and installed: it does not start"
+    step "package: removed, and installed again with its config"
     inside systemctl enable --quiet lookback-camera.socket
     inside dpkg --purge lookback >"$work/deb.txt" 2>&1 || fail "purge: $(tail -n 5 "$work/deb.txt")"
     left=$(what_is_left)
@@ -263,5 +287,6 @@ try_crash_and_hang
 try_unreadable_paths
 try_missing_port_at_boot
 try_updates
+try_rollback
 try_package
 step "all passed"

@@ -8,8 +8,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.journal.records import FixAnswered
 from edge.telemetry.confirmation import Origin
+from edge.telemetry.source_selection import VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
+from tests.telemetry.rig import Rig
 from tests.telemetry.speaker import S, Speaker, connect
 
 
@@ -116,3 +119,85 @@ def test_an_autopilot_that_is_reset_each_second_is_one(steps: int = 60) -> None:
         boot_ms = 100 * tick + (500_000 if tick < 5 * steps else 0)
         vehicle.handle(speaker.fix(boot_ms, 0.8 * tick + off_m, 8.0, 0.0), 2 * S + tick * S // 10)
         assert not vehicle.is_doubled
+
+
+def gps_report(north_m: float, fix: int = 3) -> Any:
+    return mavlink.MAVLink_gps_raw_int_message(0, fix, degrees(north_m), 1530000000, 0, 80, 100, 800, 0, 12, h_acc=1500)
+
+
+def filter_report(*, uses_gps: bool) -> Any:
+    return mavlink.MAVLink_estimator_status_message(0, 831 if uses_gps else 167, *[0.0] * 8)
+
+
+def degrees(north_m: float) -> int:
+    return round((-27.0 + north_m / 110_773) * 1e7)
+
+
+def stranger(kind: str, boot_ms: int, north_m: float) -> list[Any]:
+    """What is forged when the vehicle is there."""
+    if kind == "second receiver":
+        far = mavlink.MAVLink_gps2_raw_message(0, 3, degrees(north_m + 300), 1530000000, 0, 80, 100, 800, 0, 12, 0, 0)
+        return [far, filter_report(uses_gps=True)]
+    at = degrees(north_m), 1530000000, 0, 0
+    return {
+        "fix": [gps_report(north_m + 300)],
+        "no fix": [gps_report(north_m, fix=1)],
+        "velocity": [mavlink.MAVLink_global_position_int_message(boot_ms, *at, 30_000, 0, 0, 0)],
+        "local velocity": [mavlink.MAVLink_local_position_ned_message(boot_ms, north_m, 0, 0, 300, 0, 0)],
+    }[kind]
+
+
+@pytest.mark.parametrize("period_ms", [20, 1000])
+@pytest.mark.parametrize("lost", [False, True], ids=["healthy", "lost"])
+@pytest.mark.parametrize("kind", ["fix", "no fix", "second receiver", "velocity", "local velocity"])
+def test_forged_gps_and_motion_beside_the_autopilots_stop_positions(kind: str, lost: bool, period_ms: int) -> None:
+    """Three seconds after a stranger begins neither GPS nor the motion is known, and none of his is used."""
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for ms in range(0, 8000, 10):
+        now_ns, boot_ms, north_m = 2 * S + ms * 1_000_000, 500_000 + ms, 0.008 * ms
+        has_fix = ms < 2000 or not lost
+        said: list[Any] = []
+        if ms % 1000 == 0:
+            said.append(mavlink.MAVLink_heartbeat_message(10, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 4, 3))
+        if ms % 100 == 0:
+            vehicle.handle(speaker.fix(boot_ms, north_m, 8.0, 0.0), now_ns)
+            said.append(mavlink.MAVLink_local_position_ned_message(boot_ms, north_m, 0, 0, 8, 0, 0))
+        if ms % 250 == 0:
+            said += [gps_report(north_m, 3 if has_fix else 1), filter_report(uses_gps=has_fix)]
+        if ms > 2000 and ms % period_ms == 50 % period_ms:
+            said += stranger(kind, boot_ms, north_m)
+        for message in said:
+            vehicle.handle(speaker.say(message), now_ns)
+        if ms < 5500:
+            continue
+        fix, speed_mps = vehicle.gps.fix(vehicle.position(now_ns), now_ns, now_ns), vehicle.speed_mps(now_ns)
+        assert fix is None or abs((fix.lat_deg + 27.0) * 110_773 - north_m) < 3.0
+        assert speed_mps is None or speed_mps == pytest.approx(8.0)
+        if "velocity" in kind:
+            assert vehicle.is_doubled
+        elif lost or kind == "fix":
+            assert vehicle.gps.receiver_state(now_ns) != "healthy"
+
+
+external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
+
+
+@external
+def test_a_forged_refusal_before_the_autopilots_answer_stops_positions_for_a_moment(rig: Rig) -> None:
+    rig.run(4.0)
+    assert rig.connection.send_position(rig.fix())
+    rig.autopilot.send(mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 191))
+    rig.run(2.0)
+    assert [record.result for record in rig.journalled(FixAnswered)] == ["DENIED"]
+    assert rig.connection.send_position(rig.fix())
+
+
+@pytest.mark.parametrize(("forged", "true"), [("ACCEPTED", "FAILED"), ("DENIED", "ACCEPTED")])
+def test_a_set_of_sources_is_asked_for_again_where_two_answers_differ(forged: str, true: str) -> None:
+    sources = SourceSelection(connect(Speaker()), lambda record: None, lambda text: None)
+    sources.wanted = VISION_SET
+    assert len(sources.due(S)) == 1
+    for second, answer in ((1.1, forged), (1.2, true)):
+        sources.read_acknowledgement(getattr(mavlink, f"MAV_RESULT_{answer}"), round(second * S))
+    assert len(sources.due(4 * S)) == 1
