@@ -16,10 +16,11 @@ from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
 from sim.trial.run import drafted, drive
+from sim.trial.take_me_home import AT_NIGHT
 from sim.trial.views import RoadLibrary
 from sim.vehicle.protection import LIMIT_M
 
-COURSE, SEED, WORLD, LENGTH_M = "take-me-home-night", 1, 21, 560.0
+COURSE, SEED, WORLD, LENGTH_M = AT_NIGHT, 1, 21, 560.0
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 

@@ -142,3 +142,16 @@ class Draft:
 def is_command(message: Message, command: int) -> bool:
     """Whether a message is this command, as COMMAND_LONG or COMMAND_INT."""
     return bool(getattr(message, "command", None) == command)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A drive that something may go wrong on.
+
+    lay: changes the usual draft. about: a line for people. least_m: the shortest road on which it can be driven.
+    """
+
+    case: str
+    lay: Callable[[Draft], None]
+    about: str
+    least_m: float = 0.0

@@ -41,8 +41,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import ORIGIN_ALT_M, geodetic
 from sim.trial.cameras import PlacedNetwork
-from sim.trial.courses import COURSES
-from sim.trial.draft import Draft, Stretch
+from sim.trial.draft import Course, Draft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.rules import Array, Run, Sent, Track, failures, within_protection_level
 from sim.trial.simulation import STEP_S, Silent, Simulation
@@ -69,12 +68,12 @@ RIG = RigConfig(
 """Of the simulated rig, as `lookback calibrate` measures it."""
 
 
-def drive(name: str, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> Run:
+def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> Run:
     """Drive a course once with the daemon and once without; its journal stays in `folder`."""
     network = PlacedNetwork.load()
     assert isinstance(network, PlacedNetwork)
     network.library = library
-    draft = drafted(name, seed, length_m, world)
+    draft = drafted(course, seed, length_m, world)
     with TemporaryDirectory(dir=folder) as passing:
         map_path = Path(passing) / "map"
         if draft.maps_live:
@@ -85,7 +84,7 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
             simulation = Simulation(draft, link, seed)
             simulation.show(network)
             _run_daemon(simulation, draft, link, map_path, folder, network)
-    alone = Simulation(drafted(name, seed, length_m, world), Silent(), seed)
+    alone = Simulation(drafted(course, seed, length_m, world), Silent(), seed)
     while not alone.ended:
         alone.step()
         if draft.origin_m is not None:
@@ -93,9 +92,8 @@ def drive(name: str, seed: int, length_m: float, world: int, folder: Path, libra
     return _judged(seed, draft, simulation, alone, folder / JOURNAL)
 
 
-def drafted(name: str, seed: int, length_m: float, world: int) -> Draft:
+def drafted(course: Course, seed: int, length_m: float, world: int) -> Draft:
     """The course of a seed."""
-    course = COURSES[name]
     draft = Draft(np.random.default_rng([seed, 7]), max(length_m, course.least_m), world)
     course.lay(draft)
     return draft

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
+from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.table import HEADER, MARKS, CourseScore, in_short, line, put_between
-from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run
 from sim.trial.run import drive
 from sim.trial.views import RoadLibrary
@@ -162,7 +162,7 @@ def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s
                 break
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
-            runs[one] = drive(one.course, one.seed, length_m, one.world, journals, library)
+            runs[one] = drive(COURSES[one.course], one.seed, length_m, one.world, journals, library)
             print(line(one.course, runs[one]), flush=True)
     finally:
         library.save()

@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 
 from edge.descriptor.network import Network
+from sim.research.trial import gps_histories
 from sim.research.trial.gps_drives import CALLED_M, DRIVES, WORLDS, Outcome, PlacedDrive, build_map, judge, place
-from sim.trial import gps_histories
-from sim.trial.gps_histories import DRAG_MPS, TURNS_DEG, History
+from sim.research.trial.gps_histories import DRAG_MPS, TURNS_DEG, History
 from sim.trial.views import RoadLibrary
 
 

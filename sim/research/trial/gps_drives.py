@@ -29,7 +29,7 @@ from edge.reference_map.store import RegionsKey
 from edge.sequence import PlaceMatch
 from edge.sequence_matcher import SequenceMatcher
 from sim import ORIGIN_ALT_M, geodetic
-from sim.trial.gps_histories import Array, History
+from sim.research.trial.gps_histories import Array, History
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.run import RIG, map_scenario
 from sim.trial.views import RoadLibrary

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from edge.journal.records import FixSent
 from edge.localization.velocity_error import PULLED_MPS_PER_M, PULLED_NS, VelocityError
 from sim.journal import records_of
+from sim.research.trial.courses.streams import WANDER_MPS
 from sim.research.trial.recorded_drive import read_columns
-from sim.trial.courses.streams import WANDER_MPS
 
 FRAMES, SPACING_M = 40, 2.0
 GPS_S = 9.0

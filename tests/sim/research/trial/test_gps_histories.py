@@ -10,9 +10,8 @@ import pytest
 from edge.geodesy import moved
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
-from sim.research.trial import gps_command
+from sim.research.trial import gps_command, gps_histories
 from sim.research.trial.gps_drives import Outcome, PlacedDrive, PlacedFrame, judge
-from sim.trial import gps_histories
 from sim.vehicle.position_inputs import east_north_m
 from tests.localization.route_bench import HOME, Stretch, build_maps, road_line
 

@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from sim.trial.courses.registry import course
+from sim.research.trial.course_rules import not_with_gps, sends, sources_restored, warns_of_another
+from sim.research.trial.courses.registry import course
 from sim.trial.draft import DOWN_S, GPS_S, Draft, is_command
-from sim.trial.rules import (
-    no_false_place,
-    not_with_gps,
-    not_worse,
-    resumes,
-    sends,
-    sources_restored,
-    warns_of_another,
-    within_sigmas,
-)
+from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 

@@ -5,15 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from sim.trial.courses.registry import course
+from sim.research.trial.course_rules import sends
+from sim.research.trial.courses.registry import course
 from sim.trial.draft import Draft, Stretch
-from sim.trial.rules import (
-    no_false_place,
-    not_worse,
-    resumes,
-    sends,
-    within_sigmas,
-)
+from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import Way, along
 from sim.vehicle.driver import Leg
 

@@ -7,15 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.trial.courses.registry import course
+from sim.research.trial.course_rules import sends
+from sim.research.trial.courses.registry import course
 from sim.trial.draft import Draft
-from sim.trial.rules import (
-    no_false_place,
-    not_worse,
-    resumes,
-    sends,
-    within_sigmas,
-)
+from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 
 
 @course("F", "odometer{:+d}", -15, -3, 3, 12)

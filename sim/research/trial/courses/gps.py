@@ -9,23 +9,20 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import Message
-from sim.trial import gps_histories
-from sim.trial.courses.registry import course
-from sim.trial.draft import GPS_S, Draft, Stretch, is_command
-from sim.trial.rules import (
+from sim.research.trial import gps_histories
+from sim.research.trial.course_rules import (
     back_to_usual,
     called_before_50_m,
     called_on_map,
     called_soon,
     never_called,
     never_sent,
-    no_false_place,
-    not_worse,
-    resumes,
     sends,
     warned_before_50_m,
-    within_sigmas,
 )
+from sim.research.trial.courses.registry import course
+from sim.trial.draft import GPS_S, Draft, Stretch, is_command
+from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import along
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport

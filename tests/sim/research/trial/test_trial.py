@@ -14,10 +14,11 @@ import pytest
 
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
+from sim.research.trial import course_rules
 from sim.research.trial import fixes_command as command
+from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial import rules
-from sim.trial.courses import CASES, COURSES, courses_of
 from sim.trial.rules import Run, Sent, Track
 from sim.trial.run import drafted, drive, map_scenario
 from sim.trial.views import RoadLibrary
@@ -60,7 +61,7 @@ def library(make_once: Callable[..., Path]) -> Iterator[RoadLibrary]:
 
 def _render_lanes(folder: Path) -> None:
     found = RoadLibrary(Network.load(), folder)
-    home = drafted("home", 1, LENGTH_M, WORLD).home
+    home = drafted(COURSES["home"], 1, LENGTH_M, WORLD).home
     for route_m in range(0, int(LENGTH_M) + 1):
         found[home].raw(route_m)
         if route_m % 2 == 0:
@@ -72,16 +73,16 @@ def _render_lanes(folder: Path) -> None:
 @pytest.mark.parametrize("name", SMALL)
 def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> None:
     seed = SEEDS.get(name, 1)
-    run = drive(name, seed, LENGTH_M, WORLD, tmp_path, library)
+    run = drive(COURSES[name], seed, LENGTH_M, WORLD, tmp_path, library)
     assert not run.failures, f"{name}, seed {seed}: {line(name, run)}"
 
 
 def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
     assert {name for case in CASES for name in courses_of(case)} == set(COURSES)
-    for name, one in COURSES.items():
+    for one in COURSES.values():
         assert one.about
         for seed in (1, 2):
-            draft = drafted(name, seed, LENGTH_M, WORLD)
+            draft = drafted(one, seed, LENGTH_M, WORLD)
             assert draft.way.length_m > 300
             assert draft.legs[-1].to_m < draft.way.length_m
 
@@ -117,10 +118,10 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
         (rules.not_worse, run_of(), ""),
         (rules.not_worse, run_of(track=replace(straight(), error_m=np.full(600, 7.0))), "error 7.0 m, alone 5.0 m"),
         (rules.not_worse, run_of(track=replace(straight(), left_m=np.full(600, -2.0))), "cross-track 2.0 m, alone 0.0"),
-        (rules.close, run_of(error_m=3.5), "median after 3.5 m"),
-        (rules.close, run_of(after_m=np.array([])), "no position used"),
-        (rules.sends, run_of(), ""),
-        (rules.sends, run_of(sent=NOTHING), "share sent 0.00"),
+        (course_rules.close, run_of(error_m=3.5), "median after 3.5 m"),
+        (course_rules.close, run_of(after_m=np.array([])), "no position used"),
+        (course_rules.sends, run_of(), ""),
+        (course_rules.sends, run_of(sent=NOTHING), "share sent 0.00"),
         (rules.resumes, run_of(), ""),
         (rules.resumes, run_of(sent=NOTHING), "none for 350 m at 42"),
         (rules.resumes, run_of(sent=Sent(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
@@ -128,30 +129,38 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
         (rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
         (rules.on_its_lane, run_of(), ""),
         (rules.on_its_lane, run_of(track=replace(straight(), left_m=np.full(600, -6.0))), "cross-track 6.0 m"),
-        (rules.never_sent, run_of(), "50 sent"),
-        (rules.not_with_gps, run_of(), ""),
-        (rules.not_with_gps, run_of(track=replace(straight(), gps=straight().time_s > 40)), "17 sent with GPS"),
-        (rules.sources_restored, run_of(source_set=2), "ends on source set 2"),
-        (rules.warns, run_of(), "no warning"),
-        (rules.warns, run_of(texts=((20.0, 4, "positions are not used"),)), ""),
-        (rules.called_before_50_m, run_of(), ""),
-        (rules.called_before_50_m, run_of(track=DRAGGED, texts=CALLED), ""),
-        (rules.called_before_50_m, run_of(track=replace(straight(), error_m=np.full(600, 60.0))), "60 m before a call"),
-        (rules.called_soon, run_of(), ""),
-        (rules.called_soon, run_of(track=DRAGGED, texts=CALLED), ""),
-        (rules.called_soon, run_of(track=DRAGGED), "not called for 3"),
-        (rules.never_called, run_of(), ""),
-        (rules.never_called, run_of(texts=CALLED), "called at 30 s"),
-        (rules.never_called, run_of(texts=WARNED), "warned at 30 s"),
-        (rules.warned_before_50_m, run_of(texts=WARNED), ""),
-        (rules.warned_before_50_m, run_of(texts=CALLED), ""),
-        (rules.warned_before_50_m, run_of(), "no warning"),
-        (rules.warned_before_50_m, run_of(track=replace(straight(), error_m=np.full(600, 60.0)), texts=WARNED), "60 m"),
-        (rules.back_to_usual, run_of(track=DRAGGED), ""),
-        (rules.back_to_usual, run_of(texts=CALLED), ""),
-        (rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
-        (rules.first_in_time, run_of(), ""),
-        (rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
+        (course_rules.never_sent, run_of(), "50 sent"),
+        (course_rules.not_with_gps, run_of(), ""),
+        (course_rules.not_with_gps, run_of(track=replace(straight(), gps=straight().time_s > 40)), "17 sent with GPS"),
+        (course_rules.sources_restored, run_of(source_set=2), "ends on source set 2"),
+        (course_rules.warns, run_of(), "no warning"),
+        (course_rules.warns, run_of(texts=((20.0, 4, "positions are not used"),)), ""),
+        (course_rules.called_before_50_m, run_of(), ""),
+        (course_rules.called_before_50_m, run_of(track=DRAGGED, texts=CALLED), ""),
+        (
+            course_rules.called_before_50_m,
+            run_of(track=replace(straight(), error_m=np.full(600, 60.0))),
+            "60 m before a call",
+        ),
+        (course_rules.called_soon, run_of(), ""),
+        (course_rules.called_soon, run_of(track=DRAGGED, texts=CALLED), ""),
+        (course_rules.called_soon, run_of(track=DRAGGED), "not called for 3"),
+        (course_rules.never_called, run_of(), ""),
+        (course_rules.never_called, run_of(texts=CALLED), "called at 30 s"),
+        (course_rules.never_called, run_of(texts=WARNED), "warned at 30 s"),
+        (course_rules.warned_before_50_m, run_of(texts=WARNED), ""),
+        (course_rules.warned_before_50_m, run_of(texts=CALLED), ""),
+        (course_rules.warned_before_50_m, run_of(), "no warning"),
+        (
+            course_rules.warned_before_50_m,
+            run_of(track=replace(straight(), error_m=np.full(600, 60.0)), texts=WARNED),
+            "60 m",
+        ),
+        (course_rules.back_to_usual, run_of(track=DRAGGED), ""),
+        (course_rules.back_to_usual, run_of(texts=CALLED), ""),
+        (course_rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
+        (course_rules.first_in_time, run_of(), ""),
+        (course_rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
     ],
 )
 def test_what_a_rule_finds(rule: rules.Rule, run: Run, found: str) -> None:
@@ -166,7 +175,7 @@ def test_where_the_first_position_comes() -> None:
 
 def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
     failed = run_of(error_m=10.0)
-    failed = replace(failed, failures=rules.failures(failed, (rules.close, rules.within_sigmas)))
+    failed = replace(failed, failures=rules.failures(failed, (course_rules.close, rules.within_sigmas)))
     score = CourseScore("home", (run_of(), failed))
     assert score.failures == ["close (1, road 21)", "500 in 1,000 beyond 3 sigma", "rms 2.40 sigma"]
     assert score.row().startswith("| home | 1 of 2 | 100 | 6.0 / 10.0 / 10.0 m | 2.4 / 3.3 | 5.0 m, 5.0 m |")
@@ -236,7 +245,7 @@ def test_a_small_rms_counts_only_over_many_drives() -> None:
 
 def test_a_position_of_a_stream_is_judged_by_what_is_known_of_it(library: RoadLibrary, tmp_path: Path) -> None:
     """Whatever its message says, the journal has its own standard deviation."""
-    run = drive("px4-aided", 1, LENGTH_M, WORLD, tmp_path, library)
+    run = drive(COURSES["px4-aided"], 1, LENGTH_M, WORLD, tmp_path, library)
     lines = (tmp_path / JOURNAL).read_text().splitlines()
     recorded = [one["sigma_m"] for one in map(json.loads, lines) if one["event"] == "fix_sent"]
     assert len(recorded) > 20

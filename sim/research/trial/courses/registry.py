@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from sim.trial.draft import Draft
+from sim.trial.draft import Course, Draft
 
 CASES = {
     "A": "one mapped stretch",
@@ -18,19 +17,6 @@ CASES = {
     "H": "PX4, and streams",
     "J": "PX4 that nothing but the camera gives a speed",
 }
-
-
-@dataclass(frozen=True)
-class Course:
-    """A drive that something may go wrong on.
-
-    lay: changes the usual draft. about: a line for people. least_m: the shortest road on which it can be driven.
-    """
-
-    case: str
-    lay: Callable[[Draft], None]
-    about: str
-    least_m: float = 0.0
 
 
 COURSES: dict[str, Course] = {}

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from sim.trial.courses.registry import COURSES, course
+from sim.research.trial.course_rules import close, first_in_time, sends, warns
+from sim.research.trial.courses.registry import COURSES, course
 from sim.trial.draft import Draft
-from sim.trial.rules import (
-    close,
-    first_in_time,
-    no_false_place,
-    not_worse,
-    sends,
-    warns,
-    within_sigmas,
-)
+from sim.trial.rules import no_false_place, not_worse, within_sigmas
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 

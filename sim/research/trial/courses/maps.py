@@ -6,15 +6,10 @@ import math
 
 from edge.config import GatesConfig
 from edge.localization.claims import SAME_RECORDING
-from sim.trial.courses.registry import course
+from sim.research.trial.course_rules import sends
+from sim.research.trial.courses.registry import course
 from sim.trial.draft import Draft, Stretch
-from sim.trial.rules import (
-    no_false_place,
-    not_worse,
-    resumes,
-    sends,
-    within_sigmas,
-)
+from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import along
 
 FALSE_BY_M = 300.0
