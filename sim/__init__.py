@@ -10,7 +10,7 @@ datasets     published recordings as feeds, MCAP, export
 evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall; `lookback dev golden`
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
-model_tools  `lookback dev model`: import, quantize, verify
+model_tools  `lookback model`: import, quantize, verify
 bench        `lookback dev bench`: this board
 research     what was measured to build Lookback: the paper's comparisons, training, `make bench`; not in the wheel
 journal      reads a journal

@@ -28,6 +28,7 @@ COMMANDS = {
     "eval": "sim.evaluation.command",
     "export": "sim.datasets.export",
     "import": "sim.datasets.commands",
+    "model": "sim.model_tools.command",
     "try": "sim.first_try.command",
 }
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
@@ -38,7 +39,6 @@ DEV_COMMANDS = {
     "golden": "sim.evaluation.golden",
     "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",
-    "model": "sim.model_tools.command",
     "paper": "sim.research.evaluation.commands",
     "sim": "sim.commands",
     "train": "sim.research.training.command",
@@ -52,10 +52,11 @@ MOVED = {
     "doctor --default": "config --all",
     "check": "doctor --offline",
     "sim import": "import",
+    "dev model": "model",
     "sim gps": "dev gps",
     "sim flights": "dev flights",
     **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run")},
-    **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "model", "sim", "train")},
+    **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "sim", "train")},
 }
 """Commands of earlier versions, and what they are now."""
 
@@ -81,7 +82,7 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     asked = None if words is None else [word for word in words if not word.startswith("-")]
     plug_ins = {point.name: point.module for point in entry_points(group="lookback.commands")}
     fill_all(commands, {**COMMANDS, **plug_ins, **COMMANDS}, asked)  # ours first, and none of them replaced
-    about = "for work on Lookback itself: simulation, networks, benchmarks, recordings as tests"
+    about = "for work on Lookback itself: simulation, benchmarks, training, recordings as tests"
     dev = commands.add_parser(DEV, help=about, description=about)
     if asked is None or asked[:1] == [DEV]:
         fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), DEV_COMMANDS, asked and asked[1:])

@@ -2,7 +2,7 @@
 
 ONNX Runtime computes constants while it loads a model, and makes sparse weights dense even with all optimizations off,
 so a file of 200 bytes can fill the memory of the computer: the test
-`test_onnx_runtime_itself_fills_the_memory_for_a_small_file` shows both. What `lookback dev model import` writes has
+`test_onnx_runtime_itself_fills_the_memory_for_a_small_file` shows both. What `lookback model import` writes has
 only the operators below and no constants that are computed; anything else is refused here before memory is allocated.
 What the operators themselves may allocate is limited in `network.py`.
 The field numbers are those of onnx.proto (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
@@ -112,15 +112,15 @@ def read_model_file(path: Path) -> ModelFile:
     try:
         metadata = _check_model(memoryview(data))
     except (ValueError, IndexError):  # of the wire format: varint cut short, length past the end, not UTF-8
-        raise ModelError(f"{path}: not a whole ONNX file; copy it again or run `lookback dev model import`") from None
+        raise ModelError(f"{path}: not a whole ONNX file; copy it again or run `lookback model import`") from None
     except ModelError as error:
-        raise ModelError(f"{path}: {error}; use a file that `lookback dev model import` wrote") from None
+        raise ModelError(f"{path}: {error}; use a file that `lookback model import` wrote") from None
     return ModelFile(path, data, _decode_info(path, metadata, hashlib.sha256(data).hexdigest()))
 
 
 def _decode_info(path: Path, metadata: dict[str, bytes], sha256: str) -> ModelInfo:
     if METADATA_KEY not in metadata:
-        raise ModelError(f"{path}: no {METADATA_KEY!r} in its metadata; make it with `lookback dev model import`")
+        raise ModelError(f"{path}: no {METADATA_KEY!r} in its metadata; make it with `lookback model import`")
     try:
         info = msgspec.json.decode(metadata[METADATA_KEY], type=ModelInfo)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:  # ValidationError is a DecodeError

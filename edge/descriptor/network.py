@@ -174,7 +174,7 @@ class Head:
         if file.info.fc6_sha256 != network.sha256:
             raise ModelError(
                 f"{file.path}: belongs to the network {file.info.fc6_sha256[:12] or '(none)'}, not to {network.name} "
-                f"{network.sha256[:12]}; import the two again with `lookback dev model import`"
+                f"{network.sha256[:12]}; import the two again with `lookback model import`"
             )
         if len(file.info.labels) != file.info.dimensions:
             raise ModelError(f"{file.path}: {len(file.info.labels)} labels for {file.info.dimensions} categories")

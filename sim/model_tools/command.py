@@ -1,4 +1,4 @@
-"""`lookback dev model`: import, inspect and verify networks."""
+"""`lookback model`: switch to another network; import, inspect and verify networks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim.model_tools.weights import read_weights
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback dev model`."""
+    """Of `lookback model`."""
     actions = parser.add_subparsers(required=True)
 
     add_import(actions.add_parser("import", help="make the network file of a vehicle from a network or from weights"))

@@ -1,4 +1,4 @@
-"""`lookback dev model import`: the network of a vehicle, from weights, an ONNX or PyTorch network or a recipe."""
+"""`lookback model import`: the network of a vehicle, from weights, an ONNX or PyTorch network or a recipe."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ RECIPE_FLOAT_LAYERS = 12
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `lookback dev model import`."""
+    """Add the options of `lookback model import`."""
     parser.add_argument(
         "weights",
         type=Path,

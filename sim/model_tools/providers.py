@@ -1,4 +1,4 @@
-"""`lookback dev model providers`: each installed provider of ONNX Runtime beside the CPU, as `lookback run` uses it."""
+"""`lookback model providers`: each installed provider of ONNX Runtime beside the CPU, as `lookback run` uses it."""
 
 from __future__ import annotations
 

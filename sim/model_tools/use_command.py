@@ -1,4 +1,4 @@
-"""`lookback dev model use`: switch a config to another network, and say what that costs."""
+"""`lookback model use`: switch a config to another network, and say what that costs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PRICES = {
 
 
 def add_use(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `lookback dev model use`."""
+    """Add the options of `lookback model use`."""
     parser.add_argument("network", choices=tuple(PRICES), metavar="NETWORK", help=" or ".join(PRICES))
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the config file; the network goes beside it")
     parser.set_defaults(run=_run)

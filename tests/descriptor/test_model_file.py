@@ -203,7 +203,7 @@ def test_tensor_inside_an_operator_is_refused(model: Any, save: Save) -> None:
 
 def test_foreign_network_without_metadata(model: Any, save: Save) -> None:
     del model.metadata_props[:]
-    assert_refused(save(model), "no 'lookback' in its metadata; make it with `lookback dev model import`")
+    assert_refused(save(model), "no 'lookback' in its metadata; make it with `lookback model import`")
 
 
 def test_metadata_of_a_wrong_type(model: Any, save: Save) -> None:

@@ -1,4 +1,4 @@
-"""The networks of a plan: files that `lookback dev model import` wrote, or graphs built from the weights."""
+"""The networks of a plan: files that `lookback model import` wrote, or graphs built from the weights."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision
             return Network(_make(plan, folder, tap, one))
     raise ConfigError(
         f"[networks.{name}]: has no {tap} in {' or '.join(wanted)}; give it weights, or import it with"
-        f" `lookback dev model import --tap {tap}`"
+        f" `lookback model import --tap {tap}`"
     )
 
 

@@ -11,7 +11,7 @@ by = "distance"
 spacing_m = 2.0
 
 [networks.places100]        # the first is the default; "" is the shipped model
-model = ""                  # a folder or file that `lookback dev model import` wrote
+model = ""                  # a folder or file that `lookback model import` wrote
 weights = "alexnet.npz"     # for float networks, and for layers that are not in the folder
 
 [traverses.day_rear]

@@ -66,7 +66,7 @@ def fold(net: nn.Sequential) -> dict[str, NDArray[np.float32]]:
 
 
 def save_weights(weights: dict[str, NDArray[np.float32]], file: Path) -> None:
-    """Write an .npz for `lookback dev model import`: matrices float16, biases float32. ModelError names the file."""
+    """Write an .npz for `lookback model import`: matrices float16, biases float32. ModelError names the file."""
     with np.errstate(over="ignore"):  # becomes infinite, and is found below
         halved: dict[str, Any] = {
             name: array.astype(np.float16) if array.ndim > 1 else array for name, array in weights.items()

@@ -41,10 +41,7 @@ def model(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     graph.add("Flatten", [graph.last], output="out", axis=1)
     given, made = tmp_path / "given.onnx", tmp_path / "model.onnx"
     given.write_bytes(graph.model("random", [("x", np.float32, [3, 64, 64])], request.param).SerializeToString())
-    assert (
-        main(["dev", "model", "import", str(given), "-o", str(made), "--float-only", "--license", "CC0, as a test"])
-        == 0
-    )
+    assert main(["model", "import", str(given), "-o", str(made), "--float-only", "--license", "CC0, as a test"]) == 0
     return made
 
 

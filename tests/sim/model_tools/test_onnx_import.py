@@ -158,7 +158,7 @@ def test_a_network_that_works_only_with_a_batch_of_one(images: NDArray[np.uint8]
     file.write_bytes(model.SerializeToString())
     out = tmp_path / "one.onnx"
     options = ["--tap", "joined", "--float-only", "--mean", "0", "0", "0", "--std", "1", "1", "1"]
-    assert main(["dev", "model", "import", str(file), "-o", str(out), *options]) == 0
+    assert main(["model", "import", str(file), "-o", str(out), *options]) == 0
     close(Network.load(out).describe(images)[:, :72], exact(model, images, "flat72", NO_MEAN, ONE))
 
 
@@ -252,7 +252,7 @@ def test_from_the_file_to_recognized_places(
     labels, model = tmp_path / "labels.txt", tmp_path / "model"
     labels.write_text("\n".join(f"kind {number}" for number in range(CLASSES)))
     options = ["--tap", "flat72", "--labels", str(labels), "--calibrate", str(feed), "--license", "CC0", "--float"]
-    assert main(["dev", "model", "import", str(file), "-o", str(model), *options]) == 0
+    assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
     names = ["head_int8.onnx", "network_float32.onnx", "network_int8.onnx"]
     assert sorted(one.name for one in model.iterdir()) == names
     assert "int8 with 0 layers in float: cosine to float after NSD " in capsys.readouterr().out
@@ -262,7 +262,7 @@ def test_from_the_file_to_recognized_places(
     assert Head.load(opened).labels[3] == "kind 3"
 
     weights = str(model / "network_float32.onnx")
-    assert main(["dev", "model", "verify", str(model), str(again), "--weights", weights]) == 0
+    assert main(["model", "verify", str(model), str(again), "--weights", weights]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "passed"
     config = tmp_path / "lookback.toml"
     config.write_text(f'[descriptor]\nmodel = "{model}"\n[map]\npath = "{tmp_path / "map"}"\n[sequence]\nlength = 10\n')
@@ -280,7 +280,7 @@ def test_without_labels_events_carry_no_category(
 ) -> None:
     feed, model = write_traverse(tmp_path / "feed"), tmp_path / "model.onnx"
     options = ["--tap", "map", "--pool", "2x2", "--float-only"]
-    assert main(["dev", "model", "import", str(file), "-o", str(model), *options]) == 0
+    assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
     assert read_model_file(model).info.output == "map 2x2"
     config = tmp_path / "lookback.toml"
     config.write_text(f'[descriptor]\nmodel = "{model}"\n[map]\npath = "{tmp_path / "map"}"\n[sequence]\nlength = 10\n')
@@ -309,17 +309,15 @@ def test_options_that_cannot_be_used(
     labels.write_text("one\ntwo\n")
     ranges.write_text('{"other": {"min": 0, "max": 1}}')
     given = [one.format(labels=labels, ranges=ranges) for one in options]
-    assert main(["dev", "model", "import", str(file), "-o", str(tmp_path / "out"), *given]) != 0
+    assert main(["model", "import", str(file), "-o", str(tmp_path / "out"), *given]) != 0
     assert reason in capsys.readouterr().err
 
 
 def test_verify_with_another_float_network(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, tap in (("one", "flat72"), ("two", "fc")):
         out = tmp_path / f"{name}.onnx"
-        assert main(["dev", "model", "import", str(file), "-o", str(out), "--tap", tap, "--float-only"]) == 0
+        assert main(["model", "import", str(file), "-o", str(out), "--tap", tap, "--float-only"]) == 0
     info = read_model_file(tmp_path / "one.onnx").info
     assert msgspec.structs.asdict(info)["precision"] == "float32"
-    assert main(
-        ["dev", "model", "verify", str(tmp_path / "one.onnx"), str(tmp_path), "--weights", str(tmp_path / "two.onnx")]
-    )
+    assert main(["model", "verify", str(tmp_path / "one.onnx"), str(tmp_path), "--weights", str(tmp_path / "two.onnx")])
     assert "two.onnx: not the float network of" in capsys.readouterr().err

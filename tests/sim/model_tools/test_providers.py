@@ -1,4 +1,4 @@
-"""`lookback dev model providers`: the same question as at the daemon's start, for each provider that is installed."""
+"""`lookback model providers`: the same question as at the daemon's start, for each provider that is installed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.model_tools import providers
 
 def test_the_cpu_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:
     """Where no other provider is installed, the one row is the CPU's."""
-    assert main(["dev", "model", "providers"]) == 0
+    assert main(["model", "providers"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("| network | provider |")
     for line in lines[2:]:
@@ -23,5 +23,5 @@ def test_the_cpu_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_file_that_is_no_network_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dev", "model", "providers", "nowhere"]) == 78
+    assert main(["model", "providers", "nowhere"]) == 78
     assert capsys.readouterr().err.strip().endswith("No such file or directory")

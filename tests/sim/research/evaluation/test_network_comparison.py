@@ -35,7 +35,7 @@ def small(tmp_path: Path) -> Path:
     given, made = tmp_path / "given.onnx", tmp_path / "small.onnx"
     given.write_bytes(graph.model("small", [("x", np.float32, [3, 16, 16])], 64).SerializeToString())
     options = ["--float-only", "--license", "CC0, as a test"]
-    assert main(["dev", "model", "import", str(given), "-o", str(made), *options]) == 0
+    assert main(["model", "import", str(given), "-o", str(made), *options]) == 0
     return made
 
 
