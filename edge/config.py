@@ -339,11 +339,14 @@ def load_config(path: Path) -> Config:
 
 
 def parse_config(text: str, path: Path) -> Config:
-    """Check the text of a config file; `path` is for messages and for resolving relative paths."""
+    """Check the text of a config file, and resolve its paths from the folder of `path`, which messages name."""
     values, notes = brought_up_to_date(toml_values(text, path))
     for note in notes:
         log.warning("%s: %s", path, note)
-    return _checked(convert_toml(values, path, Config), path)
+    config = convert_toml(values, path, Config)
+    for where, why in _unusable_paths(config):
+        raise ConfigError(f"{path}: {where}: {why}")
+    return change_paths(config, lambda _, value: str(path.parent / value))
 
 
 def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -362,13 +365,6 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
         keys[key if value else now] = now if value else keys.pop(key)
         notes.append(f'[{section}] {key}: {old} is called "{now}" now; the old name is accepted until 0.3')
     return values, notes
-
-
-def _checked(config: Config, path: Path) -> Config:
-    """The config with its paths resolved. ConfigError for a path that no file can have."""
-    for where, why in _unusable_paths(config):
-        raise ConfigError(f"{path}: {where}: {why}")
-    return change_paths(config, lambda _, value: str(path.parent / value))
 
 
 @contextlib.contextmanager

@@ -10,24 +10,22 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.camera import Frame, Frames
-from edge.camera.picture_check import PictureCheck
+from edge.camera import Frame
 from edge.config import Config
-from edge.descriptor.network import Network
 from edge.errors import SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
-from edge.health.service import Supervision, notify
+from edge.health.service import notify
 from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS, Limits
 from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
@@ -46,82 +44,61 @@ log = logging.getLogger(__name__)
 class Daemon:
     """The running parts; `turn` moves at most one frame from the camera to the autopilot."""
 
-    def __init__(
-        self,
-        config: Config,
-        parts: ExitStack,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-        *,
-        frames: Frames | None = None,
-        mapping_frames: Frames | None = None,
-        network: Network | None = None,
-    ) -> None:
-        """Open everything; SetupError if a part cannot be. `parts` closes what was opened, in reverse order.
-
-        frames, mapping_frames, network: instead of those that the config names.
-        """
-        opened = OpenedParts(config, parts, clock_ns, frames=frames, mapping_frames=mapping_frames, network=network)
-        self._config, self._clock_ns, self._times, self._record = config, clock_ns, opened.times, opened.record
-        self._autopilot, self._home_socket, self.monitor = opened.autopilot, opened.home_socket, opened.monitor
-        self._camera, self._device, self._recording = opened.camera, opened.device, opened.recording
-        self._recognizer, self._verification = opened.recognizer, opened.verification
-        self._mapper, self._tally, self._warm_start = opened.mapper, opened.tally, opened.warm_start
-        self._live_status, self._page = opened.live_status, opened.page
-        self._motion, self._ros2 = opened.motion, opened.ros2
-        self._pictures = PictureCheck(opened.device, config.gates.min_speed_mps)
-        self._sampler = Sampler(config.sampling)
-        self._estimator = opened.estimator
-        self._supervision = Supervision()
+    def __init__(self, parts: OpenedParts) -> None:
+        self.parts = parts
+        self._clock_ns, self._autopilot = parts.clock_ns, parts.autopilot
+        self._recognizer, self._estimator = parts.recognizer, parts.estimator
+        self._sampler = Sampler(parts.config.sampling)
         self._turn_around = TurnAround()
-        self._frames_used = self._events = self._distance_gaps = 0
+        self._distance_gaps = 0
         self._warned_of_odometer = False
         self._frame_s = 0.0  # what the last one took
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
+        parts = self.parts
         self._autopilot.poll()
         self._read_requests()
         waits_ns = self._clock_ns()
-        frame = self._camera.take(TURN_S)
+        frame = parts.camera.take(TURN_S)
         waited_s = (self._clock_ns() - waits_ns) / 1e9
         frame = None if frame is None else self._dated(frame)
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
-            if self._mapper is not None:
-                self._mapper.map_next(waited_s, self._process_second)
-            if not (is_usable or self._verification.checksums.is_done):
+            if parts.mapper is not None:
+                parts.mapper.map_next(waited_s, self._process_second)
+            if not (is_usable or parts.verification.checksums.is_done):
                 self._check_maps(self._recognizer.matcher.first.search.folders_in_use)
-        if self._recording is not None:
-            self._recording.record()
+        self._autopilot.history.release()
         if self._update_health():
             self._reset()
         self._publish_position()
         self._exchange_with_ros2()
         self._update_page()
-        self._feed_watchdog()
-        return not self._camera.ended
+        parts.monitor.feed_watchdog()
+        return not parts.camera.ended
 
     def _read_requests(self) -> None:
         """Of people: `lookback home` and the page."""
-        request = self._home_socket.requested() if self._home_socket is not None else None
-        if self._home_socket is not None and request is not None:
-            self._autopilot.request_home(self._home_socket.reply, restore=request == "restore")
-        page, wanted = self._page, self._page.requested() if self._page is not None else None
-        if page is None or wanted is None:
+        socket, page, mapper = self.parts.home_socket, self.parts.page, self.parts.mapper
+        if socket is not None and (request := socket.requested()) is not None:
+            self._autopilot.request_home(socket.reply, restore=request == "restore")
+        if page is None or (wanted := page.requested()) is None:
             return
         if wanted in ("home", "restore"):
             self._autopilot.request_home(lambda answer: page.reply(answer.text), restore=wanted == "restore")
-        elif self._mapper is not None:
-            self._mapper.paused = "paused on the page" if wanted == "pause" else ""
-            page.reply(f"mapping {self._mapper.paused or 'goes on'}")
+        elif mapper is not None:
+            mapper.paused = "paused on the page" if wanted == "pause" else ""
+            page.reply(f"mapping {mapper.paused or 'goes on'}")
         else:
             page.reply("nothing is mapped: [mapping] folder is empty")
 
     def _dated(self, frame: Frame) -> Frame:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
-        before_ns = self._pictures.age_ns
-        frame = self._pictures.dated(frame, self._autopilot.speed_mps())
-        age_ns = self._pictures.age_ns
+        pictures = self.parts.pictures
+        before_ns = pictures.age_ns
+        frame = pictures.dated(frame, self._autopilot.report().speed_mps)
+        age_ns = pictures.age_ns
         if age_ns != before_ns:
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
             self._autopilot.status_text(f"pictures {age_ns / 1e9:.1f} s late: corrected", mavlink.MAV_SEVERITY_WARNING)
@@ -130,13 +107,14 @@ class Daemon:
 
     def _is_usable(self, frame: Frame) -> bool:
         """Whether a frame may be used: its picture shows something, and it is not the first after a gap."""
-        is_usable = self._pictures.is_usable(frame, self._autopilot.speed_mps())
-        return is_usable and not (self._device and self.monitor.is_first_after_gap(self._device.health))
+        parts = self.parts
+        is_usable = parts.pictures.is_usable(frame, self._autopilot.report().speed_mps)
+        return is_usable and not (parts.device and parts.monitor.is_first_after_gap(parts.device.health))
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
         self._measure_motion(frame)
-        motion = self._autopilot.motion(frame.stamp_ns)
+        motion = self._autopilot.vehicle.motion(frame.stamp_ns, self._clock_ns())
         self._use_velocity_error(self._estimator.follow(frame.stamp_ns, motion))
         is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
         if is_place:
@@ -145,15 +123,16 @@ class Daemon:
 
     def _measure_motion(self, frame: Frame) -> None:
         """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
-        if self._motion is None:
+        motion = self.parts.motion
+        if motion is None:
             return
-        speed = self._motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
-        if speed is not None and self._config.motion.use == "odometer":
+        speed = motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
+        if speed is not None and self.parts.config.motion.use == "odometer":
             self._autopilot.vehicle.use_speed(speed.stamp_ns, speed.speed_mps)
 
     def _process_frame(self, frame: Frame, motion: ReportedMotion) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
-        self._times.start()
+        self.parts.times.start()
         began_ns, missed, distance_m = self._clock_ns(), self._sampler.missed, motion.measured_m
         displacement = self._autopilot.vehicle.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
@@ -163,14 +142,14 @@ class Daemon:
         self._map_frame(frame, distance_m, missed)
         self._publish_frame(frame, match, missed)
         self._warn_without_odometer()
-        if self._recording is not None:
-            self._recording.add(frame, distance_m)
-        self._times.lap("telemetry")
-        self._frames_used += 1
+        recorder = self.parts.recorder
+        if recorder is not None:
+            self._autopilot.history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
+        self.parts.times.lap("telemetry")
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
-        self._warm_start.keep_if_due(now_ns)
+        self.parts.warm_start.keep_if_due(now_ns)
 
     def _estimate(
         self,
@@ -190,7 +169,7 @@ class Daemon:
         self._use_velocity_error(self._estimator.velocity_error)
 
     def _use_velocity_error(self, error: VelocityError) -> None:
-        self._autopilot.use_velocity_error(error.error_mps, error.sigma_mps)
+        self._autopilot.vehicle.use_velocity_error(error.error_mps, error.sigma_mps, self._clock_ns())
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
@@ -204,25 +183,25 @@ class Daemon:
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
-        position = self._autopilot.position()
-        sigma_m = self._autopilot.uncertainty_m
-        if position is None or sigma_m is None:
+        report = self._autopilot.report()
+        sigma_m = self._estimator.uncertainty_m(report)
+        if report.position is None or sigma_m is None:
             return None
-        radius_m = max(self._config.map.search_radius_m, AGREE_SIGMAS * sigma_m)
-        return Near(position.lat_deg, position.lon_deg, radius_m)
+        radius_m = max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m)
+        return Near(report.position.lat_deg, report.position.lon_deg, radius_m)
 
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
-        behind = self._recognizer.map_set.folders_behind(match.place_index, self._config.sequence.length)
-        while not self._verification.checksums.is_verified(behind):
+        behind = self._recognizer.map_set.folders_behind(match.place_index, self.parts.config.sequence.length)
+        while not self.parts.verification.checksums.is_verified(behind):
             if not self._check_maps(behind):
                 return False
-            self._feed_watchdog()
+            self.parts.monitor.feed_watchdog()
         return True
 
     def _check_maps(self, first: Sequence[Path]) -> bool:
         """Check a further piece of the maps, some of them first; False if one is damaged, and excluded from now on."""
-        maps = self._verification.check_next(self._recognizer.map_set, first)
+        maps = self.parts.verification.check_next(self._recognizer.map_set, first)
         if maps is None:
             return True
         self._recognizer.use_maps(maps)
@@ -231,63 +210,63 @@ class Daemon:
 
     def reopen_maps(self) -> None:
         """Use the maps as they are on the disk now, from the next frame on; those so far where they cannot be used."""
+        parts = self.parts
         try:
-            self._recognizer.reopen_maps(self._mapper.live.so_far() if self._mapper else None)
+            self._recognizer.reopen_maps(parts.mapper.live.so_far() if parts.mapper else None)
         except SetupError as error:
             log.warning("%s; the maps so far stay in use", error)
             self._autopilot.status_text("Lookback: new map is not usable", mavlink.MAV_SEVERITY_WARNING)
             return
         maps = self._recognizer.map_set
-        self._verification = MapVerification(maps, self._record, self._autopilot.status_text)
+        parts.verification = MapVerification(maps, parts.record, self._autopilot.status_text)
         self._use_maps()
         log.info("maps opened again: %s", maps)
         self._autopilot.status_text(f"Lookback: new map, {maps.index.places} places", mavlink.MAV_SEVERITY_INFO)
 
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
-        self._estimator.use_maps(self._verification.as_uncertain(self._recognizer.map_set))
+        self._estimator.use_maps(self.parts.verification.as_uncertain(self._recognizer.map_set))
         self._show_maps()
 
     def _map_frame(self, frame: Frame, distance_m: float | None, missed: int) -> None:
         """Map a frame that was recognized, and search what of this drive's map lies far enough behind by now."""
-        raw = self._recognizer.raw_of(frame.stamp_ns)
-        if self._mapper is None or raw is None:
+        parts, raw = self.parts, self._recognizer.raw_of(frame.stamp_ns)
+        if parts.mapper is None or raw is None:
             return
-        newest = self._mapper.map_recognized(frame, raw, distance_m, missed)
+        newest = parts.mapper.map_recognized(frame, raw, distance_m, missed)
         if newest is not None:
             maps = self._recognizer.map_set.with_newest(newest)
             self._recognizer.grow_maps(maps)
-            self._estimator.grow(self._verification.as_uncertain(maps))
+            self._estimator.grow(parts.verification.as_uncertain(maps))
             self._show_maps()
-        self._times.lap("mapping")
+        parts.times.lap("mapping")
 
     def _process_second(self, frame: Frame, distance_m: float, missed: int) -> NDArray[np.float32]:
         """Describe a frame of the second camera, which votes on the place if it may; timed as the others are."""
-        self._times.start()
+        self.parts.times.start()
         raw = self._recognizer.describe(frame.image)
         self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
         return raw
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:
         """To the live page, to the journal where it is to have every frame, and an event to people."""
+        parts, maps = self.parts, self._recognizer.map_set
         used = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
-        position = self._autopilot.position()
-        self._live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
-        if self._config.telemetry.journal_frames:
-            self._record(used)
+        position = self._autopilot.report().position
+        parts.live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
+        if self.parts.config.telemetry.journal_frames:
+            parts.record(used)
         if match is None or not match.accepted:
             return
-        if self._tally is not None:
+        if parts.tally is not None:
             driven_m, now_ns = self._autopilot.vehicle.distance_m(frame.stamp_ns), self._clock_ns()
-            seen = match.place_index, match.direction, frame.image
-            self._tally.count(self._recognizer.map_set, *seen, driven_m, now_ns)
+            parts.tally.count(maps, match.place_index, match.direction, frame.image, driven_m, now_ns)
         if match.event:
             fix = self._estimator.place_fix(match, frame.stamp_ns)
-            self._events += 1
-            self._record(fix)
+            parts.record(fix)
             self._autopilot.publish_place(fix)
-            if self._ros2 is not None:
-                self._ros2.publish_place(fix)
+            if parts.ros2 is not None:
+                parts.ros2.publish_place(fix)
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, without which frames must be as far apart as places."""
@@ -298,20 +277,21 @@ class Daemon:
 
     def _update_health(self) -> bool:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""
-        fault = self._pictures.fault
+        parts = self.parts
+        fault = parts.pictures.fault
         inputs = HealthInputs(
             recognizer=self._recognizer.state,
-            frames_used=self._frames_used,
+            frames_used=parts.live_status.frames_used,
             frame_s=self._frame_s,
             picture=fault.what if fault and fault.sure else "",
             link=self._autopilot.state,
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
             withheld=self._autopilot.why_no_position,
-            driven_m=self._autopilot.driven_m,
+            driven_m=self._autopilot.report().driven_m,
         )
-        hang = self._device.hang(self._clock_ns()) if self._device else ""
-        return self.monitor.update(inputs, self._camera.health, hang)
+        hang = parts.device.hang(self._clock_ns()) if parts.device else ""
+        return self.parts.monitor.update(inputs, parts.camera.health, hang)
 
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
@@ -320,11 +300,11 @@ class Daemon:
 
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
-        if self.monitor.health.able != "on the map":
+        if self.parts.monitor.health.able != "on the map":
             self._autopilot.positions.withdraw()
             return
         time_base = self._autopilot.position_due()
-        if time_base is None or self._pictures.fault is not None:
+        if time_base is None or self.parts.pictures.fault is not None:
             return
         if time_base == "exposure":
             fix = self._estimator.position_at_exposure()
@@ -336,46 +316,56 @@ class Daemon:
 
     def _exchange_with_ros2(self) -> None:
         """Odometry in, state and positions out: by the conditions for an autopilot without GPS, since none is moved."""
-        ros2, health = self._ros2, self.monitor.health
+        ros2, health = self.parts.ros2, self.parts.monitor.health
         if ros2 is None:
             return
         for odometry in ros2.odometry():
             self._autopilot.vehicle.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, self._autopilot.status())
         fix = self._estimator.position_at_exposure()
-        if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self._pictures.fault:
+        if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self.parts.pictures.fault:
             return
-        ros2.judged_ns, limits = fix.stamp_ns, Limits(self._config.gates.min_interval_s, ROS2_OLDEST_S)
+        ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
         report = replace(self._autopilot.report(), gps="not healthy")
         displacement = self._autopilot.vehicle.displacement(fix.stamp_ns)
         if self._estimator.refusal(fix, limits, ros2.published_ns, report, displacement) is None:
             ros2.publish_position(fix)
 
     def _show_maps(self) -> None:
-        if self._page is not None:
-            self._page.show_map(map_view(self._recognizer.map_set))
+        if self.parts.page is not None:
+            self.parts.page.show_map(map_view(self._recognizer.map_set))
 
     def _update_page(self) -> None:
-        if self._page is not None and self._page.wanted:
-            health = self.monitor.health
-            self._page.show(self._live_status.snapshot(health.state, health.why))
-
-    def _feed_watchdog(self) -> None:
-        """This thread moves all but the camera: had it hung anywhere, it would not come here."""
-        self._supervision.publish(self.monitor.hangs, self._clock_ns())
+        parts = self.parts
+        if parts.page is None or not parts.page.wanted:
+            return
+        health, live, maps = parts.monitor.health, parts.live_status, self._recognizer.map_set
+        shown = live.snapshot(
+            self._clock_ns(),
+            health.state,
+            health.why,
+            map_name=f"{Path(self.parts.config.map.path).name}, {maps}",
+            costs=self._recognizer.cost_view(live.match),
+            camera=parts.camera.health,
+            link=self._autopilot.status(),
+            stages_ms=parts.times.medians_ms(),
+            journal_lost=parts.journal.lost if parts.journal else 0,
+            mapping=parts.mapper.view() if parts.mapper else None,
+        )
+        parts.page.show(shown)
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
+        parts = self.parts
         self._autopilot.restore_sources()
-        if self._mapper is not None:
-            self._mapper.add_placed(all_of_them=True)
-        if self._recording is not None:
-            self._recording.record(all_of_them=True)
-        health = self._camera.health
+        self._autopilot.history.release(all_of_them=True)
+        if parts.mapper is not None:
+            parts.mapper.add_placed()
+        health, live = parts.camera.health, parts.live_status
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
-        stopped = Stopped(self._frames_used, self._events, self._times.medians_ms(), counts)
-        self._record(stopped)
-        self._warm_start.keep()
+        stopped = Stopped(live.frames_used, live.events, parts.times.medians_ms(), counts)
+        parts.record(stopped)
+        parts.warm_start.keep()
         return stopped
 
 
@@ -387,9 +377,9 @@ def run(
     reload: set when the maps are to be opened again.
     """
     with ExitStack() as parts:
-        daemon = Daemon(config, parts)
+        daemon = Daemon(OpenedParts(config, parts))
         opened()
-        with daemon.monitor.failures():
+        with daemon.parts.monitor.failures():
             while not stop.is_set() and daemon.turn():
                 if reload.is_set():
                     reload.clear()

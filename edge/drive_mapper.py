@@ -8,10 +8,10 @@ camera, the frames that are recognized are mapped as well.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from msgspec import UNSET
@@ -21,11 +21,11 @@ from edge.camera import Frame, Frames
 from edge.camera.newest import NewestFrame
 from edge.camera.picture_check import PictureCheck
 from edge.config import Config
-from edge.descriptor.normalize import normalize
 from edge.feed.sampling import Sampler
+from edge.geodesy import VehiclePosition
 from edge.health.service import notify
 from edge.journal.records import MappingChanged, Record
-from edge.mapping import LiveMap, MappingStatus, MappingView, header_of
+from edge.mapping import LiveMap, LogHeader, MappingStatus, MappingView
 from edge.reference_map import MapSoFar, ModelKey, RegionsKey
 from edge.telemetry.autopilot import AutopilotConnection
 
@@ -33,16 +33,6 @@ CLOSE_S = 1.5
 START_S = 120.0  # of the service's unit, which the rest of the start may take
 LEAST_SHARE = 1 / 8
 """Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
-
-
-@dataclass(frozen=True)
-class DescribedFrame:
-    """A frame at a new place, its raw descriptor (R, D), meters driven, and places that were passed before it."""
-
-    frame: Frame
-    raw: NDArray[np.float32]
-    distance_m: float | None
-    missed: int
 
 
 class DriveMapper:
@@ -65,10 +55,8 @@ class DriveMapper:
         self._drift = config.gates.drift_percent / 100
         camera = config.mapping.camera
         view = config.camera.view if camera is UNSET else camera.view
-        header = header_of(model, RegionsKey.of(config.descriptor), config.sampling)
-        self.live = parts.enter_context(
-            closing(LiveMap(config.mapping, header, view, normalize, before_long=_ask_for_time))
-        )
+        header = LogHeader(model, RegionsKey.of(config.descriptor), config.sampling)
+        self.live = parts.enter_context(closing(LiveMap(config.mapping, header, view, before_long=_ask_for_time)))
         self._frames: Frames | None = frames
         self._device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
@@ -77,7 +65,6 @@ class DriveMapper:
             parts.enter_context(closing(self._frames))
         self._sampler = Sampler(config.sampling)
         self._pictures = PictureCheck(self._device, config.gates.min_speed_mps)
-        self._waiting: deque[DescribedFrame] = deque()
         self._takes_s = 0.0  # what the second camera's last frame took
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
@@ -113,7 +100,7 @@ class DriveMapper:
         The map of this drive, if enough further places lie far enough behind the vehicle to be searched.
         """
         if self._frames is None:
-            self._waiting.append(DescribedFrame(frame, raw, distance_m, missed))
+            self._await_position(frame, raw, distance_m, missed)
         self.add_placed()
         return self.live.newly_searchable(self._autopilot.vehicle.distance_m(self._clock_ns()))
 
@@ -127,27 +114,34 @@ class DriveMapper:
         busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
         self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
         frame = self._frames.take(0.0) if self._frames is not None and self._spare_s >= self._takes_s else None
-        if frame is not None and self._pictures.is_usable(frame, self._autopilot.speed_mps()):
+        if frame is not None and self._pictures.is_usable(frame, self._autopilot.report().speed_mps):
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
                 missed = self._sampler.missed
                 raw = process(frame, distance_m, missed)
-                self._waiting.append(DescribedFrame(frame, raw, distance_m, missed))
+                self._await_position(frame, raw, distance_m, missed)
                 self._asked_ns = self._clock_ns()
                 self._spare_s, self._takes_s = 0.0, (self._asked_ns - now_ns) / 1e9
         self.add_placed()
 
-    def add_placed(self, *, all_of_them: bool = False) -> None:
-        """Add the frames to the map whose position is known by now, since it is interpolated; or all, at the end."""
-        waiting, autopilot = self._waiting, self._autopilot
-        while waiting and (all_of_them or not autopilot.history.is_awaited(waiting[0].frame.stamp_ns)):
-            described = waiting.popleft()
-            frame = described.frame
-            position = autopilot.history.at(frame.stamp_ns)
-            known = position, described.distance_m, self.paused or autopilot.gps_fault, described.missed
-            self._notice_gap()
-            self.live.add(described.raw, frame.image, *known)
+    def add_placed(self) -> None:
+        """Add the frames to the map whose position is known by now, since it is interpolated."""
+        self._autopilot.history.release()
         self._publish_change()
+
+    def _await_position(self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int) -> None:
+        self._autopilot.history.when_known(frame.stamp_ns, partial(self._add, raw, frame.image, distance_m, missed))
+
+    def _add(
+        self,
+        raw: NDArray[np.float32],
+        image: NDArray[np.uint8],
+        distance_m: float | None,
+        missed: int,
+        position: VehiclePosition | None,
+    ) -> None:
+        self._notice_gap()
+        self.live.add(raw, image, position, distance_m, self.paused or self._autopilot.gps_fault, missed)
 
     def _notice_gap(self) -> None:
         if self._gaps != self._autopilot.vehicle.distance_gaps:

@@ -13,7 +13,9 @@ import glob
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from datetime import datetime, timezone
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -116,6 +118,13 @@ def _exchange(new: Path, old: Path) -> None:
     if libc.renameat2(at_fdcwd, os.fsencode(new), at_fdcwd, os.fsencode(old), rename_exchange) != 0:
         reason = os.strerror(ctypes.get_errno())
         raise MapError(f"{old}: this file system cannot replace a map atomically ({reason}); remove the old map first")
+
+
+def named_by_time(folder: Path, unix_s: float, is_taken: Callable[[Path], bool] = Path.exists) -> Path:
+    """A new path in a folder, named by the time; two runs may begin in the same second."""
+    started = datetime.fromtimestamp(unix_s, tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
+    names = (started if number == 1 else f"{started}-{number}" for number in count(1))
+    return next(path for path in (folder / name for name in names) if not is_taken(path))
 
 
 HOME_FOLDERS = ("/home", "/root", "/run/user")

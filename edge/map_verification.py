@@ -40,10 +40,10 @@ class MapVerification:
 
     def check_next(self, maps: MapSet, first: Sequence[Path]) -> MapSet | None:
         """Check a further piece, of the maps in `first` before others; the maps that are left if one is damaged."""
-        damage = self.checksums.step(CHECK_BYTES, first)
-        if damage is None:
+        damaged = self.checksums.step(CHECK_BYTES, first)
+        if not damaged:
             return None
-        maps = maps.without({damage.path: damage.why})
+        maps = maps.without(damaged)
         self._publish_excluded(maps.excluded[-1])
         return maps
 

@@ -10,13 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
 
-from edge.camera import Frames
+from edge.camera import Frame, Frames
 from edge.camera.newest import NewestFrame
+from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.drive_mapper import DriveMapper
-from edge.feed.recorder import FramesAwaitingPosition, Recorder, run_folder
+from edge.feed import FeedWriter
+from edge.feed.recorder import Recorder, begun_feed
+from edge.files import named_by_time
 from edge.geodesy import first_known
 from edge.health.health import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
@@ -26,9 +29,8 @@ from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
 from edge.motion import CameraMotion
-from edge.page import LiveStatus, Sources, map_view, open_page
+from edge.page import LiveStatus, map_view, open_page
 from edge.recognizer import model_key, open_recognizer
-from edge.reference_map import MapSet
 from edge.reference_map.store import HEADER
 from edge.ros2 import Ros2
 from edge.telemetry.autopilot import AutopilotConnection
@@ -48,7 +50,7 @@ class OpenedParts:
         self,
         config: Config,
         parts: ExitStack,
-        clock_ns: Callable[[], int],
+        clock_ns: Callable[[], int] = time.monotonic_ns,
         *,
         frames: Frames | None = None,
         mapping_frames: Frames | None = None,
@@ -58,21 +60,21 @@ class OpenedParts:
 
         frames, mapping_frames, network: instead of those that the config names.
         """
-        self._config, self._clock_ns = config, clock_ns
+        self.config, self.clock_ns = config, clock_ns
         self.times = StageTimes()
-        self._journal: QueuedJournal | None = None
+        self.journal: QueuedJournal | None = None
         self.record: Callable[[Record], object] = lambda record: None
         if config.telemetry.journal:
             journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
-            self._journal = parts.enter_context(closing(QueuedJournal(journal)))
-            self.record = self._journal.write
+            self.journal = parts.enter_context(closing(QueuedJournal(journal)))
+            self.record = self.journal.write
         self.estimator = PositionEstimator(config)
         settings = config.telemetry, clock_ns, self.record, config.gates, config.home
         link = AutopilotConnection(*settings, estimator=self.estimator)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)
-        self.monitor = HealthMonitor(links, self._journal, clock_ns)
+        self.monitor = HealthMonitor(links, self.journal, clock_ns)
         with self.monitor.failures():
             self._open_recognizer(parts, network, mapping_frames)
             self._open_camera(parts, frames)
@@ -81,11 +83,11 @@ class OpenedParts:
             self._open_home(parts)
 
     def _open_recognizer(self, parts: ExitStack, network: Network | None, mapping_frames: Frames | None) -> None:
-        config = self._config
+        config = self.config
         network = network or open_network(config.descriptor)
         self.mapper: DriveMapper | None = None
         if config.mapping.folder:
-            others = parts, self.autopilot, self.record, self._clock_ns
+            others = parts, self.autopilot, self.record, self.clock_ns
             self.mapper = DriveMapper(config, model_key(network), *others, frames=mapping_frames)
         newest = self.mapper.live.so_far() if self.mapper else None
         self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
@@ -101,65 +103,55 @@ class OpenedParts:
             )
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:
-        config = self._config
+        config = self.config
         self.device: NewestFrame | None = None
         if frames is None:
             if config.camera.kind == "feed" and config.sampling.by == "distance":
                 self._await_speed()
-            frames = self.device = NewestFrame.configured(config.camera, self._clock_ns, CLOSE_S)
+            frames = self.device = NewestFrame.configured(config.camera, self.clock_ns, CLOSE_S)
+        self.pictures = PictureCheck(self.device, config.gates.min_speed_mps)
         self.motion = CameraMotion(config, self.record) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
-        self.recording: FramesAwaitingPosition | None = None
+        self.recorder: Recorder | None = None
         if config.recording.folder:
             folder = Path(config.recording.folder)
-            recorder = Recorder(lambda: run_folder(folder), config.camera, config.recording.min_free_mb * 1e6)
-            self.recording = FramesAwaitingPosition(parts.enter_context(closing(recorder)), self.autopilot.history)
+
+            def begin(frame: Frame) -> FeedWriter:
+                return begun_feed(named_by_time(folder, time.time()), config.camera, frame)
+
+            self.recorder = parts.enter_context(closing(Recorder(begin, config.recording.min_free_mb * 1e6)))
 
     def _await_speed(self) -> None:
         """A feed waits for nobody, and its frames are chosen by the distance driven: let an autopilot speak first."""
         until_s = time.monotonic() + FEED_WAITS_S
-        while self.autopilot.speed_mps() is None and time.monotonic() < until_s:
+        while self.autopilot.report().speed_mps is None and time.monotonic() < until_s:
             self.autopilot.poll()
             time.sleep(POLL_S)
 
     def _open_page(self, parts: ExitStack) -> None:
-        config, maps = self._config, self.recognizer.map_set
-        sources = Sources(
-            map_name=lambda: f"{Path(config.map.path).name}, {self.recognizer.map_set}",
-            costs=self.recognizer.cost_view,
-            camera=lambda: self.camera.health,
-            link=self.autopilot.status,
-            stages_ms=self.times.medians_ms,
-            journal_lost=lambda: self._journal.lost if self._journal else 0,
-            clock_ns=self._clock_ns,
-            mapping=lambda: self.mapper.view() if self.mapper else None,
-        )
-        self.live_status = LiveStatus(self.recognizer.model_name, config.acceptance.confidence_min, sources)
-        self.page = open_page(config.page, map_view(maps))
+        self.live_status = LiveStatus(self.recognizer.model_name, self.config.acceptance.confidence_min)
+        self.page = open_page(self.config.page, map_view(self.recognizer.map_set))
         if self.page is not None:
             parts.enter_context(closing(self.page))
 
     def _open_ros2(self, parts: ExitStack) -> None:
-        config, places = self._config, self.recognizer.map_set.places
+        config, places = self.config, self.recognizer.map_set.places
         datum = (config.telemetry.origin[0], config.telemetry.origin[1]) if config.telemetry.origin else None
         datum = datum or first_known(places["lat_deg"], places["lon_deg"])
         self.ros2: Ros2 | None = None
         if config.ros2.domain >= 0:
-            self.ros2 = parts.enter_context(closing(Ros2(config, datum, self._clock_ns)))
+            self.ros2 = parts.enter_context(closing(Ros2(config, datum, self.clock_ns)))
 
     def _open_home(self, parts: ExitStack) -> None:
-        home, left_m = self._config.home, self._config.rig.left_reverse_m
+        home, left_m = self.config.home, self.config.rig.left_reverse_m
 
         def plan(start: Start) -> WayHome:
-            driven_m = self.mapper.driven_m() if self.mapper is not None else None
-            return plan_way_home(self._maps_to_here(), replace(start, route_m=driven_m), home, left_m)
+            maps = self.recognizer.map_set
+            if self.mapper is not None:  # with the map of this drive up to the vehicle
+                maps, start = maps.with_newest(self.mapper.live.whole()), replace(start, route_m=self.mapper.driven_m())
+            return plan_way_home(maps, start, home, left_m)
 
         self.autopilot.home.plan = plan
         self.home_socket: LocalSocket | None = None
         if home.enabled and home.socket:
             self.home_socket = parts.enter_context(closing(LocalSocket(Path(home.socket))))
-
-    def _maps_to_here(self) -> MapSet:
-        """The maps, with that of this drive up to the vehicle."""
-        maps = self.recognizer.map_set
-        return maps.with_newest(self.mapper.live.whole()) if self.mapper is not None else maps

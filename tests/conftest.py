@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
-from edge.descriptor.normalize import normalize
-from edge.feed import FeedHeader, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim import geodetic
@@ -79,7 +78,7 @@ def feed_path(tmp_path: Path) -> Path:
     path = tmp_path / "feed"
     with FeedWriter(path, FeedHeader("test", "front", SMALL_WIDTH, SMALL_HEIGHT)) as writer:
         for index in range(SMALL_COUNT):
-            writer.write(_picture(index), 1_000_000_000 + index * SMALL_PERIOD_NS, distance_m=float(index))
+            writer.write(_picture(index), FeedRow("", 1_000_000_000 + index * SMALL_PERIOD_NS, distance_m=float(index)))
     return path
 
 
@@ -123,11 +122,14 @@ def write_traverse() -> Callable[..., Path]:
                 image = strip[:, 12 * frame : 12 * frame + 160] + rng.normal(0, noise, (120, 160, 3))
                 writer.write(
                     image.clip(0, 255).astype(np.uint8),
-                    row * period_ms * 1_000_000,
-                    lat_deg=-27.0 + frame * 2 / 110_800 if is_located else None,
-                    lon_deg=153.0 if is_located else None,
-                    heading_deg=0.0,
-                    distance_m=row * 2.0 if is_located else None,
+                    FeedRow(
+                        "",
+                        row * period_ms * 1_000_000,
+                        lat_deg=-27.0 + frame * 2 / 110_800 if is_located else None,
+                        lon_deg=153.0 if is_located else None,
+                        heading_deg=0.0,
+                        distance_m=row * 2.0 if is_located else None,
+                    ),
                 )
         return path
 
@@ -217,7 +219,7 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
                         position_sigma_m=sigma_m(row),
                     )
                     new.add(rng.random((1, 4), dtype=np.float32), place)
-            new.finish(normalize, "test")
+            new.finish()
         return path
 
     return make

@@ -15,8 +15,8 @@ import pytest
 import tomli_w
 
 from edge.config import CameraConfig, Config, MapConfig, PageConfig, TelemetryConfig
-from edge.daemon import Daemon
 from edge.journal.records import FixAnswered, FixSent, LinkChanged, MotionMeasured, PlaceFix, Stopped
+from edge.opened_parts import OpenedParts
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import straight_line
@@ -117,7 +117,7 @@ def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp
     flying.start()
     try:
         with ExitStack() as parts:
-            Daemon(config, parts)  # no turn of it
+            OpenedParts(config, parts)  # and no turn of a daemon
     finally:
         stop.set()
         flying.join()

@@ -20,6 +20,7 @@ from edge.config import (
 )
 from edge.daemon import Daemon
 from edge.journal.records import HomeAnswered
+from edge.opened_parts import OpenedParts
 from sim import geodetic
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -47,7 +48,8 @@ def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
         )
         autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=world.now_ns / 1e9 + 40)
         frames = Camera(world, ahead=True), Camera(world, ahead=False)
-        daemon = Daemon(config, parts, world.clock_ns, frames=frames[0], mapping_frames=frames[1], network=network)
+        opened = OpenedParts(config, parts, world.clock_ns, frames=frames[0], mapping_frames=frames[1], network=network)
+        daemon = Daemon(opened)
 
         def run(seconds: float) -> None:
             for _ in range(round(seconds * 1e9 / STEP_NS)):

@@ -28,9 +28,9 @@ from edge.config import (
 )
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
 from edge.feed import FeedImages, read_feed
 from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
+from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
@@ -101,7 +101,7 @@ def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory:
             north_deg = (index - PLACES / 2) * APART_M / 110_800
             place = Place(index, ORIGIN_LAT_DEG + north_deg, ORIGIN_LON_DEG, route_m=index * APART_M)
             builder.add(rng.random((2, 4096), dtype=np.float32), place)
-        builder.finish(normalize, "test")
+        builder.finish()
     if request.param == "tiles":
         split_map(open_map(path), path.with_name("tiles"), 64)
         return path.with_name("tiles")
@@ -118,7 +118,7 @@ def test_drives_that_disagree_are_published_at_the_start(street: Path, network: 
             for row, raw in enumerate(road):
                 at_deg = ORIGIN_LAT_DEG + 2 * row / 110_800, ORIGIN_LON_DEG + east_deg
                 builder.add(raw, Place(row, *at_deg, route_m=2.0 * row))
-        builder.finish(normalize, "test")
+        builder.finish()
     process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
     said = process.communicate(timeout=120)[1]
     assert process.returncode == 0, said
@@ -154,7 +154,7 @@ def elsewhere(network: Network, tmp_path: Path) -> Path:
         builder.begin_segment("elsewhere", "front")
         for row, raw in enumerate(np.random.default_rng(0).random((60, 2, 4096), dtype=np.float32)):
             builder.add(raw, Place(row, 0.0, 0.0, route_m=2.0 * row))
-        builder.finish(normalize, "test")
+        builder.finish()
     return path
 
 
@@ -173,7 +173,7 @@ def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
     )
 
     with ExitStack() as parts:
-        daemon = Daemon(config, parts, lambda: now_ns, frames=frames, network=network)
+        daemon = Daemon(OpenedParts(config, parts, lambda: now_ns, frames=frames, network=network))
 
         def drive(first: int, last: int) -> int:
             nonlocal now_ns

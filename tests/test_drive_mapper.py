@@ -29,6 +29,7 @@ from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.journal.records import FrameUsed, MappingChanged
 from edge.mapping.completion import logs_in
+from edge.opened_parts import OpenedParts
 from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -146,7 +147,8 @@ def parts() -> Iterator[ExitStack]:
 
 
 def opened(config: Config, parts: ExitStack, world: World, front: Camera, rear: Camera | None) -> Daemon:
-    return Daemon(config, parts, world.clock_ns, frames=front, mapping_frames=rear, network=world.network)
+    network = world.network
+    return Daemon(OpenedParts(config, parts, world.clock_ns, frames=front, mapping_frames=rear, network=network))
 
 
 def drive(

@@ -100,7 +100,6 @@ def test_a_map_of_another_model_or_other_regions(
     assert "[descriptor] is whole" in printed
 
     from edge.config import SamplingConfig
-    from edge.descriptor.normalize import normalize
     from edge.reference_map.builder import MapBuilder
     from edge.reference_map.store import ModelKey, open_map
 
@@ -112,7 +111,7 @@ def test_a_map_of_another_model_or_other_regions(
             from edge.reference_map.builder import Place
 
             builder.add(raw.astype("f4"), Place(row=index))
-        builder.finish(normalize, "test")
+        builder.finish()
     printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
     assert "made with model other-network (ffffffffffff, fc6)" in printed
     assert "name the map's in [descriptor] model or --model" in printed

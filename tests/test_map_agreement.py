@@ -12,7 +12,6 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import PositionSource, moved
 from edge.map_agreement import as_uncertain, disagreements
 from edge.reference_map import Route, open_map, open_map_set
@@ -56,7 +55,7 @@ def build(path: Path, drives: Sequence[Driven]) -> None:
                     row, lat_deg, lon_deg, 0.0, 180.0 * drive.back, row * SPACING_M, b"", drive.sigma_m, source
                 )
                 builder.add(seen[at].astype(np.float32), known)
-        builder.finish(normalize, "test")
+        builder.finish()
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.journal.records import FixSent, FrameUsed, PlaceFix
+from edge.opened_parts import OpenedParts
 from edge.telemetry import open_link
 from sim import Pose
 from sim.journal import read_journal
@@ -69,7 +70,7 @@ class Drive:
             page=PageConfig(port=0),
         )
         config = replace(config, telemetry=replace(config.telemetry, journal_frames=True))
-        self.daemon = Daemon(config, parts, self.clock_ns, frames=self.frames, network=network)
+        self.daemon = Daemon(OpenedParts(config, parts, self.clock_ns, frames=self.frames, network=network))
 
     def clock_ns(self) -> int:
         return self.now_ns

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -18,7 +19,8 @@ from tqdm import tqdm
 from edge.camera.newest import NewestFrame
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
-from edge.feed.recorder import DISK_FULL, FramesAwaitingPosition, Recorder, free_bytes_at
+from edge.feed import FeedWriter, Frame
+from edge.feed.recorder import DISK_FULL, Recorder, begun_feed, free_bytes_at
 from edge.feed.sampling import Sampler
 from edge.health.service import on_stop_signal
 from edge.telemetry.autopilot import AutopilotConnection
@@ -78,13 +80,11 @@ def record(
     with ExitStack() as parts:
         autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry)))
         camera = parts.enter_context(closing(NewestFrame.configured(config.camera)))
-        recorder = Recorder(
-            lambda: path,
-            config.camera,
-            min_free_bytes,
-            notes=lambda: "; ".join(camera.health.differences),
-            free_bytes=free_bytes,
-        )
+
+        def begin(frame: Frame) -> FeedWriter:
+            return begun_feed(path, config.camera, frame, "; ".join(camera.health.differences))
+
+        recorder = Recorder(begin, min_free_bytes, free_bytes=free_bytes)
         sampler, deadline_s = Sampler(config.sampling), time.monotonic() + duration_s
 
         def ended() -> Why | None:
@@ -116,7 +116,7 @@ def _fill(
     ended: Callable[[], Why | None],
 ) -> Why:
     """Move frames from the camera to the recorder until `ended` says why to stop."""
-    camera_state, waiting = "", FramesAwaitingPosition(recorder, autopilot.history)
+    camera_state, history = "", autopilot.history
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:
@@ -125,11 +125,11 @@ def _fill(
             if frame is not None:
                 distance_m = autopilot.vehicle.distance_m(frame.stamp_ns)
                 if sampler.is_place(frame.stamp_ns, distance_m):
-                    waiting.add(frame, distance_m)
-            waiting.record()
+                    history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
+            history.release()
             counter.update(recorder.written - counter.n)
             camera_state = _log_camera(camera, camera_state)
-    waiting.record(all_of_them=True)
+    history.release(all_of_them=True)
     return why
 
 

@@ -8,6 +8,6 @@ makes such a file of any image network at a desk; `open_network` opens it on the
 
 from __future__ import annotations
 
-from edge.descriptor.normalize import NormalizedRows, RunningStatistics
+from edge.descriptor.normalize import NormalizedRows, RunningStatistics, normalize
 
-__all__ = ["NormalizedRows", "RunningStatistics"]
+__all__ = ["NormalizedRows", "RunningStatistics", "normalize"]

@@ -12,16 +12,12 @@ import queue
 import shutil
 import signal
 import threading
-import time
-from collections import deque
 from collections.abc import Callable
-from datetime import datetime, timezone
 from pathlib import Path
-from typing import Protocol
 
 from edge.config import CameraConfig
 from edge.errors import FeedError
-from edge.feed.format import FeedHeader
+from edge.feed.format import FeedHeader, FeedRow
 from edge.feed.reader import Frame
 from edge.feed.writer import FeedWriter
 from edge.geodesy import VehiclePosition
@@ -37,55 +33,24 @@ def free_bytes_at(path: Path) -> int:
     return shutil.disk_usage(existing).free
 
 
-class Positions(Protocol):
-    """Where the vehicle was at an exposure: `AutopilotConnection.history`."""
-
-    def at(self, stamp_ns: int) -> VehiclePosition | None:
-        """Its position at that moment, None where it is not known."""
-
-    def is_awaited(self, stamp_ns: int) -> bool:
-        """Whether the position after that moment has not come yet, and still may."""
-
-
-class FramesAwaitingPosition:
-    """Frames until the position after their exposure is known, since a position is interpolated; then recorded."""
-
-    def __init__(self, recorder: Recorder, positions: Positions) -> None:
-        self._recorder, self._positions = recorder, positions
-        self._frames: deque[tuple[Frame, float | None]] = deque()
-
-    def add(self, frame: Frame, distance_m: float | None) -> None:
-        """A frame that is to be recorded, and how far the vehicle had driven."""
-        self._frames.append((frame, distance_m))
-
-    def record(self, *, all_of_them: bool = False) -> None:
-        """Record what is ready, or all at the end."""
-        while self._frames and (all_of_them or not self._positions.is_awaited(self._frames[0][0].stamp_ns)):
-            frame, distance_m = self._frames.popleft()
-            self._recorder.record(frame, self._positions.at(frame.stamp_ns), distance_m)
-
-
 class Recorder:
     """One feed, written by a thread of its own."""
 
     def __init__(
         self,
-        feed: Callable[[], Path],
-        camera: CameraConfig,
+        begin: Callable[[Frame], FeedWriter],
         min_free_bytes: float,
         *,
-        notes: Callable[[], str] = lambda: "",
         free_bytes: Callable[[Path], int] = free_bytes_at,
     ) -> None:
-        """Start the thread. Nothing is written before the first frame, when `feed` names the folder to make.
+        """Start the thread. begin: makes the feed with its first frame, see `begun_feed`.
 
-        notes: of the feed's header. min_free_bytes: recording stops when the disk has less than this left.
+        min_free_bytes: recording stops when the disk has less than this left.
         """
-        self._feed, self._camera, self._notes = feed, camera, notes
+        self._begin = begin
         self._min_free_bytes, self._free_bytes = min_free_bytes, free_bytes
-        self._queue: queue.Queue[tuple[Frame, VehiclePosition | None, float | None] | None] = queue.Queue(QUEUE_FRAMES)
+        self._queue: queue.Queue[tuple[Frame, float | None, VehiclePosition | None] | None] = queue.Queue(QUEUE_FRAMES)
         self._writer: FeedWriter | None = None
-        self._path = Path()
         self.written = 0
         self.with_position = 0
         self.skipped = 0
@@ -95,12 +60,12 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
-    def record(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
+    def record(self, frame: Frame, distance_m: float | None, position: VehiclePosition | None) -> None:
         """Hand a frame over, with what the autopilot reports of its exposure; never waits and never raises."""
         if self.stopped:
             return
         try:
-            self._queue.put_nowait((frame, position, distance_m))
+            self._queue.put_nowait((frame, distance_m, position))
         except queue.Full:
             self.skipped += 1
 
@@ -125,53 +90,32 @@ class Recorder:
             if self._writer is not None:
                 self._writer.close()
 
-    def _write(self, frame: Frame, position: VehiclePosition | None, distance_m: float | None) -> None:
+    def _write(self, frame: Frame, distance_m: float | None, position: VehiclePosition | None) -> None:
         if self.stopped:
             return
-        writer = self._writer or self._open(frame)
-        if self._free_bytes(self._path) < self._min_free_bytes:
+        writer = self._writer = self._writer or self._begin(frame)
+        if self._free_bytes(writer.path) < self._min_free_bytes:
             self._stop(DISK_FULL)
             return
-        writer.write(
-            frame.image,
-            frame.stamp_ns,
-            lat_deg=position.lat_deg if position else None,
-            lon_deg=position.lon_deg if position else None,
-            alt_m=position.alt_m if position else None,
-            heading_deg=position.heading_deg if position else None,
-            speed_mps=position.speed_mps if position else None,
-            distance_m=distance_m,
-            position_sigma_m=position.sigma_m if position else None,
-            position_source=position.source if position else "unknown",
-        )
+        row = FeedRow("", frame.stamp_ns, distance_m=distance_m)
+        if position is not None:
+            at = position.lat_deg, position.lon_deg, position.alt_m, position.heading_deg, position.speed_mps
+            row = FeedRow("", frame.stamp_ns, *at, distance_m, position.sigma_m, position.source)
+        writer.write(frame.image, row)
         self.written += 1
         self.with_position += position is not None
 
-    def _open(self, frame: Frame) -> FeedWriter:
-        """Make the feed's folder; only now is the size known that the camera really gives."""
-        self._path = self._feed()
-        height, width = frame.image.shape[:2]
-        camera = self._camera
-        header = FeedHeader(
-            self._path.name,
-            camera.view,
-            width,
-            height,
-            camera.source,
-            self._notes(),
-            preprocessing=camera.preprocessing,
-        )
-        self._writer = FeedWriter(self._path, header)
-        log.info("recording: %s", self._path)
-        return self._writer
-
     def _stop(self, why: str) -> None:
         self.stopped = why
-        log.warning("recording: %s: stopped after %d frames: %s", self._path, self.written, why)
+        folder = f"{self._writer.path}: " if self._writer else ""
+        log.warning("recording: %sstopped after %d frames: %s", folder, self.written, why)
 
 
-def run_folder(folder: Path, unix_time_s: Callable[[], float] = time.time) -> Path:
-    """A new folder for the feed of one run, named by the time. Two runs may begin in the same second."""
-    started = datetime.fromtimestamp(unix_time_s(), tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-    names = [started, *(f"{started}-{number}" for number in range(2, 1000))]
-    return folder / next(name for name in names if not (folder / name).exists())
+def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") -> FeedWriter:
+    """A new feed whose first frame is this one: only now is the size known that the camera really gives."""
+    height, width = frame.image.shape[:2]
+    processed = camera.preprocessing
+    header = FeedHeader(path.name, camera.view, width, height, camera.source, notes, preprocessing=processed)
+    writer = FeedWriter(path, header)
+    log.info("recording: %s", path)
+    return writer

@@ -7,7 +7,7 @@ import csv
 import errno
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -17,8 +17,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from edge.errors import FeedError
-from edge.feed.format import MEASURES, SOURCE, FeedHeader
-from edge.geodesy import PositionSource
+from edge.feed.format import MEASURES, SOURCE, FeedHeader, FeedRow
 
 JPEG_QUALITY = 92
 PNG_BEGINS = b"\x89PNG"
@@ -34,7 +33,7 @@ class FeedWriter:
 
         begins: the stamps in ns of all frames that will be written; what an interrupted writer left of these is kept.
         """
-        self._path = path
+        self.path = path
         self._whole_bytes = 0
         self._extra_columns = extra_columns
         text = tomli_w.dumps(msgspec.structs.asdict(header))
@@ -58,45 +57,31 @@ class FeedWriter:
     def _count_begun(self, header: str, stamps_ns: Sequence[int]) -> int:
         """How many frames of this very feed are there already; 0 where it is another one, or whole."""
         with contextlib.suppress(OSError, ValueError, IndexError):
-            data = (self._path / "frames.csv").read_bytes()
+            data = (self.path / "frames.csv").read_bytes()
             whole = data[: data.rindex(b"\n") + 1]
             there = [int(row.split(b",", 2)[1]) for row in whole.splitlines()[1:]]
-            is_same = (self._path / "feed.toml").read_text(encoding="utf-8") == header
+            is_same = (self.path / "feed.toml").read_text(encoding="utf-8") == header
             if is_same and there == list(stamps_ns[: len(there)]) and len(there) < len(stamps_ns):
                 self._whole_bytes = len(whole)
                 return len(there)
         return 0
 
-    def write(
-        self,
-        image: NDArray[np.uint8] | bytes,
-        stamp_ns: int,
-        *,
-        lat_deg: float | None = None,
-        lon_deg: float | None = None,
-        alt_m: float | None = None,
-        heading_deg: float | None = None,
-        speed_mps: float | None = None,
-        distance_m: float | None = None,
-        position_sigma_m: float | None = None,
-        position_source: PositionSource = "unknown",
-        extra: Mapping[str, str] | None = None,
-    ) -> None:
+    def write(self, image: NDArray[np.uint8] | bytes, row: FeedRow) -> None:
         """Append one frame; image (H, W, 3) uint8 BGR, or the bytes of a JPEG or PNG file, which are kept as they are.
 
-        OSError when the disk is full: what was written stays whole.
+        row: what is known of it; its `file` is named here. OSError when the disk is full: what was written stays whole.
         """
-        data = image if isinstance(image, bytes) else _as_jpeg(image)
-        name = f"frames/{self.count:06d}.{'png' if data.startswith(PNG_BEGINS) else 'jpg'}"
+        if not isinstance(image, bytes):
+            image = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        name = f"frames/{self.count:06d}.{'png' if image.startswith(PNG_BEGINS) else 'jpg'}"
         try:
-            (self._path / name).write_bytes(data)
-            measures = (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m, position_sigma_m)
-            known = ["" if value is None else repr(float(value)) for value in measures]
-            source = "" if lat_deg is None else position_source
-            others = [(extra or {}).get(key, "") for key in self._extra_columns]
-            self._append([name, str(stamp_ns), *known, source, *others])
+            (self.path / name).write_bytes(image)
+            known = ["" if value is None else repr(float(value)) for value in (getattr(row, name) for name in MEASURES)]
+            source = "" if row.lat_deg is None else row.position_source
+            others = [row.extra.get(key, "") for key in self._extra_columns]
+            self._append([name, str(row.stamp_ns), *known, source, *others])
         except OSError:
-            (self._path / name).unlink(missing_ok=True)
+            (self.path / name).unlink(missing_ok=True)
             raise
         self.count += 1
 
@@ -123,7 +108,3 @@ class FeedWriter:
     def close(self) -> None:
         """Close the row file; more than once is harmless."""
         self._file.close()
-
-
-def _as_jpeg(image: NDArray[np.uint8]) -> bytes:
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

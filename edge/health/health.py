@@ -113,7 +113,9 @@ STARTING = Health("starting", NOT_YET["starting"])
 def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
     """The state now; `before` is the last one, which a standing vehicle keeps."""
     able = _able(signs, before)
-    troubles = [one for one in (signs.gps, _link_trouble(signs), _journal_trouble(signs), _slow(signs)) if one]
+    journal = f"journal: {signs.journal}" if signs.journal else ""
+    slow = f"slow: a frame took over {SLOW_FRAME_S:g} s" if signs.frame_s > SLOW_FRAME_S else ""
+    troubles = [one for one in (signs.gps, _link_trouble(signs), journal, slow) if one]
     if signs.blind:
         return Health("degraded", "; ".join([f"not recognized: {signs.blind}", *troubles]), "starting")
     why = _why_no_position(signs, able)
@@ -148,18 +150,11 @@ def _link_trouble(signs: HealthInputs) -> str:
     return "link: no autopilot heard" if signs.link_down_s > LINK_GRACE_S else ""
 
 
-def _journal_trouble(signs: HealthInputs) -> str:
-    return f"journal: {signs.journal}" if signs.journal else ""
-
-
-def _slow(signs: HealthInputs) -> str:
-    return f"slow: a frame took over {SLOW_FRAME_S:g} s" if signs.frame_s > SLOW_FRAME_S else ""
-
-
 TEXT_NS = 5_000_000_000
 """At most one line about each state in this time: at the edge of a map it changes with every frame. As long on the map,
 a vehicle has had time for its first position."""
 JOURNAL_RETRY_NS = 5_000_000_000
+FED_EACH_NS = 100_000_000  # a turn without a frame takes 20 ms; systemd waits for 10 s (WatchdogSec=)
 SEVERITIES: dict[HealthState, int] = {"degraded": mavlink.MAV_SEVERITY_WARNING, "failed": mavlink.MAV_SEVERITY_CRITICAL}
 log = logging.getLogger(__name__)
 
@@ -182,25 +177,20 @@ class HealthMonitor:
 
     def __init__(self, links: Links, journal: Journal | QueuedJournal | None, clock_ns: Callable[[], int]) -> None:
         self._links, self._journal, self._clock_ns = links, journal, clock_ns
-        self._hang = ""
+        self.hangs = False
+        """Whether the camera's thread is stuck, so that only a restart of the process helps."""
         self._frames_before_gap = 0
         self._was_blind = False
         self._reopened = 0
-        self._link_up_ns = clock_ns()
-        self._link_was_up = False
+        self._link_down_ns: int | None = clock_ns()  # since when; None: it is up
         self._off_map_ns = clock_ns()  # when the vehicle was last
         self._recognized_m: float | None = None  # driven then
-        self._published: Health | None = None
         self._published_text = ""
         self._text_due_ns: dict[HealthState, int] = {}
         self._journal_retry_ns = 0
-        self.health = STARTING
+        self._fed_ns: int | None = None
+        self.health = Health("starting")
         self._publish(STARTING)
-
-    @property
-    def hangs(self) -> bool:
-        """Whether the camera's thread is stuck, so that only a restart of the process helps."""
-        return bool(self._hang)
 
     def is_first_after_gap(self, camera: CameraHealth) -> bool:
         """Whether a camera came back since the last update: its first frame still meets what was seen before."""
@@ -212,9 +202,9 @@ class HealthMonitor:
         That is so when the daemon goes blind and when it sees again: the vehicle has moved meanwhile. inputs: without
         what is known here, of camera, journal and silence. hang: what the camera's thread is stuck in.
         """
-        if hang and not self._hang:
+        if hang and not self.hangs:
             log.error("the camera hangs (%s); WATCHDOG=1 is no longer sent", hang)
-        self._hang, frames_used = hang, inputs.frames_used
+        self.hangs, frames_used = bool(hang), inputs.frames_used
         inputs = replace(
             inputs,
             frames_used=frames_used - self._frames_before_gap,
@@ -235,6 +225,21 @@ class HealthMonitor:
         if self.health.able != "on the map":
             self._off_map_ns = self._clock_ns()
         return is_gap
+
+    def feed_watchdog(self) -> None:
+        """Send systemd READY=1 in the first turn of the loop, and WATCHDOG=1 unless a part of the daemon hangs.
+
+        It is ready without its port or its camera too: it opens them when they appear, which may be never, and the
+        computer must finish booting. The loop's thread moves all but the camera: had it hung, it would not come here.
+        """
+        now_ns = self._clock_ns()
+        if self._fed_ns is None:
+            notify("READY=1")
+        elif self.hangs or now_ns - self._fed_ns < FED_EACH_NS:
+            return
+        self._fed_ns = now_ns
+        if not self.hangs:
+            notify("WATCHDOG=1", wait_s=0.0)
 
     @contextlib.contextmanager
     def failures(self) -> Iterator[None]:
@@ -258,12 +263,12 @@ class HealthMonitor:
 
     def _link_down_s(self, *, is_up: bool) -> float:
         now_ns = self._clock_ns()
-        if is_up and not self._link_was_up:
+        if is_up and self._link_down_ns is not None:
             self._published_text = ""  # whoever is there now has not received it
-        self._link_was_up = is_up
-        if is_up:
-            self._link_up_ns = now_ns
-        return (now_ns - self._link_up_ns) / 1e9
+        if is_up or self._link_down_ns is None:
+            self._link_down_ns = None if is_up else now_ns
+            return 0.0
+        return (now_ns - self._link_down_ns) / 1e9
 
     def _journal_fault(self) -> str:
         """Why the journal cannot be written. Nothing may happen that is worth a line, so try one now and then."""
@@ -276,12 +281,10 @@ class HealthMonitor:
         return journal.why_lost if journal.lost else ""
 
     def _publish(self, health: Health) -> None:
-        self.health = health
+        before, self.health = self.health, health
         self._links.set_system_status(health.mav_state)
         now_ns = self._clock_ns()
-        before = self._published
-        if before is None or (health.state, health.why) != (before.state, before.why):
-            self._published = health
+        if (health.state, health.why) != (before.state, before.why):
             # Failing and starting have their lines in the log already.
             log.log(logging.DEBUG if health.state in ("failed", "starting") else logging.INFO, "%s", health)
             notify(f"STATUS={health}")

@@ -10,30 +10,8 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 STOPS = (signal.SIGTERM, signal.SIGINT)
-FED_EACH_S = 0.1
 MANAGER_S = 1.0
 """A service manager that does not read fills its socket: do not wait for it any longer."""
-
-
-class Supervision:
-    """Reports to systemd, in each turn of the loop, that the service is ready and alive."""
-
-    def __init__(self) -> None:
-        self._fed_ns: int | None = None
-
-    def publish(self, hangs: bool, now_ns: int) -> None:
-        """Send READY=1 in the first turn, and WATCHDOG=1 unless a part of the daemon hangs.
-
-        It is ready without its port or its camera too: it opens them when they appear, which may be never, and the
-        computer must finish booting. STATUS= says what is missing.
-        """
-        if self._fed_ns is None:
-            notify("READY=1")
-        elif hangs or now_ns - self._fed_ns < FED_EACH_S * 1e9:
-            return
-        self._fed_ns = now_ns
-        if not hangs:
-            notify("WATCHDOG=1", wait_s=0.0)
 
 
 @contextlib.contextmanager

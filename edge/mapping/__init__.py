@@ -7,7 +7,8 @@
 `quota`      which maps are deleted for want of disk space
 """
 
-from edge.mapping.live_map import LiveMap, header_of
+from edge.mapping.live_map import LiveMap
+from edge.mapping.place_log_records import LogHeader
 from edge.mapping.status import MappingStatus, MappingView, WayHome
 
-__all__ = ["LiveMap", "MappingStatus", "MappingView", "WayHome", "header_of"]
+__all__ = ["LiveMap", "LogHeader", "MappingStatus", "MappingView", "WayHome"]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-import edge
 from edge.errors import MapError
 from edge.layers import source_of
 from edge.mapping.place_log import OpenLog
-from edge.reference_map import MapBuilder, Normalize
+from edge.reference_map import MapBuilder
 
 SUFFIX = ".growing"
 FEWEST_PLACES = 20
@@ -32,7 +31,7 @@ def logs_in(folder: Path) -> list[Path]:
     return sorted(folder.glob(f".*{SUFFIX}"))
 
 
-def complete(file: OpenLog, normalize: Normalize) -> Path | None:
+def complete(file: OpenLog) -> Path | None:
     """Make the map of an earlier drive and remove its file; None where the drive has too few places for one.
 
     A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
@@ -43,17 +42,16 @@ def complete(file: OpenLog, normalize: Normalize) -> Path | None:
         file.path.unlink(missing_ok=True)
         return None
     if not path.exists():
-        _build(file, path, normalize)
+        _build(file, path)
         log.info("%s: a map of %d places was made of the drive", path, len(file.places_at))
     file.path.unlink(missing_ok=True)
     return path
 
 
-def _build(file: OpenLog, path: Path, normalize: Normalize) -> None:
+def _build(file: OpenLog, path: Path) -> None:
     header = file.header
-    ends = [*(first for first, _ in file.drives[1:]), len(file.places_at)]
     with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
-        for (first, drive), end in zip(file.drives, ends, strict=True):
+        for first, end, drive in file.segments():
             builder.begin_segment(source_of(path), drive.view)
             for row in range(first, end):
                 try:
@@ -61,4 +59,4 @@ def _build(file: OpenLog, path: Path, normalize: Normalize) -> None:
                     builder.add(file.raw_of(passed), passed.place)
                 except OSError as error:
                     raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
-        builder.finish(normalize, edge.__version__)
+        builder.finish()

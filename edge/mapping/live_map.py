@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-import edge
-from edge.config import MappingConfig, SamplingConfig
+from edge.config import MappingConfig
 from edge.errors import MapError
+from edge.files import named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.layers import source_of
 from edge.mapping.completion import complete, log_of, logs_in, map_of
@@ -23,7 +22,7 @@ from edge.mapping.place_log import OpenLog, PlaceLog, create_log
 from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace, missed_places
 from edge.mapping.quota import delete_oldest
 from edge.mapping.status import MappingStatus, MappingView, SelfComparison
-from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, ModelKey, Normalize, Place, RegionsKey, thumbnail
+from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, Place, thumbnail
 
 STEP_PLACES = 16
 """Places that become searchable at once: a larger map is made of the map so far, which costs some milliseconds."""
@@ -48,7 +47,6 @@ class LiveMap:
         config: MappingConfig,
         header: LogHeader,
         view: Literal["front", "rear"],
-        normalize: Normalize,
         unix_time_s: Callable[[], float] = time.time,
         before_long: Callable[[float], object] = lambda seconds: None,
     ) -> None:
@@ -57,7 +55,7 @@ class LiveMap:
         header: how places are made. view: of the camera that maps. before_long: is called with the seconds that
         reading or finishing a drive may take here.
         """
-        self._config, self._header, self._view, self._normalize = config, header, view, normalize
+        self._config, self._header, self._view = config, header, view
         self._unix_time_s, self._before_long = unix_time_s, before_long
         self._folder = Path(config.folder)
         self._why = "no place yet"
@@ -71,8 +69,8 @@ class LiveMap:
         self._comparison = SelfComparison()
         self.searchable = 0
         """How many of the places are searched."""
-        self._path = self._new_path()
-        self._growing = self._new_map(self._path)
+        self._path = named_by_time(self._folder, unix_time_s(), lambda path: path.exists() or log_of(path).exists())
+        self._growing = self._new_map()
         try:
             self._open()
         except (MapError, OSError) as error:
@@ -201,7 +199,6 @@ class LiveMap:
         if self._log is None:
             file = create_log(log_of(self._path), self._header)
             self._log = PlaceLog(file, self._config.min_free_mb * 1e6)
-            self._growing = self._new_map(self._path)
         apart_m = MOST_APART * self._header.sampling.spacing_m
         since_m = route_m - self._last.place.route_m if self._last is not None else -1.0
         if 0 <= since_m <= apart_m:
@@ -235,20 +232,18 @@ class LiveMap:
             position_source=position.source,
         )
 
-    def _new_path(self) -> Path:
-        started = datetime.fromtimestamp(self._unix_time_s(), tz=timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-        names = [started, *(f"{started}-{number}" for number in range(2, 1000))]
-        paths = (self._folder / name for name in names)
-        return next(path for path in paths if not (path.exists() or log_of(path).exists()))
+    def _new_map(self) -> GrowingMap:
+        made = self._header
+        return GrowingMap(
+            self._path, made.model, made.regions, made.sampling, self._raw_rows, thumbnails=self._thumbnail
+        )
 
-    def _new_map(self, path: Path) -> GrowingMap:
-        header = self._header
+    def _raw_rows(self, rows: Sequence[int]) -> NDArray[np.float32]:
+        assert self._log is not None  # with its first place there is one
+        return self._log.raw_rows(rows)
 
-        def of_log(row: int) -> bytes:
-            return self._log.thumbnail(row) if self._log else b""
-
-        rows = self._log.raw_rows if self._log else _no_rows
-        return GrowingMap(path, header.model, header.regions, header.sampling, self._normalize, rows, thumbnails=of_log)
+    def _thumbnail(self, row: int) -> bytes:
+        return self._log.thumbnail(row) if self._log else b""
 
     def _open(self) -> None:
         """Go on with the last drive, and make maps of the others. MapError, OSError."""
@@ -267,7 +262,7 @@ class LiveMap:
             self._resume(found)
             return
         try:
-            complete(found, self._normalize)
+            complete(found)
         finally:
             found.close()
 
@@ -281,9 +276,8 @@ class LiveMap:
     def _resume(self, found: OpenLog) -> None:
         self._path = map_of(found.path)
         self._log = PlaceLog(found, self._config.min_free_mb * 1e6)
-        self._growing = self._new_map(self._path)
-        ends = [*(first for first, _ in found.drives[1:]), len(found.places_at)]
-        for (first, drive), end in zip(found.drives, ends, strict=True):
+        self._growing = self._new_map()
+        for first, end, drive in found.segments():
             self._growing.begin_segment(source_of(self._path), drive.view)
             for row in range(first, end, RESUMED_AT_ONCE):
                 records = [found.place(one) for one in range(row, min(row + RESUMED_AT_ONCE, end))]
@@ -309,12 +303,3 @@ def _why_no_truth(position: VehiclePosition, config: MappingConfig) -> str:
         return "no GPS"
     is_good = position.sigma_m is not None and position.sigma_m <= config.max_sigma_m
     return "" if is_good else f"the position is not known to {config.max_sigma_m:g} m"
-
-
-def _no_rows(rows: object) -> NDArray[np.float32]:
-    raise OSError(0, "no place yet")
-
-
-def header_of(model: ModelKey, regions: RegionsKey, sampling: SamplingConfig) -> LogHeader:
-    """How the places of a drive are made."""
-    return LogHeader(model, regions, sampling, edge.__version__)

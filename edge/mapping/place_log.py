@@ -18,7 +18,8 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,11 @@ class OpenLog:
         elif size > self.end:
             log.warning("%s: the last %d bytes are damaged and were skipped", self.path, size - self.end)
             self.end = size
+
+    def segments(self) -> Iterator[tuple[int, int, DriveBegun]]:
+        """Places [start, end) of each drive."""
+        starts = [*(first for first, _ in self.drives), len(self.places_at)]
+        yield from ((*rows, drive) for rows, (_, drive) in zip(pairwise(starts), self.drives, strict=True))
 
     def place(self, row: int) -> PlacePassed:
         """One of the places; OSError if it cannot be read any more."""

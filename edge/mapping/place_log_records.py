@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+import edge
 from edge.config import SamplingConfig
 from edge.reference_map import ModelKey, Place, RegionsKey
 
@@ -34,7 +35,7 @@ class LogHeader(msgspec.Struct, frozen=True, tag="header"):
     model: ModelKey
     regions: RegionsKey
     sampling: SamplingConfig
-    lookback: str
+    lookback: str = edge.__version__
     format: str = FORMAT
     version: int = VERSION
 

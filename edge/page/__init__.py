@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from edge.config import PageConfig
 from edge.extras import install_command
-from edge.page.snapshot import LiveStatus, MapView, Snapshot, Sources, map_view
+from edge.page.snapshot import LiveStatus, MapView, Snapshot, map_view
 
 if TYPE_CHECKING:
     from edge.page.server import StatusPage
 
-__all__ = ["LiveStatus", "MapView", "Snapshot", "Sources", "map_view", "open_page"]
+__all__ = ["LiveStatus", "MapView", "Snapshot", "map_view", "open_page"]
 log = logging.getLogger(__name__)
 
 

@@ -86,79 +86,62 @@ class Snapshot:
         return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture, **others})
 
 
-@dataclass(frozen=True)
-class Sources:
-    """Where a snapshot gets the rest of what it shows; they are asked only when somebody looks.
-
-    map_name: for people. costs: of the newest match. stages_ms: median time of each stage of a frame. journal_lost:
-    lines that could not be written. mapping: the map of this drive, None where none is made.
-    """
-
-    map_name: Callable[[], str]
-    costs: Callable[[PlaceMatch | None], CostView]
-    camera: Callable[[], CameraHealth]
-    link: Callable[[], LinkStatus]
-    stages_ms: Callable[[], dict[str, float]]
-    journal_lost: Callable[[], int]
-    clock_ns: Callable[[], int]
-    mapping: Callable[[], MappingView | None] = lambda: None
-
-
 class LiveStatus:
     """Keeps every used frame for a while, which costs microseconds, and makes a snapshot when it is asked for one."""
 
-    def __init__(
-        self,
-        model: str,
-        confidence_min: float,
-        sources: Sources,
-        unix_time_s: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, model: str, confidence_min: float, unix_time_s: Callable[[], float] = time.time) -> None:
         """model: its name, for people. confidence_min: from which on a place is believed."""
         self._model, self._confidence_min = model, confidence_min
-        self._sources = sources
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
-        self._match: PlaceMatch | None = None
-        self._frames_used = self._events = 0
+        self.match: PlaceMatch | None = None
+        self.frames_used = self.events = 0
 
     def add(self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, vehicle: tuple[float, float] | None) -> None:
         """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude."""
-        self._frame, self._match = frame, match
-        self._frames_used += 1
-        self._events += used.emitted
+        self._frame, self.match = frame, match
+        self.frames_used += 1
+        self.events += used.emitted
         self._history.append(HistoryFrame(used, vehicle))
 
-    def snapshot(self, state: str, why: str) -> Snapshot:
-        """What is to be shown now; `state` is the daemon's, and why it is so."""
-        image = self._frame.image if self._frame else None
-        return Snapshot(self._status(state, why), image, self._sources.costs(self._match))
-
-    def _status(self, state: str, why: str) -> Status:
-        sources, match = self._sources, self._match
-        now_ns = sources.clock_ns()
-        return Status(
+    def snapshot(
+        self,
+        now_ns: int,
+        state: str,
+        why: str,
+        *,
+        map_name: str,
+        costs: CostView,
+        camera: CameraHealth,
+        link: LinkStatus,
+        stages_ms: dict[str, float],
+        journal_lost: int,
+        mapping: MappingView | None = None,
+    ) -> Snapshot:
+        """What is to be shown now; state, why: the daemon's. costs: of `match`. Others: see `Status`."""
+        status = Status(
             stamp_ns=now_ns,
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
-            map_name=sources.map_name(),
+            map_name=map_name,
             model=self._model,
             state=state,
             why=why,
             newest=self._history[-1].used if self._history else None,
-            slope=round(match.slope, 4) if match else None,
-            frames_used=self._frames_used,
-            events=self._events,
+            slope=round(self.match.slope, 4) if self.match else None,
+            frames_used=self.frames_used,
+            events=self.events,
             fps=self._fps(now_ns),
             confidence_min=self._confidence_min,
-            stages_ms=sources.stages_ms(),
-            journal_lost=sources.journal_lost(),
-            camera=sources.camera(),
-            link=sources.link(),
-            mapping=sources.mapping(),
+            stages_ms=stages_ms,
+            journal_lost=journal_lost,
+            camera=camera,
+            link=link,
+            mapping=mapping,
             history=tuple(self._history),
         )
+        return Snapshot(status, self._frame.image if self._frame else None, costs)
 
     def _fps(self, now_ns: int) -> float:
         stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]

@@ -11,7 +11,7 @@
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
 """
 
-from edge.reference_map.builder import MapBuilder, Normalize, Place, thumbnail
+from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
@@ -38,7 +38,6 @@ __all__ = [
     "MapSet",
     "MapSoFar",
     "ModelKey",
-    "Normalize",
     "Place",
     "Position",
     "Ranges",

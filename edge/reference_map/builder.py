@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
+from edge.descriptor import normalize
 from edge.errors import MapError
 from edge.files import AtomicFolder
 from edge.geodesy import POSITION_SOURCES, PositionSource
@@ -27,16 +28,14 @@ from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import encode, project, squared_norms
 from edge.reference_map.place_records import PLACE
-from edge.reference_map.spatial_index import Bounds, bounds_of
-from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
+from edge.reference_map.spatial_index import bounds_of
+from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
 
 BLOCK = 256
 USABLE_SIGMA_M = 25.0
 """A position of less accuracy is not used: GPS of that kind counts as unhealthy as well."""
 NAN = float("nan")
 
-Normalize = Callable[[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]]
-"""Equation 1, as the descriptor stage has it: raw (n, R, D), mean (R, D), deviation (R, D) -> (n, R, D)."""
 Blocks = Callable[[], Iterator[NDArray[np.float32]]]
 """Goes through the normalized set, a block (n, R, D) at a time."""
 Shrink = Callable[[Blocks], NDArray[np.float32]]
@@ -88,11 +87,9 @@ class MapBuilder:
             raise MapError(f"{path}: already exists; name another folder, or use --replace")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
-        self._path = path
-        self._model, self._regions, self._sampling = model, regions, sampling
-        self._shrink, self._kept = shrink, model.dimensions
+        self._path, self._shrink = path, shrink
+        self._header = MapHeader.begun(model, regions, sampling)
         self._records: list[tuple[float | int, ...]] = []
-        self._segments: list[Segment] = []
         self._thumbnail_at = 0
         self.unused: Counter[str] = Counter()
         """Positions that were given and are not used, by the reason; their places have none."""
@@ -103,8 +100,7 @@ class MapBuilder:
 
     def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
         """Start a further drive; sequences are never searched across its beginning."""
-        count = len(self._records)
-        self._segments.append(Segment(count, count, view, source))
+        self._header = self._header.with_segment(source, view)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.
@@ -119,11 +115,10 @@ class MapBuilder:
         self._thumbnails.write(place.thumbnail)
         self._records.append(place.record(self._thumbnail_at))
         self._thumbnail_at += len(place.thumbnail)
-        self._segments[-1] = msgspec.structs.replace(self._segments[-1], end=len(self._records))
+        self._header = self._header.with_places(len(self._records))
 
-    def finish(self, normalize: Normalize, lookback_version: str) -> MapHeader:
+    def finish(self) -> MapHeader:
         """Normalize the whole set, write, sync, and rename into place. MapError if no place was added."""
-        self._segments = [segment for segment in self._segments if segment.end > segment.start]
         if len(self._records) < 2:
             raise MapError(f"{self._path}: a map needs at least 2 places, and {len(self._records)} were added")
         self._raw.close()
@@ -131,9 +126,9 @@ class MapBuilder:
         mean, deviation = self._statistics()
         np.stack([mean, deviation]).astype("<f8").tofile(self._folder / store.STATISTICS)
         places = np.array(self._records, dtype=PLACE)
-        places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(normalize, mean, deviation))
+        places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(mean, deviation))
         places.tofile(self._folder / store.PLACES)
-        header = self._header(lookback_version, bounds_of(places))
+        header = msgspec.structs.replace(self._header.first(len(places)), bounds=bounds_of(places), files=self._files())
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
         self._new.put_in_place()
         return header
@@ -143,24 +138,24 @@ class MapBuilder:
         projection = None
         if self._shrink is not None:
             projection = self._shrink(blocks)
-            self._kept = len(projection)
+            self._header = msgspec.structs.replace(self._header, dimensions=len(projection))
             projection.astype("<f4").tofile(self._folder / store.PROJECTION)
         norms_sq: list[NDArray[np.int32]] = []
         at = 0
         with (self._folder / store.DESCRIPTORS).open("wb") as file:
             for block in blocks():
                 encoded = encode(block if projection is None else project(block, projection))
-                for plane in range(self._regions.count):
-                    file.seek((plane * len(self._records) + at) * self._kept)
+                for plane in range(self._header.regions.count):
+                    file.seek((plane * len(self._records) + at) * self._header.dimensions)
                     file.write(encoded[plane].tobytes())
                 norms_sq.append(squared_norms(encoded))
                 at += len(block)
         return np.concatenate(norms_sq)
 
     def _normalized_blocks(
-        self, normalize: Normalize, mean: NDArray[np.float64], deviation: NDArray[np.float64]
+        self, mean: NDArray[np.float64], deviation: NDArray[np.float64]
     ) -> Iterator[NDArray[np.float32]]:
-        is_set = self._regions.normalization == "set"
+        is_set = self._header.regions.normalization == "set"
         return (normalize(block, mean, deviation) if is_set else block for block in self._raw_blocks())
 
     def _statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -171,27 +166,15 @@ class MapBuilder:
         return np.asarray(mean), np.sqrt(np.asarray(squares) / count)
 
     def _raw_blocks(self) -> Iterator[NDArray[np.float32]]:
-        shape = (len(self._records), self._regions.count, self._model.dimensions)
+        shape = (len(self._records), self._header.regions.count, self._header.model.dimensions)
         raw = np.memmap(self._folder / store.RAW, dtype="<f2", mode="r", shape=shape)
         for at in range(0, len(raw), BLOCK):
             yield raw[at : at + BLOCK].astype(np.float32)
 
-    def _header(self, lookback_version: str, bounds: Bounds | None) -> MapHeader:
-        names = [*store.expected_sizes(0, 0, self._model.dimensions, self._kept), store.THUMBNAILS]
-        files = {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
-        return MapHeader(
-            format=store.FORMAT,
-            version=store.VERSION,
-            lookback=lookback_version,
-            model=self._model,
-            regions=self._regions,
-            dimensions=self._kept,
-            sampling=self._sampling,
-            places=len(self._records),
-            segments=tuple(self._segments),
-            bounds=bounds,
-            files=files,
-        )
+    def _files(self) -> dict[str, FileKey]:
+        header = self._header
+        names = [*store.expected_sizes(0, 0, header.model.dimensions, header.dimensions), store.THUMBNAILS]
+        return {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
 
     def __enter__(self) -> MapBuilder:
         return self

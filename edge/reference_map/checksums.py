@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
@@ -80,14 +79,6 @@ class Checksums:
             raise MapError(f"{self._path / name}: damaged (checksum mismatch); build or copy the map again")
 
 
-@dataclass(frozen=True)
-class Damage:
-    """A map that is damaged, and what is wrong with it."""
-
-    path: Path
-    why: str
-
-
 class ChecksumSchedule:
     """What is left to be checked of some maps, those in use first."""
 
@@ -105,20 +96,22 @@ class ChecksumSchedule:
         """Whether every checksum of these maps holds."""
         return not any(path in self._left or path in self._damaged for path in maps)
 
-    def step(self, max_bytes: int, first: Sequence[Path] = ()) -> Damage | None:
-        """Read on by at most that much, of the maps in `first` before others. A damaged map is not checked again."""
-        path = next((path for path in first if path in self._left), None) or next(iter(self._left), None)
+    def step(self, max_bytes: int, first: Sequence[Path] = ()) -> dict[Path, str]:
+        """Read on by at most that much, of the maps in `first` before others; a map that is damaged, and why.
+
+        It is not checked again.
+        """
+        path = next((path for path in (*first, *self._left) if path in self._left), None)
         if path is None:
-            return None
+            return {}
         try:
-            is_done = self._left[path].step(max_bytes)
+            if self._left[path].step(max_bytes):
+                del self._left[path]
         except MapError as error:
             del self._left[path]
             self._damaged.add(path)
-            return Damage(path, str(error))
-        if is_done:
-            del self._left[path]
-        return None
+            return {path: str(error)}
+        return {}
 
 
 def sha256_of(file: Path) -> str:

@@ -14,20 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
-import edge
 from edge.config import SamplingConfig
-from edge.descriptor import RunningStatistics
+from edge.descriptor import RunningStatistics, normalize
 from edge.errors import MapError
-from edge.reference_map import store
-from edge.reference_map.builder import Normalize, Place
+from edge.reference_map.builder import Place
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
-from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, Segment
+from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey
 
 RENEWED = 16
 """Descriptors that are normalized again with each place that is added."""
@@ -71,24 +69,26 @@ class GrowingMap:
         model: ModelKey,
         regions: RegionsKey,
         sampling: SamplingConfig,
-        normalize: Normalize,
         raw_rows: RawRows,
         *,
         thumbnails: Callable[[int], bytes] = lambda row: b"",
         capacity: int = CAPACITY,
     ) -> None:
         """path: where the map will be when it is complete. raw_rows, thumbnails: of places that were added."""
-        self._path, self._model, self._regions, self._sampling = path, model, regions, sampling
-        self._normalize, self._raw_rows, self._thumbnails = normalize, raw_rows, thumbnails
+        self._path, self._header = path, MapHeader.begun(model, regions, sampling)
+        self._raw_rows, self._thumbnails = raw_rows, thumbnails
         shape = (regions.count, capacity, model.dimensions)
         memory = mmap.mmap(-1, int(np.prod(shape)), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | MAP_NORESERVE)
         self._descriptors = np.frombuffer(memory, np.int8).reshape(shape)
         self._inverse = np.empty(capacity)
         self._places = np.empty(capacity, PLACE)
-        self._segments: list[Segment] = []
         self._statistics = RunningStatistics((regions.count, model.dimensions))
         self._next = 0  # of the descriptors to renew
-        self.count = 0
+
+    @property
+    def count(self) -> int:
+        """How many places it has."""
+        return self._header.places
 
     @property
     def is_full(self) -> bool:
@@ -102,9 +102,7 @@ class GrowingMap:
 
     def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
         """Start a further drive; sequences are never searched across its beginning."""
-        if self._segments and self._segments[-1].end == self._segments[-1].start:
-            self._segments.pop()
-        self._segments.append(Segment(self.count, self.count, view, source))
+        self._header = self._header.with_segment(source, view)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment, and renew some of the others."""
@@ -117,11 +115,10 @@ class GrowingMap:
 
     def add_all(self, raw: NDArray[np.float32], places: Sequence[Place]) -> None:
         """Add places with their raw descriptors (n, R, D), of which each value is a float16; `renew` has to follow."""
-        first, self.count = self.count, self.count + len(places)
+        first, self._header = self.count, self._header.with_places(self.count + len(places))
         for row, place in enumerate(places, start=first):
             self._places[row] = place.record()
         self._statistics.update_all(raw)
-        self._segments[-1] = msgspec.structs.replace(self._segments[-1], end=self.count)
         self._encode(range(first, self.count), raw)
 
     def renew(self) -> None:
@@ -133,24 +130,7 @@ class GrowingMap:
     def first(self, places: int) -> MapSoFar:
         """A map of the first places."""
         records = self._places[:places]
-        segments = [
-            msgspec.structs.replace(segment, end=min(segment.end, places))
-            for segment in self._segments
-            if segment.start < min(segment.end, places)
-        ]
-        header = MapHeader(
-            format=store.FORMAT,
-            version=store.VERSION,
-            lookback=edge.__version__,
-            model=self._model,
-            regions=self._regions,
-            dimensions=self._model.dimensions,
-            sampling=self._sampling,
-            places=places,
-            segments=tuple(segments),
-            bounds=bounds_of(records),
-            files={},
-        )
+        header = replace(self._header.first(places), bounds=bounds_of(records))
         descriptors = self._descriptors[:, :places]
         matcher = CostMatcher.live(descriptors, self._inverse[:places])
         return MapSoFar(
@@ -166,8 +146,8 @@ class GrowingMap:
 
     def _encode(self, rows: Sequence[int], raw: NDArray[np.float32]) -> None:
         """Normalize some places with the statistics so far, and keep them as they are matched."""
-        if self._regions.normalization == "set":
-            raw = self._normalize(raw, self._statistics.mean, self._statistics.deviation)
+        if self._header.regions.normalization == "set":
+            raw = normalize(raw, self._statistics.mean, self._statistics.deviation)
         encoded = encode(raw)
         norms_sq = squared_norms(encoded)
         self._descriptors[:, list(rows)] = encoded

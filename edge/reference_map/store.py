@@ -25,8 +25,10 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
+import edge
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError
 from edge.geodesy import Origin
@@ -130,6 +132,27 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     files: dict[str, FileKey]
     tile: TileOf | None = None
     header_sha256: str = ""
+
+    @classmethod
+    def begun(cls, model: ModelKey, regions: RegionsKey, sampling: SamplingConfig) -> MapHeader:
+        """Of a map without places."""
+        version = FORMAT, VERSION, edge.__version__
+        return cls(*version, model, regions, model.dimensions, sampling, places=0, segments=(), bounds=None, files={})
+
+    def with_segment(self, source: str, view: Literal["front", "rear"]) -> MapHeader:
+        """With a further drive, to which the next places belong; sequences are never searched across its beginning."""
+        begun = Segment(self.places, self.places, view, source)
+        return replace(self, segments=(*self.first(self.places).segments, begun))
+
+    def with_places(self, places: int) -> MapHeader:
+        """With so many places, the new ones in the last segment."""
+        *before, last = self.segments
+        return replace(self, places=places, segments=(*before, replace(last, end=places)))
+
+    def first(self, places: int) -> MapHeader:
+        """Of the first places alone, with the segments that have any."""
+        segments = (replace(one, end=min(one.end, places)) for one in self.segments)
+        return replace(self, places=places, segments=tuple(one for one in segments if one.start < one.end))
 
     @property
     def shrunk_by(self) -> str:
@@ -257,7 +280,7 @@ def read_header(path: Path) -> MapHeader:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MapError(f"{file}: damaged, or not a map header: {error}") from None
     # The canonical encoding must give the same bytes, so that no bit of the file goes unchecked.
-    if encode_header(msgspec.structs.replace(header, header_sha256="")) != data:
+    if encode_header(replace(header, header_sha256="")) != data:
         raise MapError(f"{file}: damaged (checksum mismatch); build or copy the map again")
     _check_header(file, header)
     return header
@@ -277,7 +300,7 @@ def plain_size(file: Path) -> int:
 def encode_header(header: MapHeader) -> bytes:
     """The file's bytes: indented JSON with `header_sha256` computed over the same JSON without it."""
     digest = hashlib.sha256(msgspec.json.encode(header)).hexdigest()
-    return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(header, header_sha256=digest)), indent=1)
+    return msgspec.json.format(msgspec.json.encode(replace(header, header_sha256=digest)), indent=1)
 
 
 def expected_sizes(places: int, regions: int, dimensions: int, kept: int, version: int = VERSION) -> dict[str, int]:

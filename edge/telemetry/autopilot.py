@@ -12,9 +12,9 @@ from typing import Literal
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
-from edge.geodesy import PositionSource, VehiclePosition
+from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
-from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report, ReportedMotion
+from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests
@@ -66,7 +66,7 @@ class AutopilotConnection:
         self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
         self.home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
-        self.home.position = lambda: (self.position(), self.uncertainty_m)
+        self.home.position = lambda: (self.vehicle.position(clock_ns()), self.uncertainty_m)
         self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
@@ -87,10 +87,6 @@ class AutopilotConnection:
     def uncertainty_m(self) -> float | None:
         """One standard deviation of the autopilot's own position, None where it is not known."""
         return self.positions.uncertainty_m(self._clock_ns())
-
-    def position(self) -> VehiclePosition | None:
-        """The autopilot's own newest position, None where it has none."""
-        return self.vehicle.position(self._clock_ns())
 
     def report(self) -> Report:
         """What the autopilot reports now, for the estimator."""
@@ -113,18 +109,9 @@ class AutopilotConnection:
         return DOUBLED if self.vehicle.is_doubled else self.positions.why_none(self._clock_ns())
 
     @property
-    def driven_m(self) -> float | None:
-        """Meters that the vehicle has driven, None where nobody knows."""
-        return self.vehicle.driven_m(self._clock_ns())
-
-    @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
         return "GPS is wrong" if self._estimator.gps_is_wrong else ""
-
-    def speed_mps(self) -> float | None:
-        """How fast the vehicle moves, None where nobody knows."""
-        return self.vehicle.speed_mps(self._clock_ns())
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
@@ -132,14 +119,6 @@ class AutopilotConnection:
         own = self.vehicle.position(now_ns)
         is_good = self.vehicle.gps.state(now_ns) == "healthy" and not (self.gps_fault or self._estimator.ignores_gps)
         return own.speed_mps if own is not None and is_good and now_ns - own.stamp_ns <= GPS_SPEED_NS else None
-
-    def motion(self, stamp_ns: int) -> ReportedMotion:
-        """What the autopilot reports of its motion at a moment."""
-        return self.vehicle.motion(stamp_ns, self._clock_ns())
-
-    def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float) -> None:
-        """What its velocity is wrong by, and the standard deviation of that ahead; of use while nothing measures it."""
-        self.vehicle.use_velocity_error(error_mps, sigma_mps, self._clock_ns())
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
@@ -197,7 +176,7 @@ class AutopilotConnection:
     @property
     def is_ready_for_home(self) -> bool:
         """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
-        is_known = self.position() is not None and self.uncertainty_m is not None
+        is_known = self.report().position is not None and self.uncertainty_m is not None
         return self.state == "up" and is_known and self.vehicle.drives_itself is not None
 
     def request_home(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:

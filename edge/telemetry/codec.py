@@ -98,14 +98,9 @@ class MavlinkCodec:
         self._mavlink.srcSystem = system_id
 
     @property
-    def signs(self) -> bool:
-        """Whether frames are signed."""
-        return self._signer is not None
-
-    @property
-    def has_heard_signed(self) -> bool:
-        """Whether a frame with a valid signature has arrived."""
-        return int(self._mavlink.signing.goodsig_count) > 0
+    def awaits_signed(self) -> bool:
+        """Whether frames are signed, and none with a valid signature has arrived yet."""
+        return self._signer is not None and not self._mavlink.signing.goodsig_count
 
     def encode(self, message: Message) -> bytes:
         """One MAVLink 2 frame with the next sequence number."""

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -71,23 +72,22 @@ class Answer:
         return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
 
 
-Reply = Callable[[Answer, int], list[Message]]
-"""Hands an answer to whoever requested, at that time; the messages that are due for it."""
+Asker: TypeAlias = Sender | Callable[[Answer], object]
+"""Whoever requested: a component, or a program of this computer that gets each answer."""
 
 
 @dataclass(frozen=True)
 class Upload:
     """A transfer that is running. items: of the mission. done, failed: words for both of its ends.
 
-    reply: None where nobody has requested it: a mission that may be cut off is checked. sender: of the command.
+    asker: None where nobody has requested it: a mission that may be cut off is checked.
     """
 
     transfer: MissionTransfer
     items: int
     done: str
     failed: str
-    reply: Reply | None = None
-    sender: Sender | None = None
+    asker: Asker | None = None
 
 
 class Rejected(Exception):
@@ -138,12 +138,7 @@ class HomeRequests:
 
     def request(self, reply: Callable[[Answer], object], now_ns: int, *, restore: bool = False) -> list[Message]:
         """Request the way home from this computer, or the mission that it replaced; the final answer comes last."""
-
-        def to_program(answer: Answer, now_ns: int) -> list[Message]:
-            reply(answer)
-            return []
-
-        return self._begin(to_program, now_ns, restore=restore)
+        return self._begin(reply, now_ns, restore=restore)
 
     def due(self, now_ns: int) -> list[Message]:
         """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
@@ -169,26 +164,18 @@ class HomeRequests:
         if message.command == OLD_COMMAND:
             unsupported = mavlink.MAV_RESULT_UNSUPPORTED
             return [encoders.acknowledgement(OLD_COMMAND, unsupported, 0, *sender)]
-        if self._upload is not None and sender == self._upload.sender:
-            return [self._acknowledgement(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""))]
+        if self._upload is not None and sender == self._upload.asker:
+            return self._reply(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""), now_ns)
         if message.confirmation and self._last is not None:
             to, answered_ns, answer = self._last
             if to == sender and now_ns - answered_ns < REPEATED_NS:
-                return [self._acknowledgement(sender, answer)]
-
-        def to_sender(answer: Answer, now_ns: int) -> list[Message]:
-            if answer.is_final:
-                self._last = sender, now_ns, answer
-            return [self._acknowledgement(sender, answer)]
-
+                return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)]
         if (message.param1, message.param2) != HOME_PARAMS:
             denied = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
-            return to_sender(denied, now_ns)
-        return self._begin(to_sender, now_ns, sender=sender)
+            return self._reply(sender, denied, now_ns)
+        return self._begin(sender, now_ns)
 
-    def _begin(
-        self, reply: Reply, now_ns: int, *, restore: bool = False, sender: Sender | None = None
-    ) -> list[Message]:
+    def _begin(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
         """The messages of the first answer to a request, and the first of the transfer."""
         words = ("restored", "not restored") if restore else ("uploaded", "no way home")
         home_first = self._vehicle.autopilot == ARDUPILOT
@@ -196,7 +183,7 @@ class HomeRequests:
             self._check_request()
             items, what = self._kept_items() if restore else self._way_items(home_first=home_first)
         except Rejected as error:
-            return reply(self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
+            return self._reply(asker, self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
         system_id = self._vehicle.system_id or 1
 
         def keep(present: list[MissionItem]) -> Next:
@@ -206,10 +193,10 @@ class HomeRequests:
 
         transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
         done = f"{words[0]} and verified: {what}"
-        self._upload = Upload(transfer, len(items), done, words[1], reply, sender)
+        self._upload = Upload(transfer, len(items), done, words[1], asker)
         log.info("uploading %s", what)
         begun = Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
-        return [*reply(begun, now_ns), *transfer.start(now_ns)]
+        return [*self._reply(asker, begun, now_ns), *transfer.start(now_ns)]
 
     def _check_request(self) -> None:
         """Rejected where no request can be done now."""
@@ -292,9 +279,9 @@ class HomeRequests:
         if outcome.verified:
             answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, upload.done, upload.items))
         else:
-            more = GIVEN_BACK if outcome.is_settled and not upload.reply and self._replaced.kept.replaced else ""
+            more = GIVEN_BACK if outcome.is_settled and upload.asker is None and self._replaced.kept.replaced else ""
             answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
-        return upload.reply(answer, now_ns) if upload.reply else []
+        return [] if upload.asker is None else self._reply(upload.asker, answer, now_ns)
 
     def _answered(self, answer: Answer) -> Answer:
         """Publish a final answer."""
@@ -304,5 +291,11 @@ class HomeRequests:
         self._send_text(f"Lookback: {answer.text}", severity)
         return answer
 
-    def _acknowledgement(self, sender: Sender, answer: Answer) -> Message:
-        return encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)
+    def _reply(self, asker: Asker, answer: Answer, now_ns: int) -> list[Message]:
+        """Hand an answer to whoever requested; the messages that are due for it."""
+        if callable(asker):
+            asker(answer)
+            return []
+        if answer.is_final:
+            self._last = asker, now_ns, answer
+        return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *asker)]

@@ -95,7 +95,7 @@ class MissionTransfer:
             return []
         if self._phase != "clear" and now_ns - self._started_ns > LONGEST_NS:
             return self._fail("the upload takes too long", now_ns)
-        if now_ns - self._sent_ns < self._timeout_ns():
+        if now_ns - self._sent_ns < (ITEM_NS if self._phase == "download" else ANSWER_NS):
             return []
         if self._tries > (CLEAR_REPETITIONS if self._phase == "clear" or self._is_busy else REPETITIONS):
             return self._fail(self._unanswered(), now_ns)
@@ -110,7 +110,9 @@ class MissionTransfer:
         """Read a message of the autopilot that is addressed to us, or to nobody; returns the answers."""
         kind = message.get_msgId()
         if self.outcome is None and kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
-            return self._set_to(message.seq)
+            # ArduPilot answers with the number that it was sent, PX4 once a second.
+            self.outcome = Outcome(verified=True) if self._phase == "begin" and message.seq == 0 else None
+            return []
         if self.outcome is not None or getattr(message, "mission_type", None) != MISSION:
             return []
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
@@ -204,12 +206,6 @@ class MissionTransfer:
         count = mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION)
         return self._expect([ended, count], now_ns)
 
-    def _set_to(self, number: int) -> list[Message]:
-        """The autopilot's current item. ArduPilot answers with the number that it was sent, PX4 once a second."""
-        if self._phase == "begin" and number == 0:
-            self.outcome = Outcome(verified=True)
-        return []
-
     def _request_list(self, now_ns: int) -> list[Message]:
         self._phase = "list"
         return self._expect([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)], now_ns)
@@ -233,9 +229,6 @@ class MissionTransfer:
 
     def _acknowledgement(self, result: int) -> Message:
         return mavlink.MAVLink_mission_ack_message(self._system_id, 1, result, MISSION)
-
-    def _timeout_ns(self) -> int:
-        return ITEM_NS if self._phase == "download" else ANSWER_NS
 
     def _fail(self, why: str, now_ns: int) -> list[Message]:
         if self._phase == "clear":

@@ -67,7 +67,6 @@ class Port:
         self._opened_ns = 0
         self._unread = b""
         self._back_off = BackOff(RETRY_FIRST_NS, RETRY_LAST_NS[connection.kind])
-        self._logged = ""
 
     @property
     def is_open(self) -> bool:
@@ -115,7 +114,8 @@ class Port:
 
     def send(self, message: Message) -> bool:
         """Send one message; False when it was dropped: no port, no room, or signing and still listening."""
-        if self._link is None or self._still_listening():
+        is_listening = self.codec.awaits_signed and self._clock_ns() - self._opened_ns < SIGNED_SILENCE_NS
+        if self._link is None or is_listening:
             return False
         try:
             return self._link.send(self.codec.encode(message))
@@ -128,17 +128,15 @@ class Port:
 
         The next loss starts with short pauses again, and is logged again.
         """
-        self._logged = ""
+        self.why_closed = ""
         self._back_off.reset()
-        self._keep_peer(keep=True)
+        if isinstance(self._link, UdpLink):
+            self._link.keeps_peer = True
 
     def peer_silent(self) -> None:
         """The peer has gone; whoever sends next may be the new one."""
-        self._keep_peer(keep=False)
-
-    def _keep_peer(self, *, keep: bool) -> None:
         if isinstance(self._link, UdpLink):
-            self._link.keeps_peer = keep
+            self._link.keeps_peer = False
 
     def close(self) -> None:
         """Release the port; more than once is harmless, and `open_if_due` would open it again."""
@@ -147,14 +145,9 @@ class Port:
             self._link, self._unread = None, b""
             self.codec.store_timestamps()
 
-    def _still_listening(self) -> bool:
-        codec = self.codec
-        return codec.signs and not codec.has_heard_signed and self._clock_ns() - self._opened_ns < SIGNED_SILENCE_NS
-
     def _lose(self, why: str) -> None:
         self.close()
-        self.why_closed = why
         self._back_off.failed(self._clock_ns())
-        if why != self._logged:  # one line for each new reason, not one for each try
-            self._logged = why
+        if why != self.why_closed:  # one line for each new reason, not one for each try
+            self.why_closed = why
             log.warning("%s; trying again", why)

@@ -32,6 +32,7 @@ class PositionHistory:
     def __init__(self, clock_ns: Callable[[], int]) -> None:
         self._clock_ns = clock_ns
         self._positions: deque[VehiclePosition] = deque(maxlen=KEPT)
+        self._waiting: deque[tuple[int, Callable[[VehiclePosition | None], object]]] = deque()
 
     def add(self, position: VehiclePosition) -> None:
         """A position; ignored where it is not after the newest."""
@@ -46,6 +47,16 @@ class PositionHistory:
         """Whether a position after that moment has not come yet, and still may."""
         newest_ns = self._positions[-1].stamp_ns if self._positions else None
         return newest_ns is not None and newest_ns < stamp_ns and self._clock_ns() - stamp_ns < AWAITED_NS
+
+    def when_known(self, stamp_ns: int, then: Callable[[VehiclePosition | None], object]) -> None:
+        """Have `release` call `then` with the position at a moment, once it is interpolated; in the order of calls."""
+        self._waiting.append((stamp_ns, then))
+
+    def release(self, *, all_of_them: bool = False) -> None:
+        """To be called in each turn; all_of_them: at the end."""
+        while self._waiting and (all_of_them or not self.is_awaited(self._waiting[0][0])):
+            stamp_ns, then = self._waiting.popleft()
+            then(self.at(stamp_ns))
 
     def at(self, stamp_ns: int) -> VehiclePosition | None:
         """The position at a moment; None where it is not known, also within a jump."""

@@ -28,7 +28,7 @@ class ReportLink:
         record: Callable[[Record], object],
     ) -> None:
         """vehicle: that of the autopilot's link; messages are sent with its system id and on its boot clock."""
-        self._port = port
+        self.port = port
         self._vehicle = vehicle
         self._clock_ns = clock_ns
         self._record = record
@@ -41,21 +41,21 @@ class ReportLink:
     def poll(self) -> None:
         """One turn. What arrives is read, so that the buffers stay empty, and ignored."""
         now_ns = self._clock_ns()
-        self._port.open_if_due(now_ns)
-        for _ in self._port.receive():
+        self.port.open_if_due(now_ns)
+        for _ in self.port.receive():
             self._heard_ns = now_ns
-            self._port.peer_answered()
+            self.port.peer_answered()
         if now_ns - self._heard_ns > PEER_SILENT_NS:
-            self._port.peer_silent()
-        self._port.codec.system_id = self._vehicle.system_id or self._port.codec.system_id
+            self.port.peer_silent()
+        self.port.codec.system_id = self._vehicle.system_id or self.port.codec.system_id
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
-            self._port.send(encoders.heartbeat(self.system_status))
+            self.port.send(encoders.heartbeat(self.system_status))
         self._send(self._texts.due(now_ns))
-        if self._port.is_open != self._was_open:
-            self._was_open = self._port.is_open
+        if self.port.is_open != self._was_open:
+            self._was_open = self.port.is_open
             self._record(
-                LinkChanged("up" if self._was_open else "closed", self._port.why_closed, str(self._port.connection))
+                LinkChanged("up" if self._was_open else "closed", self.port.why_closed, str(self.port.connection))
             )
 
     def publish_place(self, fix: PlaceFix) -> None:
@@ -68,15 +68,10 @@ class ReportLink:
         """Queue a line for the pilot."""
         self._texts.put(text, severity)
 
-    @property
-    def port(self) -> Port:
-        """Where its messages go."""
-        return self._port
-
     def close(self) -> None:
         """Close the link."""
-        self._port.close()
+        self.port.close()
 
     def _send(self, messages: list[Message]) -> None:
         for message in messages:
-            self._port.send(message)
+            self.port.send(message)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
-from edge.feed.format import MEASURES, SOURCE
 from edge.feed.sampling import Sampler
 from sim.datasets import Traverse
 from sim.traverse import driven_m
@@ -143,18 +142,13 @@ def _write(
     with FeedWriter(path, _header(traverse, first[1].shape), tuple(columns)) as writer:
         for row, image in chain([first], pictures):
             kept = cv2.imencode(".png", image)[1].tobytes() if lossless else image
-            _write_row(writer, kept, feed_row(traverse, row))
+            writer.write(kept, feed_row(traverse, row))
             count += 1
     return count
 
 
 def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
     return FeedHeader(traverse.name, traverse.view, size[1], size[0], traverse.source, traverse.notes)
-
-
-def _write_row(writer: FeedWriter, image: NDArray[np.uint8] | bytes, row: FeedRow) -> None:
-    known = {name: getattr(row, name) for name in (*MEASURES, SOURCE)}
-    writer.write(image, row.stamp_ns, **known, extra=row.extra)
 
 
 def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:

@@ -216,8 +216,7 @@ def _read(path: Path, output: Path) -> int:
     extra = tuple(dict.fromkeys(key for row in feed.rows for key in row.extra))
     with FeedWriter(output, feed.header, extra) as writer:
         for index, row in enumerate(feed.rows):
-            known = {name: getattr(row, name) for name in (*MEASURES, SOURCE)}
-            writer.write(pictures.data(index), row.stamp_ns, **known, extra=row.extra)
+            writer.write(pictures.data(index), row)
     print(f"{output}: {len(feed.rows)} frames")
     return 0
 

@@ -71,9 +71,9 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
 def _exclude_damaged(recognizer: PlaceRecognizer, checksums: ChecksumSchedule, folders: list[Path]) -> bool:
     """Check the maps in some folders now; True if one is damaged, and excluded from now on."""
     while not checksums.is_verified(folders):
-        damage = checksums.step(CHECK_BYTES, folders)
-        if damage is not None:
-            maps = recognizer.map_set.without({damage.path: damage.why})
+        damaged = checksums.step(CHECK_BYTES, folders)
+        if damaged:
+            maps = recognizer.map_set.without(damaged)
             maps.excluded[-1].log()
             recognizer.use_maps(maps)
             return True

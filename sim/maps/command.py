@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-import edge
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.parser import fill_all
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network, cut_regions
-from edge.descriptor.normalize import normalize
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedOptions, read_feed
@@ -138,7 +136,7 @@ def build_map(
     with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace) as builder:
         for feed in feeds:
             _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
-        header = builder.finish(normalize, edge.__version__)
+        header = builder.finish()
         _print_unused(builder)
         return header
 
@@ -243,7 +241,7 @@ def _extend(args: argparse.Namespace) -> int:
         add_map(builder, old)
         for feed in feeds:
             _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
-        header = builder.finish(normalize, edge.__version__)
+        header = builder.finish()
         _print_unused(builder)
     print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")
     return 0

@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-import edge
 from edge.config import (
     CameraConfig,
     Config,
@@ -33,7 +32,7 @@ from edge.config import (
 )
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
+from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place
 from edge.reference_map.store import RegionsKey
@@ -108,9 +107,10 @@ def _run_daemon(
         if until_s is None:
             continue
         with ExitStack() as parts:
-            daemon = Daemon(
+            opened = OpenedParts(
                 config, parts, lambda: simulation.now_ns, frames=simulation, mapping_frames=mapping, network=network
             )
+            daemon = Daemon(opened)
             while daemon.turn() and simulation.time_s() < until_s:
                 pass
             if simulation.ended:
@@ -171,7 +171,7 @@ def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLi
             for row, route_m in enumerate(places_m):
                 raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
                 builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
-        builder.finish(normalize, edge.__version__)
+        builder.finish()
 
 
 def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import SamplingConfig
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedRow, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.world.camera import open_renderer, picture
 from sim.world.drive import Drive
@@ -75,14 +75,17 @@ def _write_frame(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: fl
     lat_deg, lon_deg = pose.geodetic()
     writer.write(
         image,
-        epoch_ns + round(time_s * 1e9),
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        alt_m=ORIGIN_ALT_M,
-        heading_deg=pose.heading_deg,
-        speed_mps=pose.speed_mps,
-        distance_m=pose.distance_m,
-        position_sigma_m=TRUE_SIGMA_M,
-        position_source="survey",
-        extra={"route_m": f"{drive.route_m(time_s):.3f}"},
+        FeedRow(
+            "",
+            epoch_ns + round(time_s * 1e9),
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            alt_m=ORIGIN_ALT_M,
+            heading_deg=pose.heading_deg,
+            speed_mps=pose.speed_mps,
+            distance_m=pose.distance_m,
+            position_sigma_m=TRUE_SIGMA_M,
+            position_source="survey",
+            extra={"route_m": f"{drive.route_m(time_s):.3f}"},
+        ),
     )

@@ -15,7 +15,7 @@ from edge.camera.preprocessing import FILL, Preprocessor, preprocessed_feed
 from edge.config import CameraConfig, parse_config
 from edge.errors import ConfigError, FrameError
 from edge.feed import FeedImages, read_feed
-from edge.feed.recorder import Recorder
+from edge.feed.recorder import Recorder, begun_feed
 
 HERE = Path("lookback.toml")
 
@@ -126,7 +126,8 @@ def test_every_camera_gives_processed_images(feed_path: Path) -> None:
 
 def test_what_is_recorded_is_processed_and_is_not_processed_again(feed_path: Path, tmp_path: Path) -> None:
     config = CameraConfig(kind="feed", device=str(feed_path), flip="vertical", crop=(0.25, 0.25, 0, 0))
-    with closing(open_camera(config)) as camera, closing(Recorder(lambda: tmp_path / "copy", config, 0.0)) as recorder:
+    recorder = Recorder(lambda frame: begun_feed(tmp_path / "copy", config, frame), 0.0)
+    with closing(open_camera(config)) as camera, closing(recorder):
         frame = camera.read()
         assert frame is not None
         recorder.record(frame, None, None)

@@ -17,7 +17,7 @@ from edge.commands import record
 from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
 from edge.errors import CameraLost, ConfigError, FeedError
-from edge.feed import FeedHeader, FeedImages, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
@@ -29,7 +29,7 @@ PERIOD_NS = 10_000_000
 def write_feed(path: Path, count: int, period_ns: int = PERIOD_NS) -> Path:
     with FeedWriter(path, FeedHeader("drive", "front", 32, 24)) as writer:
         for index in range(count):
-            writer.write(np.full((24, 32, 3), 5 * index % 256, np.uint8), index * period_ns)
+            writer.write(np.full((24, 32, 3), 5 * index % 256, np.uint8), FeedRow("", index * period_ns))
     return path
 
 

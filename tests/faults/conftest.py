@@ -21,7 +21,6 @@ import pytest
 import tomli_w
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.feed import read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
@@ -89,7 +88,7 @@ def make_map() -> Callable[..., Path]:
             for row in range(places):
                 raw = np.maximum(rng.normal(size=(2, dimensions)), 0).astype(np.float32)
                 builder.add(raw, Place(row, -27.0 + row * 2e-5, 153.0, 10.0, 0.0, 2.0 * row, b"picture" * 9))
-            builder.finish(normalize, "test")
+            builder.finish()
         return path
 
     return make

@@ -22,7 +22,6 @@ import msgspec
 import numpy as np
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.errors import LookbackError
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
@@ -44,15 +43,15 @@ def write_map(folder: Path, version: int) -> None:
     rng = np.random.default_rng(version)
     model, regions = ModelKey("made-up", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4, "set")
     with MapBuilder(folder / "map", model, regions, SamplingConfig(), replace=True) as builder:
-        builder.begin_segment("drive", "rear")
+        builder.begin_segment(str(version), "rear")
         for row in range(version % 50 + 2):
             builder.add(rng.random((2, 64), np.float32), Place(row, thumbnail=b"x" * 500))
-        builder.finish(normalize, str(version))
+        builder.finish()
 
 
 def read_map(folder: Path) -> int:
     """The map's version, after every checksum has been looked at."""
-    return int(open_map(folder / "map", every_file=True).header.lookback)
+    return int(open_map(folder / "map", every_file=True).header.segments[0].source)
 
 
 def state_file(folder: Path) -> StateFile:

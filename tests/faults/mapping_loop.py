@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import MappingConfig, SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition
-from edge.mapping import LiveMap, header_of
+from edge.mapping import LiveMap, LogHeader
 from edge.mapping.completion import logs_in
 from edge.mapping.place_log import OpenLog
 from edge.reference_map import ModelKey, RegionsKey
@@ -43,8 +42,8 @@ def raw_of(row: int) -> NDArray[np.float32]:
 def open_live(folder: Path, later_s: float = 0.0) -> LiveMap:
     """later_s: seconds from now."""
     config = MappingConfig(folder=str(folder / "maps"), min_free_mb=0.0)
-    header = header_of(MODEL, REGIONS, SamplingConfig())
-    return LiveMap(config, header, "rear", normalize, unix_time_s=lambda: time.time() + later_s)
+    header = LogHeader(MODEL, REGIONS, SamplingConfig())
+    return LiveMap(config, header, "rear", unix_time_s=lambda: time.time() + later_s)
 
 
 def map_until_killed(folder: Path, told: int) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from edge.camera import CameraHealth, Frame
 from edge.config import load_config
 from edge.daemon import Daemon
+from edge.opened_parts import OpenedParts
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
@@ -50,9 +51,8 @@ class Bench:
         telemetry = replace(settings.telemetry, connection=f"serial:{self.cable.device}:921600")
         self.frames = frames(self.clock_ns)
         self.autopilot = SimulatedAutopilot(self.cable, self._pose, self.clock_ns, gps=False)
-        self.daemon = Daemon(
-            replace(settings, telemetry=telemetry), parts, self.clock_ns, frames=self.frames, network=network
-        )
+        settings = replace(settings, telemetry=telemetry)
+        self.daemon = Daemon(OpenedParts(settings, parts, self.clock_ns, frames=self.frames, network=network))
 
     def clock_ns(self) -> int:
         return self.now_ns

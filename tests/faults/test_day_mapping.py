@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from edge.config import MappingConfig, SamplingConfig
-from edge.descriptor.normalize import normalize
-from edge.mapping import LiveMap, header_of
+from edge.mapping import LiveMap, LogHeader
 from edge.reference_map import ModelKey, RegionsKey
 from tests.faults.mapping_loop import GPS
 
@@ -30,10 +29,10 @@ BLOCKS_PER_PLACE = 4.0
 
 @pytest.mark.parametrize("places", [3000, pytest.param(TEN_HOURS, marks=pytest.mark.soak)])
 def test_ten_hours_of_mapping(places: int, tmp_path: Path, proc: Any, figures: Callable[[str], None]) -> None:
-    header = header_of(
+    header = LogHeader(
         ModelKey("test", "0" * 64, "fc6", DIMENSIONS), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
     )
-    mapped = LiveMap(MappingConfig(folder=str(tmp_path / "maps"), min_free_mb=0.0), header, "rear", normalize)
+    mapped = LiveMap(MappingConfig(folder=str(tmp_path / "maps"), min_free_mb=0.0), header, "rear")
     raw = np.abs(np.random.default_rng(0).normal(size=(97, 2, DIMENSIONS))).astype(np.float32)
     image = np.full((48, 64, 3), 90, np.uint8)
     marks = []

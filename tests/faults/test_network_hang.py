@@ -14,6 +14,7 @@ import pytest
 from edge.config import load_config
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
+from edge.opened_parts import OpenedParts
 
 PATIENCE_S = 120.0
 
@@ -48,7 +49,8 @@ def test_a_network_that_hangs(
 
     def turn_until_stopped() -> None:
         with ExitStack() as parts:
-            daemon = Daemon(load_config(write_config(camera={"device": str(calm_feed)})), parts, network=hanging)  # type: ignore[arg-type]
+            config = load_config(write_config(camera={"device": str(calm_feed)}))
+            daemon = Daemon(OpenedParts(config, parts, network=hanging))  # type: ignore[arg-type]
             while not stop.is_set() and daemon.turn():
                 pass
 

@@ -65,7 +65,7 @@ class Witness:
         fixes, heartbeats, before = self._fixes(), len(self._heard("HEARTBEAT")), self.states[-1:]
         self._bench.step(image, number)
         self.fixes_at += [number] * (self._fixes() - fixes)
-        self.states.append(self._bench.daemon.monitor.health)
+        self.states.append(self._bench.daemon.parts.monitor.health)
         may_be = {MAV_STATES[state.state] for state in (*before, self.states[-1])}
         beats = {beat.system_status for beat in self._heard("HEARTBEAT")[heartbeats:]}
         assert beats <= may_be or len(beats) > 1, "unless they have waited for an autopilot that did not listen"

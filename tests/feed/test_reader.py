@@ -28,9 +28,9 @@ def replace_in(file: Path, old: str, new: str) -> None:
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     image = np.full((48, 64, 3), 90, np.uint8)
     with FeedWriter(tmp_path / "feed", HEADER, extra_columns=("weather",)) as writer:
-        writer.write(image, 5, lat_deg=-27.4772, lon_deg=153.0283, heading_deg=0.1, extra={"weather": "Schnee, 雪"})
-        writer.write(image + 50, 7, alt_m=20.0, speed_mps=1 / 3, distance_m=np.float64(2.5))
-        writer.write(image, 9, lat_deg=1.0, lon_deg=2.0, position_sigma_m=0.02, position_source="rtk_fixed")
+        writer.write(image, FeedRow("", 5, -27.4772, 153.0283, heading_deg=0.1, extra={"weather": "Schnee, 雪"}))
+        writer.write(image + 50, FeedRow("", 7, alt_m=20.0, speed_mps=1 / 3, distance_m=np.float64(2.5)))
+        writer.write(image, FeedRow("", 9, 1.0, 2.0, position_sigma_m=0.02, position_source="rtk_fixed"))
     feed = read_feed(tmp_path / "feed")
     assert feed.header == HEADER
     assert feed.rows == (
@@ -211,10 +211,10 @@ def test_a_full_disk_leaves_whole_rows_and_no_picture_without_a_row(tmp_path: Pa
     image = np.zeros((8, 8, 3), np.uint8)
     with FeedWriter(path, HEADER) as writer:
         for stamp_ns in range(60):  # until the rows are longer than a picture
-            writer.write(image, stamp_ns)
+            writer.write(image, FeedRow("", stamp_ns))
         limit = (path / "frames.csv").stat().st_size + spare_bytes
         with file_size_limit(limit), pytest.raises(OSError, match=r"too large|No space"):
-            writer.write(image, 60)
+            writer.write(image, FeedRow("", 60))
         assert len(read_feed(path).rows) == len(list((path / "frames").iterdir())) == 60
-        writer.write(image, 61)
+        writer.write(image, FeedRow("", 61))
     assert [row.stamp_ns for row in read_feed(path).rows[-2:]] == [59, 61]

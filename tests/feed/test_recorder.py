@@ -17,7 +17,8 @@ import pytest
 from edge.camera import Frame
 from edge.config import CameraConfig
 from edge.feed import read_feed
-from edge.feed.recorder import QUEUE_FRAMES, FramesAwaitingPosition, Recorder, run_folder
+from edge.feed.recorder import QUEUE_FRAMES, Recorder, begun_feed
+from edge.files import named_by_time
 from edge.geodesy import VehiclePosition
 from edge.journal.records import Stopped
 from sim.journal import records_of
@@ -37,14 +38,14 @@ def position(index: int) -> VehiclePosition:
 
 
 def open_recorder(folder: Path, **options: Any) -> Recorder:
-    return Recorder(lambda: run_folder(folder, lambda: NOON_S), CAMERA, 5e8, **options)
+    return Recorder(lambda frame: begun_feed(named_by_time(folder, NOON_S), CAMERA, frame), 5e8, **options)
 
 
 def record(folder: Path, count: int = 5, **options: Any) -> Recorder:
     """A whole run of some frames."""
     recording = open_recorder(folder, **options)
     for index in range(count):
-        recording.record(frame(index), position(index) if index else None, 2.0 * index)
+        recording.record(frame(index), 2.0 * index, position(index) if index else None)
     recording.close()
     return recording
 
@@ -63,31 +64,15 @@ def test_every_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, f"{NAME}-2"]
 
 
-class SlowAutopilot:
-    """Its positions come late: the newest is of `newest_ns`."""
-
-    newest_ns = 1500
-
-    def at(self, stamp_ns: int) -> VehiclePosition | None:
-        known = VehiclePosition(stamp_ns, stamp_ns / 1e4, 2.0, 3.0, None, 4.0, sigma_m=1.5, source="dgps")
-        return known if stamp_ns <= self.newest_ns else None
-
-    def is_awaited(self, stamp_ns: int) -> bool:
-        return stamp_ns > self.newest_ns
-
-
-def test_a_frame_is_recorded_with_the_position_at_its_exposure(tmp_path: Path) -> None:
-    recorder, autopilot = open_recorder(tmp_path), SlowAutopilot()
-    waiting = FramesAwaitingPosition(recorder, autopilot)
-    for index in range(4):
-        waiting.add(frame(index), 2.0 * index)
-        waiting.record()
-    autopilot.newest_ns = 2500
-    waiting.record(all_of_them=True)
+def test_a_row_has_the_accuracy_and_the_source_of_its_position(tmp_path: Path) -> None:
+    recorder = open_recorder(tmp_path)
+    known = VehiclePosition(0, 0.1, 2.0, 3.0, None, 4.0, sigma_m=1.5, source="dgps")
+    for index, there in enumerate((known, None)):
+        recorder.record(frame(index), 2.0 * index, there)
     recorder.close()
     rows = read_feed(tmp_path / NAME).rows
-    assert [(row.lat_deg, row.distance_m) for row in rows] == [(0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (None, 6.0)]
-    assert [(row.position_sigma_m, row.position_source) for row in rows] == [(1.5, "dgps")] * 3 + [(None, "unknown")]
+    assert [(row.lat_deg, row.distance_m) for row in rows] == [(0.1, 0.0), (None, 2.0)]
+    assert [(row.position_sigma_m, row.position_source) for row in rows] == [(1.5, "dgps"), (None, "unknown")]
 
 
 def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

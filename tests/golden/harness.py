@@ -33,6 +33,7 @@ from edge.commands.parser import build_parser
 from edge.config import load_config
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
+from edge.opened_parts import OpenedParts
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -238,7 +239,8 @@ def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames, 
     own.mkdir()
     (own / SETTINGS).write_text(text, encoding="utf-8")
     with ExitStack() as parts:
-        daemon = Daemon(load_config(own / SETTINGS), parts, frames.clock_ns, frames=frames, network=network)
+        config = load_config(own / SETTINGS)
+        daemon = Daemon(OpenedParts(config, parts, frames.clock_ns, frames=frames, network=network))
         while daemon.turn():
             pass
         daemon.last_words()

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from edge.descriptor.network import Network
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedRow, FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.world.camera import open_renderer
@@ -106,15 +106,18 @@ def _write(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: float, n
     lat_deg, lon_deg = pose.geodetic()
     writer.write(
         cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes(),
-        round(time_s * 1e9),
-        lat_deg=lat_deg + north_m / 110_800,
-        lon_deg=lon_deg,
-        alt_m=ORIGIN_ALT_M,
-        heading_deg=pose.heading_deg,
-        speed_mps=pose.speed_mps,
-        distance_m=pose.distance_m,
-        position_sigma_m=TRUE_SIGMA_M,
-        position_source="survey",
+        FeedRow(
+            "",
+            round(time_s * 1e9),
+            lat_deg=lat_deg + north_m / 110_800,
+            lon_deg=lon_deg,
+            alt_m=ORIGIN_ALT_M,
+            heading_deg=pose.heading_deg,
+            speed_mps=pose.speed_mps,
+            distance_m=pose.distance_m,
+            position_sigma_m=TRUE_SIGMA_M,
+            position_source="survey",
+        ),
     )
 
 

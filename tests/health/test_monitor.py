@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth
 from edge.config import Config, MapConfig, TelemetryConfig
-from edge.daemon import Daemon
 from edge.errors import MapError
 from edge.health.health import HealthInputs, HealthMonitor, Links
 from edge.journal.records import StateChanged
+from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import MavlinkCodec
 from sim.journal import records_of
 from sim.vehicle.pty_link import open_pty
@@ -31,7 +31,7 @@ def test_a_failure_to_start_is_told_to_everybody(tmp_path: Path, monkeypatch: py
         manager.setblocking(False)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         with pytest.raises(MapError, match="no such map"):
-            Daemon(config, parts)
+            OpenedParts(config, parts)
         told = [manager.recv(4096).decode() for _ in range(2)]
         heard = MavlinkCodec(255, 190).decode(cable.receive())
     cable.close()

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import moved
 from edge.layers import DriveTally
 from edge.reference_map import MapBuilder, ModelKey, Place, RegionsKey, open_map_set
@@ -48,7 +47,7 @@ def build(path: Path, drive: Driven) -> Path:
             lat_deg, lon_deg = moved(-27.0, 153.0, 0.0, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
             heading_deg = 180.0 * drive.back
             builder.add(seen[at], Place(row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M, b"", 1.5, "gps"))
-        builder.finish(normalize, "test")
+        builder.finish()
     os.utime(path / "map.json", (drive.made_s, drive.made_s))
     return path
 

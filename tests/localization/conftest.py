@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from edge.config import RigConfig, SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
@@ -32,7 +31,7 @@ def map_set(tmp_path_factory: pytest.TempPathFactory) -> MapSet:
                 lat_deg = LAT_DEG + (drive_m + row * SPACING_M) * METRE_DEG
                 known = row, lat_deg, 153.0, 0.0, 0.0, row * SPACING_M
                 b.add(raw[row], Place(*known, position_sigma_m=1.0, position_source="gps"))
-        b.finish(normalize, "test")
+        b.finish()
     return MapSet.of(open_map(path))
 
 

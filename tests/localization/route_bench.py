@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ReportedMotion
 from edge.localization.position_estimator import PositionEstimator
@@ -147,7 +146,7 @@ def build_maps(
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
             found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
             index += len(at_m)
-        builder.finish(normalize, "test")
+        builder.finish()
     return MapSet.of(open_map(path)), found
 
 

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.config import HomeConfig, MappingConfig, SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition
 from edge.layers import KEEP_FILE, DriveTally, read_tallies, stored_maps
-from edge.mapping import LiveMap, header_of
+from edge.mapping import LiveMap, LogHeader
 from edge.mapping.completion import logs_in
 from edge.mapping.place_log import OpenLog
 from edge.mapping.quota import delete_oldest
@@ -50,7 +49,7 @@ def live(folder: Path, unix_s: float = START_S, **changes: object) -> LiveMap:
     config = MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=50.0)
     for key, value in changes.items():
         config = type(config)(**{**{name: getattr(config, name) for name in config.__struct_fields__}, key: value})
-    return LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize, lambda: unix_s)
+    return LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", lambda: unix_s)
 
 
 def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) -> None:
@@ -234,7 +233,7 @@ def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
                 Place(row, **values, route_m=2.0 * row, thumbnail=picture, position_sigma_m=1.5,
                       position_source="rtk_fixed"),
             )  # fmt: skip
-        builder.finish(normalize, made.header.lookback)
+        builder.finish()
     assert open_map(tmp_path / "built").header.files == made.header.files
 
 
@@ -244,7 +243,7 @@ def test_a_start_that_takes_long_says_so_before(tmp_path: Path) -> None:
     first.close()
     told: list[float] = []
     config = MappingConfig(folder=str(tmp_path), resume_min=0.0)
-    LiveMap(config, header_of(MODEL, REGIONS, SamplingConfig()), "rear", normalize, before_long=told.append).close()
+    LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", before_long=told.append).close()
     assert told == [pytest.approx(0.6)]
 
 

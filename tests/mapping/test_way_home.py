@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.mapping.status import SelfComparison, WayHome
 from edge.reference_map import GrowingMap, ModelKey, Place, RegionsKey
 
@@ -25,7 +24,7 @@ def landscape(places: int, seed: int) -> NDArray[np.float32]:
 def way_home(raw: NDArray[np.float32], route_m: NDArray[np.float64]) -> WayHome | None:
     growing = GrowingMap(
         Path("drive"), ModelKey("test", "0" * 64, "fc6", 128), RegionsKey("left-right", 0.4, "set"),
-        SamplingConfig(), normalize, lambda rows: raw[list(rows)], capacity=len(raw),
+        SamplingConfig(), lambda rows: raw[list(rows)], capacity=len(raw),
     )  # fmt: skip
     growing.begin_segment("drive", "rear")
     comparison = SelfComparison()

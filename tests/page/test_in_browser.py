@@ -33,7 +33,7 @@ from selenium.webdriver.support import expected_conditions
 from selenium.webdriver.support.wait import WebDriverWait
 
 from edge.config import DescriptorConfig, PageConfig, SamplingConfig
-from edge.feed import FeedImages, FeedWriter, read_feed
+from edge.feed import FeedImages, FeedRow, FeedWriter, read_feed
 from edge.mapping import MappingView
 from edge.mapping.status import MappingStatus
 from edge.page import map_view
@@ -76,7 +76,7 @@ def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with FeedWriter(folder / "walk", replace(query.header, video="", name="walk")) as writer:
         images = FeedImages(query)
         for number in range(8 * len(query.rows)):
-            writer.write(images.read(number % len(query.rows)), number * 125_000_000)
+            writer.write(images.read(number % len(query.rows)), FeedRow("", number * 125_000_000))
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     file = folder / "lookback.toml"

@@ -21,7 +21,7 @@ from edge.feed import read_feed
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
 from edge.mapping import MappingStatus, MappingView, WayHome
-from edge.page import LiveStatus, Sources, map_view, open_page
+from edge.page import LiveStatus, Snapshot, map_view, open_page
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
@@ -48,20 +48,25 @@ def recognizer(street: ReferenceMap, network: Network) -> PlaceRecognizer:
 @pytest.fixture
 def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
     """The status after a drive along the map."""
-    sources = Sources(
-        map_name=lambda: "a map",
-        costs=recognizer.cost_view,
-        camera=lambda: CameraHealth("running", "", 0, delivered=FRAMES),
-        link=lambda: LinkStatus("closed", "serial:none:57600", "report"),
-        stages_ms=lambda: {"network": 8.5},
-        journal_lost=lambda: 0,
-        clock_ns=lambda: 10**9 * FRAMES,
-        mapping=lambda: MAPPING,
-    )
-    status = LiveStatus("a model", 1.08, sources)
+    status = LiveStatus("a model", 1.08)
     for item in traverse(read_feed(street.path.with_name("feed")), SamplingConfig()):
         show(status, recognizer, item.frame)
     return status
+
+
+def snapshot(status: LiveStatus, recognizer: PlaceRecognizer) -> Snapshot:
+    return status.snapshot(
+        10**9 * FRAMES,
+        "on the map",
+        "",
+        map_name="a map",
+        costs=recognizer.cost_view(status.match),
+        camera=CameraHealth("running", "", 0, delivered=FRAMES),
+        link=LinkStatus("closed", "serial:none:57600", "report"),
+        stages_ms={"network": 8.5},
+        journal_lost=0,
+        mapping=MAPPING,
+    )
 
 
 def show(status: LiveStatus, recognizer: PlaceRecognizer, frame: Frame) -> None:
@@ -70,28 +75,30 @@ def show(status: LiveStatus, recognizer: PlaceRecognizer, frame: Frame) -> None:
     status.add(frame, match, used, (-27.0, 153.0))
 
 
-def test_a_snapshot_shows_the_newest_frame_and_how_it_came_to_its_place(watched: LiveStatus) -> None:
-    snapshot = watched.snapshot("on the map", "")
-    status = snapshot.status
+def test_a_snapshot_shows_the_newest_frame_and_how_it_came_to_its_place(
+    watched: LiveStatus, recognizer: PlaceRecognizer
+) -> None:
+    shown = snapshot(watched, recognizer)
+    status = shown.status
     assert (status.frames_used, status.state, status.camera.delivered) == (FRAMES, "on the map", FRAMES)
     assert status.newest is not None
     assert status.newest.place == FRAMES - 1
     assert status.slope == pytest.approx(1.0, abs=0.1)
-    assert snapshot.image is not None
-    assert snapshot.costs.costs.shape == (2, FRAMES)
-    assert snapshot.costs.place_index.tolist() == list(range(FRAMES))
-    assert snapshot.costs.window.shape == (LENGTH, FRAMES)
+    assert shown.image is not None
+    assert shown.costs.costs.shape == (2, FRAMES)
+    assert shown.costs.place_index.tolist() == list(range(FRAMES))
+    assert shown.costs.window.shape == (LENGTH, FRAMES)
     # On its own map every frame is nearest to its own place: the chosen line is the diagonal of the window.
     rows = np.arange(LENGTH)
-    assert (snapshot.costs.window.argmin(axis=1) == FRAMES - LENGTH + rows).all()
-    assert snapshot.costs.window[rows, FRAMES - LENGTH + rows].max() < 0.2 * COST_ONE
+    assert (shown.costs.window.argmin(axis=1) == FRAMES - LENGTH + rows).all()
+    assert shown.costs.window[rows, FRAMES - LENGTH + rows].max() < 0.2 * COST_ONE
     assert [sample.used.uniqueness is None for sample in status.history] == [True] * (LENGTH - 1) + [False] * (
         FRAMES - LENGTH + 1
     )
 
 
-def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus) -> None:
-    shown = json.loads(watched.snapshot("on the map", "").as_json(0))["mapping"]
+def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus, recognizer: PlaceRecognizer) -> None:
+    shown = json.loads(snapshot(watched, recognizer).as_json(0))["mapping"]
     assert shown["status"]["why"] == "no GPS"
     assert shown["line"] == [[47.0, 8.0], [47.1, 8.0]]
     assert shown["way_home"] == {"share": 0.75, "first_m": 155.0, "longest_m": 240.0, "drift_m": 12.0}
@@ -100,7 +107,7 @@ def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus) -> None:
 def test_a_snapshot_is_not_changed_by_later_frames(
     watched: LiveStatus, recognizer: PlaceRecognizer, street: ReferenceMap
 ) -> None:
-    before = watched.snapshot("on the map", "")
+    before = snapshot(watched, recognizer)
     window, costs, history = before.costs.window.copy(), before.costs.costs.copy(), before.status.history
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
     show(watched, recognizer, Frame(np.ascontiguousarray(item.frame.image[:, ::-1]), 60 * 10**9, FRAMES))
@@ -109,7 +116,9 @@ def test_a_snapshot_is_not_changed_by_later_frames(
     assert before.status.history == history
 
 
-def test_adding_a_frame_keeps_the_picture_and_copies_nothing(watched: LiveStatus, street: ReferenceMap) -> None:
+def test_adding_a_frame_keeps_the_picture_and_copies_nothing(
+    watched: LiveStatus, recognizer: PlaceRecognizer, street: ReferenceMap
+) -> None:
     """It runs for every frame, whether somebody looks or not: the work waits for a snapshot."""
     item = next(traverse(read_feed(street.path.with_name("feed")), SamplingConfig()))
     tracemalloc.start()
@@ -117,7 +126,7 @@ def test_adding_a_frame_keeps_the_picture_and_copies_nothing(watched: LiveStatus
         watched.add(item.frame, None, FrameUsed(item.frame.index, item.frame.stamp_ns), None)
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert watched.snapshot("on the map", "").image is item.frame.image
+    assert snapshot(watched, recognizer).image is item.frame.image
     assert peak_bytes < item.frame.image.nbytes
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import edge
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
-from edge.descriptor.normalize import RunningStatistics, normalize
+from edge.descriptor.normalize import RunningStatistics
 from edge.reference_map import MapSet, ModelKey, open_map
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
@@ -38,7 +37,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
         builder.begin_segment("drive", "front")
         for row, one in enumerate(raw):
             builder.add(one, Place(row, route_m=2.0 * row))
-        builder.finish(normalize, edge.__version__)
+        builder.finish()
     reference_map = open_map(tmp_path / "map", every_file=True)
     assert reference_map.descriptors.shape == (key.count, PLACES, kept or dimensions)
 

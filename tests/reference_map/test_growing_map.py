@@ -47,7 +47,7 @@ def grown(raw: NDArray[np.float32], path: Path = Path("drive"), capacity: int = 
     def rows(wanted: Sequence[int]) -> NDArray[np.float32]:
         return kept[list(wanted)]
 
-    growing = GrowingMap(path, MODEL, REGIONS, SamplingConfig(), normalize, rows, capacity=capacity)
+    growing = GrowingMap(path, MODEL, REGIONS, SamplingConfig(), rows, capacity=capacity)
     growing.begin_segment("drive", "front")
     for row, one in enumerate(raw):
         growing.add(one, place(row))
@@ -59,7 +59,7 @@ def built(path: Path, raw: NDArray[np.float32]) -> MapSet:
         builder.begin_segment("drive", "front")
         for row, one in enumerate(raw):
             builder.add(one, place(row))
-        builder.finish(normalize, "test")
+        builder.finish()
     return MapSet.of(open_map(path))
 
 
@@ -87,7 +87,7 @@ def test_each_place_costs_as_many_rows_however_many_there_are() -> None:
         asked.append(len(wanted))
         return raw[list(wanted)]
 
-    growing = GrowingMap(Path("drive"), MODEL, REGIONS, SamplingConfig(), normalize, rows, capacity=600)
+    growing = GrowingMap(Path("drive"), MODEL, REGIONS, SamplingConfig(), rows, capacity=600)
     growing.begin_segment("drive", "front")
     for row, one in enumerate(raw):
         growing.add(one, place(row))

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
-from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
@@ -65,7 +64,7 @@ def build(
             )
             thumbnail = str(index).encode()
             builder.add(raw[index], Place(row=index, route_m=along * SPACING_M, thumbnail=thumbnail, **position))
-        builder.finish(normalize, "test")
+        builder.finish()
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])
@@ -227,9 +226,9 @@ def test_a_damaged_tile_is_excluded(city: Path, known: bool, look: Look, tmp_pat
         match = drive.see(place, close_to(place))
         behind = maps.folders_behind(match.place_index, LENGTH) if match and is_unique(match) else []
         while not checksums.is_verified([*drive.search.folders_in_use, *behind]):
-            damage = checksums.step(1 << 20, [*drive.search.folders_in_use, *behind])
-            if damage is not None:
-                maps, match = maps.without({damage.path: damage.why}), None
+            damaged_maps = checksums.step(1 << 20, [*drive.search.folders_in_use, *behind])
+            if damaged_maps:
+                maps, match = maps.without(damaged_maps), None
                 drive = Drive(maps, look)
                 break
         if match and is_unique(match):

@@ -36,7 +36,7 @@ def build(path: Path, raw: np.ndarray, dimensions: int | None, *, segments: int 
             builder.begin_segment("drive", "rear")
             for index, descriptor in enumerate(part):
                 builder.add(descriptor, Place(row=index))
-        builder.finish(normalize, "test")
+        builder.finish()
     return open_map(path)
 
 

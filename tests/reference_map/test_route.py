@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.geodesy import apart_m, east_north_of, moved
 from edge.reference_map import MapSet, Route, open_map
 from edge.reference_map.builder import NAN, MapBuilder, Place
@@ -29,7 +28,7 @@ def drive_east(path: Path, lat_deg: float, lon_deg: float, *, heading_deg: float
             lon = (lon + 180) % 360 - 180
             place = Place(index, lat, lon, heading_deg=heading_deg, route_m=index * SPACING_M)
             new.add(np.random.default_rng(index).random((1, 4), dtype=np.float32), place)
-        new.finish(normalize, "test")
+        new.finish()
     return Route(MapSet.of(open_map(path)))
 
 
@@ -61,7 +60,7 @@ def test_a_heading_that_nobody_knows_is_none(tmp_path: Path) -> None:
             for index in range(2):
                 raw = np.random.default_rng(index).random((1, 4), dtype=np.float32)
                 new.add(raw, Place(index, 1.0, 2.0, route_m=route_m + index))
-        new.finish(normalize, "test")
+        new.finish()
     route = Route(MapSet.of(open_map(tmp_path / "map")))
     for place in range(4):
         position = route.position(place, 0.5)

@@ -12,7 +12,6 @@ import pytest
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
-from edge.descriptor.normalize import normalize
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
@@ -43,7 +42,7 @@ def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
                 builder.begin_segment("drive", "front")
             lat_deg, lon_deg = (index * 2 * DEGREES_A_METRE, 0.0) if request.param else (np.nan, np.nan)
             builder.add(raw[index], Place(index, lat_deg, lon_deg, route_m=index * 2.0))
-        builder.finish(normalize, "test")
+        builder.finish()
     return open_map(path)
 
 
@@ -214,5 +213,5 @@ def test_places_are_regular_by_their_stretches(route_m: np.ndarray, expected: bo
         builder.begin_segment("drive", "front")
         for row, along_m in enumerate(route_m):
             builder.add(rng.normal(size=(2, 8)).astype(np.float32), Place(row, route_m=float(along_m)))
-        builder.finish(normalize, "test")
+        builder.finish()
     assert is_regular(MapSet.of(open_map(tmp_path / "map")), 40) == expected

@@ -19,7 +19,7 @@ import pytest
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
 from edge.extras import install_command
-from edge.feed import FeedHeader, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
 from edge.journal.records import Stopped
 from sim.journal import read_journal
 from sim.maps.command import build_map
@@ -90,7 +90,7 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, frames in (("feed", FRAMES), ("beginning", len(pictures))):
         with FeedWriter(folder / name, FeedHeader(name, "front", 128, 96)) as writer:
             for index in range(frames):
-                writer.write(pictures[index % len(pictures)], 1_000_000_000 + index * PERIOD_NS)
+                writer.write(pictures[index % len(pictures)], FeedRow("", 1_000_000_000 + index * PERIOD_NS))
     build_map([read_feed(folder / "beginning")], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
     return folder
 

@@ -135,7 +135,7 @@ class Rig:
     @property
     def position(self) -> VehiclePosition:
         """The autopilot's own, which must be known."""
-        found = self.connection.position()
+        found = self.connection.report().position
         assert found is not None
         return found
 

@@ -62,6 +62,20 @@ def test_a_frame_waits_for_the_position_after_it_and_not_for_ever() -> None:
     assert not history().is_awaited(S), "there is no autopilot"
 
 
+def test_frames_get_their_positions_in_order_each_once_it_is_interpolated() -> None:
+    kept, given = history(north(1.0, 10.0)), list[float | None]()
+    for stamp_s in (1.0, 1.1, 1.15, 1.3):
+        kept.when_known(round(stamp_s * S), lambda at: given.append(None if at is None else north_m(at)))
+    kept.release()
+    assert given == pytest.approx([10.0], abs=0.01)
+    kept.add(north(1.2, 12.0))
+    kept.release()
+    assert given == pytest.approx([10.0, 11.0, 11.5], abs=0.01)
+    kept.clear()
+    kept.release(all_of_them=True)
+    assert given[3:] == [None]
+
+
 def test_across_a_jump_and_a_long_gap_it_is_not_known() -> None:
     jumped = history(north(1.0, 10.0), north(1.2, 52.0))
     assert jumped.at(round(1.1 * S)) is None

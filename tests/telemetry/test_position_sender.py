@@ -161,10 +161,10 @@ def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open
 
 def correct(rig: Rig) -> None:
     """The error of the velocity is found: of a vehicle that drives east-northeast at 8 m/s, all of the rest."""
-    east_mps, north_mps = rig.connection.motion(rig.now_ns).velocity_mps
+    east_mps, north_mps = rig.connection.vehicle.motion(rig.now_ns, rig.now_ns).velocity_mps
     heading_rad = math.radians(60.0)
     error_mps = east_mps - 8.0 * math.sin(heading_rad), north_mps - 8.0 * math.cos(heading_rad)
-    rig.connection.use_velocity_error(error_mps, 0.5)
+    rig.connection.vehicle.use_velocity_error(error_mps, 0.5, rig.now_ns)
 
 
 def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
@@ -188,7 +188,7 @@ def test_what_runs_away_does_not_speak_against_a_position(open_rig: OpenRig) -> 
     correct(rig)
     assert rig.connection.uncertainty_m is None
     assert offer_for(rig, 1.0)
-    assert rig.connection.motion(rig.now_ns).pulled_m > 80.0, "its velocity jumps as well"
+    assert rig.connection.vehicle.motion(rig.now_ns, rig.now_ns).pulled_m > 80.0, "its velocity jumps as well"
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.connection.uncertainty_m is None, "our own position, which that velocity carries away, bounds nothing"
@@ -219,7 +219,7 @@ def test_where_nothing_is_known_to_measure_the_velocity_no_position_is_sent_befo
     said = [message.text for message in rig.received("STATUSTEXT") if "velocity" in message.text]
     assert said == ([warning] if warning else [])
     rig.run(8.0)
-    assert rig.connection.motion(rig.now_ns).is_measured == (warning is None)
+    assert rig.connection.vehicle.motion(rig.now_ns, rig.now_ns).is_measured == (warning is None)
     if warning:
         assert rig.connection.uncertainty_m is None
         assert offer_for(rig, 3.0) == 0

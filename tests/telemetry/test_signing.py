@@ -73,7 +73,7 @@ def test_signed_frames_are_understood_and_others_are_not(tmp_path: Path) -> None
     altered = bytearray(frame)
     altered[14] ^= 1
     assert [message.get_type() for message in ours.decode(frame)] == ["HEARTBEAT"]
-    assert ours.has_heard_signed
+    assert not ours.awaits_signed
     assert not ours.decode(frame), "replayed"
     assert not ours.decode(MavlinkCodec(1, 1).encode(BEAT)), "unsigned"
     assert not ours.decode(codec(tmp_path, "theirs", OTHER).encode(BEAT)), "another's key"

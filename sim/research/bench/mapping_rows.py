@@ -12,9 +12,8 @@ import numpy as np
 
 from edge.config import CameraConfig, Config, MapConfig, MappingConfig, SamplingConfig
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
 from edge.geodesy import VehiclePosition
-from edge.mapping import LiveMap, header_of
+from edge.mapping import LiveMap
 from edge.mapping.completion import log_of
 from edge.mapping.place_log import create_log
 from edge.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
@@ -41,11 +40,11 @@ class TwoCameras:
     def __init__(self, folder: Path, places: int, network: Network, *, recognize: bool) -> None:
         """The map has so many places to begin with. recognize: with both cameras."""
         regions = RegionsKey("left-right", 0.4, "set")
-        header = header_of(model_key(network), regions, SamplingConfig())
+        header = LogHeader(model_key(network), regions, SamplingConfig())
         folder.mkdir()
         _write_log(log_of(folder / "drive"), header, places)
         began_s = time.monotonic()
-        self.live = LiveMap(MappingConfig(folder=str(folder), min_free_mb=0.0), header, "rear", normalize)
+        self.live = LiveMap(MappingConfig(folder=str(folder), min_free_mb=0.0), header, "rear")
         self.resumed_s = time.monotonic() - began_s
         mapping = MappingConfig(folder=str(folder), recognize=recognize, camera=CameraConfig(view="rear"))
         config = Config(map=MapConfig(path=str(folder), places_per_frame=2 * places), mapping=mapping)

@@ -22,10 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-import edge
 from edge.config import Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
 from edge.layers import DriveTally
 from edge.reference_map import ModelKey, Retired, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
@@ -68,7 +66,7 @@ def write_drive(path: Path, drive: Described, view: View) -> None:
         for row, route_m in enumerate(drive.route_m.tolist()):
             place = Place(row, route_m / M_PER_DEG, 8.0, 400.0, 0.0, route_m, b"", 1.5, "gps")
             builder.add(drive.raw[row].astype(np.float32), place)
-        builder.finish(normalize, edge.__version__)
+        builder.finish()
 
 
 def drive_over(

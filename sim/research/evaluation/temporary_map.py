@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import edge
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.builder import MapBuilder, Place
@@ -39,5 +37,5 @@ def temporary_map(drives: Iterable[MappedDrive], model: ModelKey, descriptor: De
                 builder.begin_segment(str(number), drive.view)
                 for raw, place in zip(drive.raw, drive.places, strict=True):
                     builder.add(raw, place)
-            builder.finish(normalize, edge.__version__)
+            builder.finish()
         yield MapSet.of(open_map(path))

@@ -14,10 +14,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-import edge
 from edge.config import CameraConfig, Config, DescriptorConfig, GatesConfig, MapConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
-from edge.descriptor.normalize import normalize
 from edge.feed.sampling import Sampler
 from edge.localization import GPS_SIGMA_M, GpsFix
 from edge.localization.gps_judge import compare
@@ -101,7 +99,7 @@ def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network
             heading_deg = math.degrees(heading_rad) % 360
             known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
             builder.add(views.raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
-        builder.finish(normalize, edge.__version__)
+        builder.finish()
     return path
 
 

@@ -23,13 +23,12 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-import edge
 from edge.camera import CameraHealth, Frame
 from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, MappingConfig, PageConfig, SamplingConfig
 from edge.daemon import Daemon
-from edge.descriptor.normalize import normalize
 from edge.geodesy import moved
 from edge.journal.records import FixSent, FrameUsed
+from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
@@ -112,9 +111,9 @@ def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed
             with closing(open_pty()) as link, ExitStack() as parts:
                 playback = Playback(drive, run, link, network)
                 settings = _settings(drive.config, link, map_path, journal)
-                daemon = Daemon(settings, parts, playback.clock_ns, frames=playback, network=network)
+                daemon = Daemon(OpenedParts(settings, parts, playback.clock_ns, frames=playback, network=network))
                 while daemon.turn():
-                    playback.pull(daemon._autopilot.vehicle)
+                    playback.pull(daemon.parts.autopilot.vehicle)
                 received += playback.received
     sent, used = list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))
     then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
@@ -282,7 +281,7 @@ def _build_map(drive: RecordedDrive, path: Path, network: PlacedNetwork, library
             known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
             builder.add(library[out].raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
             row += 1
-        builder.finish(normalize, edge.__version__)
+        builder.finish()
 
 
 def _map_errors(drive: RecordedDrive, true: list[tuple[float, float, float]]) -> tuple[Array, set[int]]:

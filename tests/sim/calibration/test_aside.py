@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
@@ -27,7 +26,7 @@ def drives(tmp_path: Path) -> MapDrives:
         for row in range(20):
             raw = np.random.default_rng(row).random((2, 8), np.float32)
             builder.add(raw, Place(row, -27.0 + 2 * row * METER_NORTH_DEG, 153.0, route_m=2.0 * row))
-        builder.finish(normalize, "test")
+        builder.finish()
     rows = tuple(
         FeedRow("", index, lat_deg=-27.0 + 11 * METER_NORTH_DEG, lon_deg=153.0 + east_m * METER_EAST_DEG)
         for index, east_m in enumerate((3.5, -1.0, 200.0))

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
-from edge.descriptor.normalize import normalize
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.builder import MapBuilder, Place
@@ -110,7 +109,7 @@ def out_and_back(tmp_path: Path) -> ReferenceMap:
             lat_deg, lon_deg = Pose(0.0 if row < 200 else 4.0, meters, 0, 0, 0).geodetic()
             place = Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row)
             builder.add(rng.normal(size=(1, 64)).astype(np.float32), place)
-        builder.finish(normalize, "0")
+        builder.finish()
     return open_map(tmp_path / "map")
 
 
@@ -158,7 +157,7 @@ def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshol
             for row, raw in enumerate(smooth_street(seed)[:200]):
                 lat_deg, lon_deg = Pose(east_m, 2.0 * row, 0, 0, 0).geodetic()
                 builder.add(raw, Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row))
-        builder.finish(normalize, "0")
+        builder.finish()
     curve = curve_of_map(open_map(tmp_path / "map"), Config(sequence=SequenceConfig(length=20)))
     assert low <= curve.lowest_for(0.9) < high
 

@@ -18,7 +18,7 @@ from edge.commands.parser import build_parser
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
-from edge.feed import Feed, read_feed
+from edge.feed import Feed, FeedRow, read_feed
 from edge.geodesy import east_north_of
 from edge.localization import Displacement
 from edge.localization.route_filter import RouteFilter
@@ -193,6 +193,6 @@ def test_a_feed_without_positions_is_refused_in_one_line(maps: dict[str, Referen
     from edge.feed import FeedHeader, FeedImages, FeedWriter
 
     with FeedWriter(tmp_path / "blind", FeedHeader("blind", "front", 160, 120)) as writer:
-        writer.write(FeedImages(read_feed(maps["front"].path.with_suffix(""))).read(0), 0)
+        writer.write(FeedImages(read_feed(maps["front"].path.with_suffix(""))).read(0), FeedRow("", 0))
     with pytest.raises(FeedError, match=r"not every row has lat_deg and lon_deg; calibrate with GPS on"):
         command.measure_rig(maps["front"], [read_feed(tmp_path / "blind")], CONFIG)

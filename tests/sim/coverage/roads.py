@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.reference_map import MapSet, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
@@ -33,5 +32,5 @@ def road(path: Path, parts: list[tuple[float, NDArray[np.float32]]]) -> MapSet:
             for row, one in enumerate(raw):
                 builder.add(one, Place(index, (north_m + 2 * row) / 110_574, 0.0, route_m=2.0 * row))
                 index += 1
-        builder.finish(normalize, "test")
+        builder.finish()
     return open_map_set(path)

@@ -11,7 +11,6 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import Config, SamplingConfig
-from edge.descriptor.normalize import normalize
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
@@ -35,7 +34,7 @@ def maps(tmp_path: Path) -> MapSet:
             builder.begin_segment("drive", "rear")
             for row in range(PLACES):
                 builder.add(raw[row], Place(row, -27.0 + row * 2 / 110_800, 153.0 + east_deg, route_m=2.0 * row))
-        builder.finish(normalize, "test")
+        builder.finish()
     return open_map_set(tmp_path / "map")
 
 

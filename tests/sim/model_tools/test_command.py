@@ -14,7 +14,7 @@ from edge.config import load_config
 from edge.descriptor.network import Head, Network
 from edge.descriptor.open_network import open_network
 from edge.errors import FeedError, ModelError
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedRow, FeedWriter
 
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
@@ -40,7 +40,7 @@ def feed(tmp_path: Path) -> Path:
         for row in range(12):
             coarse = random.integers(0, 256, (6, 8, 3), dtype=np.uint8)
             image = np.asarray(cv2.resize(coarse, (64, 48), interpolation=cv2.INTER_CUBIC), np.uint8)
-            writer.write(image, row * 10**9, lat_deg=-27.0 + row * 180e-6, lon_deg=153.0)
+            writer.write(image, FeedRow("", row * 10**9, lat_deg=-27.0 + row * 180e-6, lon_deg=153.0))
     return tmp_path / "feed"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedRow, FeedWriter
 
 WIDTH, HEIGHT = 64, 48
 THERE_M, HERE_M = [2.0 * step for step in range(16)], [4.0 + 2.0 * step for step in range(12)]
@@ -57,11 +57,14 @@ def write_feed(tmp_path: Path) -> WriteFeed:
             for index, (at_m, covered_m) in enumerate(zip(route_m, covered, strict=True)):
                 writer.write(
                     street(at_m + sees_m, light, rng),
-                    index * 500_000_000,
-                    lat_deg=at_m * METER_DEG,
-                    lon_deg=0.0,
-                    distance_m=covered_m,
-                    extra={"route_m": str(at_m)},
+                    FeedRow(
+                        "",
+                        index * 500_000_000,
+                        lat_deg=at_m * METER_DEG,
+                        lon_deg=0.0,
+                        distance_m=covered_m,
+                        extra={"route_m": str(at_m)},
+                    ),
                 )
         return path
 

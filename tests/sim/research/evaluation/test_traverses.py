@@ -10,7 +10,7 @@ import pytest
 
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader, FeedRow, FeedWriter
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.traverses import (
     Traverse,
@@ -148,5 +148,5 @@ def _write(path: Path, extras: list[dict[str, str]]) -> Path:
     picture = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     with FeedWriter(path, FeedHeader(path.name, "front", 64, 48), extra_columns=tuple(extras[0])) as writer:
         for index, extra in enumerate(extras):
-            writer.write(picture, index * 500_000_000, extra=extra)
+            writer.write(picture, FeedRow("", index * 500_000_000, extra=extra))
     return path
