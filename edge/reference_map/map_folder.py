@@ -19,7 +19,7 @@ from edge.errors import ConfigError, MapError
 from edge.extras import install_command
 from edge.files import read_key
 from edge.reference_map.growing_map import MapSoFar
-from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, of_folder, printable
+from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
 from edge.reference_map.retired import Retired
 from edge.reference_map.store import (
     HEADER,
@@ -76,7 +76,7 @@ def open_map_set(
             maps.append(open_one(folder))
         except MapError as error:
             excluded.append(ExcludedMap(name_of(folder), printable(str(error))))
-    return of_folder(path, maps if newest is None else [*maps, newest], excluded)
+    return MapSet.of(maps if newest is None else [*maps, newest], path, excluded)
 
 
 def maps_in(path: Path) -> list[Path]:

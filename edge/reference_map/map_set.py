@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -78,10 +78,12 @@ class MapSet:
         cls,
         maps: ReferenceMap | Sequence[ReferenceMap],
         folder: Path | None = None,
-        excluded: Iterable[ExcludedMap] = (),
+        excluded: Sequence[ExcludedMap] = (),
     ) -> MapSet:
-        """One open map, or those of a folder."""
+        """One open map, or those of a folder; MapError if none of them is usable."""
         several = [maps] if isinstance(maps, ReferenceMap) else maps
+        if not several:
+            raise MapError(f"{folder}: none of its {len(excluded)} maps is usable; the first: {excluded[0].why}")
         # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
         places = several[0].places if len(several) == 1 else np.concatenate([one.places for one in several])
         return cls._in_order(several, places, folder, excluded, {})
@@ -251,7 +253,7 @@ class MapSet:
             raise MapError(next(iter(damaged.values())))
         kept = [one for one in self.maps if one.path not in damaged]
         reasons = [ExcludedMap(name_of(path), printable(why)) for path, why in damaged.items()]
-        return of_folder(self.path, kept, [*self.excluded, *reasons])
+        return MapSet.of(kept, self.path, [*self.excluded, *reasons])
 
     def with_accuracy(self, sigma_m: NDArray[np.float32]) -> MapSet:
         """The same maps, with other accuracies (N,) of the positions."""
@@ -269,14 +271,6 @@ class MapSet:
         one = self.maps[index]
         tile = one.header.tile
         return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
-
-
-def of_folder(path: Path, maps: list[ReferenceMap], excluded: Collection[ExcludedMap]) -> MapSet:
-    """The usable maps of a folder; MapError if there is none."""
-    if not maps:
-        first = next(iter(excluded)).why
-        raise MapError(f"{path}: none of its {len(excluded)} maps is usable; the first: {first}")
-    return MapSet.of(maps, path, excluded)
 
 
 def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str:

@@ -65,7 +65,7 @@ class AutopilotConnection:
         self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
         self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
-        self.home = HomeRequests(home, config.component_id, self.vehicle, record, self.status_text, replaced)
+        self.home = HomeRequests(home, self.vehicle, record, self.status_text, replaced)
         self.home.position = lambda: (self.vehicle.position(clock_ns()), self.uncertainty_m)
         self._report_links = [
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
@@ -253,10 +253,14 @@ class AutopilotConnection:
                 self._answer(message)
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                     self._keep_position(now_ns)
-            self._send(self.home.read(message, now_ns))
+            self._send(self.home.read(message, now_ns, is_for_us=self._is_for_us(message)))
         self.vehicle.expire(now_ns)
         if self._port.is_open and not self.vehicle.connected:
             self._set_state("waiting")
+
+    def _is_for_us(self, message: Message) -> bool:
+        target = getattr(message, "target_system", None), getattr(message, "target_component", None)
+        return target == (self.vehicle.system_id, self._component_id)
 
     def _keep_position(self, now_ns: int) -> None:
         """With its accuracy: of the receiver behind it, else of the filter."""

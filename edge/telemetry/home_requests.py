@@ -104,14 +104,13 @@ class HomeRequests:
     def __init__(
         self,
         config: HomeConfig,
-        component_id: int,
         vehicle: Vehicle,
         record: Callable[[Record], object] = lambda record: None,
         send_text: Callable[[str, int], object] = lambda text, severity: None,
         replaced: Path | None = None,
     ) -> None:
         """send_text: queues a line of a MAV_SEVERITY for the pilot. replaced: file of the mission that is replaced."""
-        self._config, self._component_id, self._vehicle = config, component_id, vehicle
+        self._config, self._vehicle = config, vehicle
         self._record, self._send_text = record, send_text
         self.plan: Plan | None = None
         """Plans the way home; None while there is no map."""
@@ -119,17 +118,20 @@ class HomeRequests:
         """The vehicle's position by the autopilot, and its standard deviation in meters; None where not known."""
         self._upload: Upload | None = None
         self._replaced = ReplacedMission(replaced)
-        self._check_ns = self._warned_session = 0
+        self._check = 0, 0  # session in which the pilot was warned, and when the mission is looked at next
         self._last: tuple[Sender, int, Answer] | None = None  # to whom, when, what
 
-    def read(self, message: Message, now_ns: int) -> list[Message]:
-        """Read a message of any component on the autopilot's link; the messages that are due because of it."""
+    def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
+        """Read a message of any component on the autopilot's link; the messages that are due because of it.
+
+        is_for_us: addressed to this very component, since a broadcast replaces no mission.
+        """
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in (HOME_COMMAND, OLD_COMMAND):
-            return self._command(message, now_ns) if self._is_for_us(message) else []
+            return self._command(message, now_ns) if is_for_us else []
         if kind not in MISSION_MESSAGES or self._upload is None:
             return []
-        if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not self._is_for_us(message):
+        if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not is_for_us:
             return []
         sender = message.get_srcSystem(), message.get_srcComponent()
         if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
@@ -154,10 +156,6 @@ class HomeRequests:
             return []
         messages = self._upload.transfer.abandon()
         return [*([] if self._vehicle.drives_itself else messages), *self._finished(now_ns)]
-
-    def _is_for_us(self, message: Message) -> bool:
-        """Addressed to this very component: a broadcast replaces no mission."""
-        return (message.target_system, message.target_component) == (self._vehicle.system_id, self._component_id)
 
     def _command(self, message: Message, now_ns: int) -> list[Message]:
         sender = message.get_srcSystem(), message.get_srcComponent()
@@ -226,14 +224,14 @@ class HomeRequests:
         kept, vehicle = self._replaced.kept, self._vehicle
         if kept.is_settled or not vehicle.connected or vehicle.system_id != kept.system_id:
             return []
-        if self._warned_session != vehicle.session:
-            self._warned_session, self._check_ns = vehicle.session, now_ns
+        if self._check[0] != vehicle.session:
+            self._check = vehicle.session, now_ns
             text = "Lookback: upload cut off, do not start the mission"  # 50 characters, one STATUSTEXT
             log.warning("%s", text)
             self._send_text(text, mavlink.MAV_SEVERITY_WARNING)
-        if now_ns < self._check_ns or self._why_not_now():
+        if now_ns < self._check[1] or self._why_not_now():
             return []
-        self._check_ns = now_ns + CHECK_AGAIN_NS
+        self._check = vehicle.session, now_ns + CHECK_AGAIN_NS
 
         def clear_if_cut_off(present: list[MissionItem]) -> Next:
             return "clear" if self._replaced.is_cut_off(present) else "leave"

@@ -52,7 +52,6 @@ class SourceSelection:
         """The link came up, or the autopilot rebooted: which set it uses is not known."""
         self._selected: int | None = None
         self._asked: tuple[int, int] | None = None  # the set, and when
-        self._refused = False
         self._back_off = BackOff(BACK_OFF_FIRST_NS, AGAIN_NS)
         self._published = ""
 
@@ -62,7 +61,7 @@ class SourceSelection:
             self._not_selected(self._asked[0], NO_ANSWER, now_ns)
         if self.wanted == GPS_SET and not self._may_be_changed:
             return []
-        if self.wanted in (None, self._selected) or self._asked or self._refused or not self._back_off.is_over(now_ns):
+        if self.wanted in (None, self._selected) or self._asked or not self._back_off.is_over(now_ns):
             return []
         return self._select(self.wanted or GPS_SET, now_ns)
 
@@ -82,8 +81,9 @@ class SourceSelection:
             return
         number, _ = self._asked
         if verdict != "accepted":
-            self._refused = verdict == "never"
             self._not_selected(number, result_name(result), now_ns)
+            if verdict == "never":
+                self._back_off.give_up()
             return
         self._asked, self._selected = None, number
         self._back_off.reset()
