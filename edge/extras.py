@@ -5,10 +5,22 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+
+from edge.errors import ConfigError
 
 DISTRIBUTION = "lookback-nav"
 """The name on PyPI, where `lookback` belongs to another project. The command and the packages keep their names."""
+
+
+def import_extra(module: str, extra: str, needs: str) -> ModuleType:
+    """A module of a package that only some users need; ConfigError says what `needs` it, and how to add it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise ConfigError(f"{needs}: {install_command(extra)}") from None
 
 
 def install_command(extras: str, package: Path = Path(__file__).parent) -> str:

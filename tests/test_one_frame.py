@@ -1,7 +1,11 @@
-"""How many files of edge/ a reader must open to follow one frame: counted by tracing the daemon on a small map."""
+"""How much of edge/ a reader must hold in mind: files that a frame visits, and attributes of the classes there.
+
+Files are counted by tracing the daemon on a small map.
+"""
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -42,6 +46,8 @@ autopilot's messages, encodes and sends, decides the daemon's health, and serves
 USED_FRAME_FILES_MOST = 39
 """A file counts once, if any function of it is called. Five keep the evidence, which telemetry hid before."""
 TURN_FILES_MOST = 56
+MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 20
+"""How many classes may have more attributes than that; records are not counted."""
 
 
 class Drive:
@@ -175,3 +181,20 @@ def test_a_turn_without_a_frame_keeps_nothing_for_the_next_run(visited: Files) -
     assert "warm_start.py" in visited.used_frame
     assert "daemon.py" in visited.idle_turn
     assert "warm_start.py" not in visited.idle_turn
+
+
+def attributes_of(one: ast.ClassDef) -> set[str]:
+    """Those that its methods assign on self; none for a record (a dataclass or a struct)."""
+    is_record = any("dataclass" in ast.unparse(each) for each in one.decorator_list)
+    is_record = is_record or any(each.arg == "frozen" for each in one.keywords)
+    assigned = (node for node in ast.walk(one) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store))
+    return set() if is_record else {node.attr for node in assigned if ast.unparse(node.value) == "self"}
+
+
+def test_few_classes_have_many_attributes() -> None:
+    trees = {file: ast.parse(file.read_text(encoding="utf-8")) for file in EDGE.rglob("*.py")}
+    classes = [(file, one) for file, tree in trees.items() for one in ast.walk(tree) if isinstance(one, ast.ClassDef)]
+    counts = {f"{file.relative_to(EDGE)} {one.name}": len(attributes_of(one)) for file, one in classes}
+    assert counts["daemon.py Daemon"] > 5
+    many = sorted(name for name, count in counts.items() if count > MANY_ATTRIBUTES)
+    assert len(many) <= SUCH_CLASSES_MOST, "\n".join(many)

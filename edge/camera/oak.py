@@ -5,7 +5,6 @@ The OAK scales and converts on the device, so that frames arrive as BGR in the r
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from edge.camera.frame import Setting, differences
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
-from edge.extras import install_command
+from edge.extras import import_extra
 from edge.feed import Frame
 
 if TYPE_CHECKING:
@@ -106,10 +105,7 @@ def import_depthai() -> ModuleType:
     # own signal handlers (with which SIGXFSZ kills the process; Python turns it into an OSError).
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
     os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
-    try:
-        return importlib.import_module("depthai")
-    except ImportError:
-        raise ConfigError(f"[camera] kind: oak needs DepthAI: {install_command('oak')}") from None
+    return import_extra("depthai", "oak", "[camera] kind: oak needs DepthAI")
 
 
 def device_source(config: CameraConfig) -> OakSource:

@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import shlex
 import time
 from collections.abc import Iterator
-from types import ModuleType
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
@@ -18,7 +16,7 @@ import numpy as np
 from edge.camera.command_output import CommandOutput
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
-from edge.extras import install_command
+from edge.extras import import_extra
 from edge.feed import Frame
 
 FORGETTING = 0.01
@@ -110,7 +108,7 @@ class StreamCamera:
         open_timeout_s: FFmpeg takes it twice at most, to connect and to find out what is in the stream.
         Raises ConfigError for an address or a program that cannot be right, and CameraLost for all that may pass.
         """
-        self._av = import_av()
+        self._av = import_extra("av", "stream", "[camera] kind: stream needs PyAV")
         self._config, self._name = config, config.source.removeprefix("stream ").removeprefix("exec:")
         self.read_timeout_s = config.stall_timeout_s
         self._clock, self._arrived_ns, self._index = StreamClock(), 0, 0
@@ -245,14 +243,6 @@ class StreamCamera:
             self._source.close()
         if self._container is not None:
             self._container.close()
-
-
-def import_av() -> ModuleType:
-    """PyAV, which the vehicles without a stream do not need. ConfigError names the extra to install."""
-    try:
-        return importlib.import_module("av")
-    except ImportError:
-        raise ConfigError(f"[camera] kind: stream needs PyAV: {install_command('stream')}") from None
 
 
 def open_source(device: str) -> str | CommandOutput:

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import ConfigError, MapError
-from edge.extras import install_command
+from edge.errors import MapError
+from edge.extras import import_extra
 from edge.files import read_key
 from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
@@ -145,8 +145,5 @@ def read_key_of(file: Path, *, is_secret: bool) -> bytes:
 
 def ed25519_keys() -> ModuleType:
     """Loaded only where a map is signed, or must be."""
-    try:
-        from cryptography.hazmat.primitives.asymmetric import ed25519
-    except ImportError:
-        raise ConfigError(f"signed maps need the package cryptography: {install_command('signing')}") from None
-    return ed25519
+    module = "cryptography.hazmat.primitives.asymmetric.ed25519"
+    return import_extra(module, "signing", "signed maps need the package cryptography")
