@@ -24,7 +24,7 @@ at a deviation of 2 m/s and a true speed of 8."""
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
-ODOMETRY, CAMERA = 5, 6  # ranks of speeds, after those of the autopilot and of wheels
+WHEELS, ODOMETRY, CAMERA = 3, 5, 6  # ranks of speeds, after those of the autopilot
 POSITIONS_APART_S = 0.5
 PULLS_KEPT = 16
 """More than are sent within PULLED_NS."""
@@ -41,12 +41,11 @@ class VehicleMotion:
         self._pulls: deque[tuple[int, float]] = deque(maxlen=PULLS_KEPT)
         """When positions of ours were sent, and how far they were from the autopilot's own."""
         self._wheels: tuple[int, float] | None = None
-        self._wheel_speed: tuple[int, float] | None = None
-        self._other_speeds: dict[int, tuple[int, float]] = {}  # by source
+        self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
         self._reported_ns = 0
         self._error: tuple[int, tuple[float, float]] | None = None
         self._error_sigma_mps = 0.0
-        self._velocity_mps, self._heading_rad = (0.0, 0.0), 0.0
+        self._course = (0.0, 0.0), 0.0  # velocity east and north in m/s, and heading in radians
         self.is_aided = True
         """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
         moves ahead at the speed of its wheels, or at that velocity less the error that was found from places."""
@@ -57,8 +56,8 @@ class VehicleMotion:
         """The session has ended."""
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._pulls.clear()
-        self._wheels = self._wheel_speed = self._error = None
-        self._other_speeds.clear()
+        self._wheels = self._error = None
+        self._speeds.clear()
         self.is_aided = True
 
     def distance_m(self, stamp_ns: int) -> float | None:
@@ -69,7 +68,7 @@ class VehicleMotion:
         """What was reported of the motion, at the moment of a frame."""
         is_measured = self._is_speed_measured(now_ns)
         pulled_m = max((off_m for sent_ns, off_m in self._pulls if now_ns - sent_ns <= PULLED_NS), default=0.0)
-        return ReportedMotion(self.distance_m(stamp_ns), is_measured, self._velocity_mps, self._heading_rad, pulled_m)
+        return ReportedMotion(self.distance_m(stamp_ns), is_measured, *self._course, pulled_m)
 
     def expect_pull(self, off_m: float, now_ns: int) -> None:
         """A position of ours is sent, so far from the autopilot's own."""
@@ -81,15 +80,15 @@ class VehicleMotion:
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
-        wheels_mps = _newest(self._wheel_speed, now_ns)
-        others = (_newest(self._other_speeds.get(source), now_ns, CAMERA_FRESH_NS) for source in (ODOMETRY, CAMERA))
+        wheels_mps = _newest(self._speeds.get(WHEELS), now_ns)
+        others = (_newest(self._speeds.get(source), now_ns, CAMERA_FRESH_NS) for source in (ODOMETRY, CAMERA))
         return next((one for one in (wheels_mps, *others) if one is not None), None)
 
     def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
         """The speed ahead by the camera or by ODOMETRY; of use where neither autopilot nor wheels report one."""
         if math.isfinite(speed_mps):
-            self._other_speeds[source] = stamp_ns, speed_mps
-        if _newest(self._wheel_speed, stamp_ns) is None:
+            self._speeds[source] = stamp_ns, speed_mps
+        if _newest(self._speeds.get(WHEELS), stamp_ns) is None:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
     def use_odometry(self, stamp_ns: int, ahead_mps: float, left_mps: float, yaw_rad: float | None) -> None:
@@ -98,9 +97,9 @@ class VehicleMotion:
         if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
-        self._velocity_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
-        self._heading_rad = math.pi / 2 - yaw_rad
-        self._motion.add_velocity(stamp_ns, *self._velocity_mps)
+        velocity_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
+        self._course = velocity_mps, math.pi / 2 - yaw_rad
+        self._motion.add_velocity(stamp_ns, *velocity_mps)
 
     def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float, now_ns: int) -> None:
         """What the velocity is wrong by, and one standard deviation of that ahead; of use while nothing measures it."""
@@ -151,8 +150,9 @@ class VehicleMotion:
         """Meters that the wheels have turned since some moment."""
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
-            self._wheel_speed = stamp_ns, (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9
-            self._motion.add_speed(*self._wheel_speed, source=3)
+            speed_mps = (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9
+            self._speeds[WHEELS] = stamp_ns, speed_mps
+            self._motion.add_speed(stamp_ns, speed_mps, WHEELS)
 
     def _add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
         """A speed by the autopilot's estimate, which counts only where something aids that."""
@@ -168,11 +168,10 @@ class VehicleMotion:
         reported_mps: tuple[float, float] | None = None,
     ) -> None:
         """A velocity by the autopilot's estimate; where nothing aids that, only what is known of it ahead counts."""
-        self._velocity_mps, self._reported_ns = (east_mps, north_mps), stamp_ns
-        if heading_deg is not None:
-            self._heading_rad = math.radians(heading_deg)
+        heading_rad = self._course[1] if heading_deg is None else math.radians(heading_deg)
+        self._course, self._reported_ns = ((east_mps, north_mps), heading_rad), stamp_ns
         if not self.is_aided:
-            sin, cos = math.sin(self._heading_rad), math.cos(self._heading_rad)
+            sin, cos = math.sin(heading_rad), math.cos(heading_rad)
             speed_mps = self._own_speed(stamp_ns)
             if speed_mps is None and self._error is not None and stamp_ns - self._error[0] <= SPEED_FRESH_NS:
                 east_error_mps, north_error_mps = self._error[1]
