@@ -109,7 +109,8 @@ class OnlineNormalizer:
         self._renormalize_ring = renormalize_ring and enabled
         self._enabled = enabled
         self._ring: deque[_RingRow] = deque(maxlen=length)
-        self._statistics: RunningStatistics | None = None
+        self.statistics: RunningStatistics | None = None
+        """Of all frames so far; None before the first, and where nothing is normalized."""
         self._frames_since_renewal = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
@@ -117,45 +118,37 @@ class OnlineNormalizer:
         if not self._enabled:
             self._ring.append(_RingRow(raw, raw, 0))
             return NormalizedRows(raw[np.newaxis])
-        if self._statistics is None:
-            self._statistics = RunningStatistics(raw.shape)
-        self._statistics.update(raw)
+        if self.statistics is None:
+            self.statistics = RunningStatistics(raw.shape)
+        self.statistics.update(raw)
         self._ring.append(_RingRow(raw, raw, 0))
         ages = (0, *self._stale_ages())
-        rows = self._normalized(np.stack([self._ring[-1 - age].raw for age in ages]))
+        raws = np.stack([self._ring[-1 - age].raw for age in ages])
+        rows = normalize(raws, self.statistics.mean, self.statistics.deviation)
         for age, row in zip(ages, rows, strict=True):
-            self._ring[-1 - age].normalized, self._ring[-1 - age].count = row, self._statistics.count
+            self._ring[-1 - age].normalized, self._ring[-1 - age].count = row, self.statistics.count
         return NormalizedRows(rows, ages)
 
     def _stale_ages(self) -> list[int]:
         """The ages of the rows that are normalized again now: those whose statistics have grown most since."""
         self._frames_since_renewal += 1
-        if not self._renormalize_ring or self._statistics is None or self._frames_since_renewal < RENEWED_EVERY:
+        if not self._renormalize_ring or self.statistics is None or self._frames_since_renewal < RENEWED_EVERY:
             return []
-        limit = self._statistics.count / (1 + STALE_GROWTH)
+        limit = self.statistics.count / (1 + STALE_GROWTH)
         stale = [age for age in range(1, len(self._ring)) if self._ring[-1 - age].count < limit]
         if stale:
             self._frames_since_renewal = 0
         return sorted(stale, key=lambda age: self._ring[-1 - age].count)[:RENEWED_AT_ONCE]
-
-    def _normalized(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
-        assert self._statistics is not None
-        return normalize(raw, self._statistics.mean, self._statistics.deviation)
 
     def rows(self, newest: int | None = None) -> NDArray[np.float32]:
         """The ring as it was last normalized, (n, R, D), oldest first; only the newest so many rows of it if given."""
         first = 0 if newest is None else max(0, len(self._ring) - newest)
         return np.stack([row.normalized for row in islice(self._ring, first, None)])
 
-    @property
-    def statistics(self) -> RunningStatistics | None:
-        """Of all frames so far; None before the first, and where nothing is normalized."""
-        return self._statistics
-
     def begin_with(self, statistics: RunningStatistics) -> None:
         """Start with the statistics of an earlier run."""
         if self._enabled:
-            self._statistics = statistics
+            self.statistics = statistics
 
     @property
     def is_full(self) -> bool:

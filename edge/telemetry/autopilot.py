@@ -206,7 +206,7 @@ class AutopilotConnection:
         """Queue a line for the pilot on every link; at most two a second are sent, and of many only the newest."""
         self._texts.put(text, severity)
         for link in self._report_links:
-            link.status_text(text, severity)
+            link.texts.put(text, severity)
 
     def say_now(self, text: str, severity: int) -> None:
         """Send a heartbeat and a line on every link at once, even where no peer was heard: before the program ends."""
@@ -240,7 +240,7 @@ class AutopilotConnection:
             time.sleep(DRAIN_S)
         self._port.close()
         for link in self._report_links:
-            link.close()
+            link.port.close()
 
     def _warn(self, text: str) -> None:
         self.status_text(text, mavlink.MAV_SEVERITY_WARNING)

@@ -138,10 +138,6 @@ class HomeRequests:
             return []
         return [*self._upload.transfer.read(message, now_ns), *self._finished(now_ns)]
 
-    def request(self, reply: Callable[[Answer], object], now_ns: int, *, restore: bool = False) -> list[Message]:
-        """Request the way home from this computer, or the mission that it replaced; the final answer comes last."""
-        return self._begin(reply, now_ns, restore=restore)
-
     def due(self, now_ns: int) -> list[Message]:
         """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
         if self._upload is None:
@@ -171,10 +167,10 @@ class HomeRequests:
         if (message.param1, message.param2) != HOME_PARAMS:
             denied = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
             return self._reply(sender, denied, now_ns)
-        return self._begin(sender, now_ns)
+        return self.request(sender, now_ns)
 
-    def _begin(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
-        """The messages of the first answer to a request, and the first of the transfer."""
+    def request(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
+        """Request the way home, or the mission that it replaced: the first answer, and the first of the transfer."""
         words = ("restored", "not restored") if restore else ("uploaded", "no way home")
         home_first = self._vehicle.autopilot == ARDUPILOT
         try:

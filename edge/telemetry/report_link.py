@@ -32,7 +32,7 @@ class ReportLink:
         self._vehicle = vehicle
         self._clock_ns = clock_ns
         self._record = record
-        self._texts = StatusTexts()
+        self.texts = StatusTexts()
         self._heartbeat_ns = self._heard_ns = 0
         self._was_open: bool | None = None
         self.system_status: int = mavlink.MAV_STATE_ACTIVE
@@ -51,7 +51,7 @@ class ReportLink:
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
             self.port.send(encoders.heartbeat(self.system_status))
-        self._send(self._texts.due(now_ns))
+        self._send(self.texts.due(now_ns))
         if self.port.is_open != self._was_open:
             self._was_open = self.port.is_open
             self._record(
@@ -61,16 +61,8 @@ class ReportLink:
     def publish_place(self, fix: PlaceFix) -> None:
         """Publish a place: a line of text at most every five seconds, and values to plot."""
         now_ns = self._clock_ns()
-        self._texts.put_place(fix, now_ns)
+        self.texts.put_place(fix, now_ns)
         self._send(encoders.plotted_values(fix, round((self._vehicle.boot_time_s(now_ns) or 0.0) * 1000)))
-
-    def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
-        """Queue a line for the pilot."""
-        self._texts.put(text, severity)
-
-    def close(self) -> None:
-        """Close the link."""
-        self.port.close()
 
     def _send(self, messages: list[Message]) -> None:
         for message in messages:
