@@ -29,7 +29,6 @@ from edge.mapping import LiveMap, LogHeader, MappingStatus, MappingView
 from edge.reference_map import MapSoFar, ModelKey, RegionsKey
 from edge.telemetry.autopilot import AutopilotConnection
 
-CLOSE_S = 1.5
 START_S = 120.0  # of the service's unit, which the rest of the start may take
 LEAST_SHARE = 1 / 8
 """Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
@@ -60,7 +59,7 @@ class DriveMapper:
         self._frames: Frames | None = frames
         self._device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
-            self._frames = self._device = NewestFrame.configured(camera, clock_ns, CLOSE_S)
+            self._frames = self._device = NewestFrame.configured(camera, clock_ns)
         if self._frames is not None:
             parts.enter_context(closing(self._frames))
         self._sampler = Sampler(config.sampling)

@@ -37,7 +37,6 @@ from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.local_socket import LocalSocket
 from edge.warm_start import WarmStart
 
-CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending
 FEED_WAITS_S, POLL_S = 3.0, 0.02  # heartbeats come each second, and a speed half a second after it is asked for
 
 log = logging.getLogger(__name__)
@@ -108,7 +107,7 @@ class OpenedParts:
         if frames is None:
             if config.camera.kind == "feed" and config.sampling.by == "distance":
                 self._await_speed()
-            frames = self.device = NewestFrame.configured(config.camera, self.clock_ns, CLOSE_S)
+            frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
         self.pictures = PictureCheck(self.device, config.gates.min_speed_mps)
         self.motion = CameraMotion(config, self.record) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))

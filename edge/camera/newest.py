@@ -29,6 +29,7 @@ BAD_FRAMES_S = 2.0
 OPENING_S = 30.0
 """Opening an OAK includes its boot."""
 CLOSING_S = 10.0
+CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending: systemd kills after 10 s
 GRACE_S = 1.0
 FUTURE_NS = 100_000_000
 """Tolerance: cameras estimate the offset of their clocks to ours."""
@@ -44,7 +45,6 @@ class NewestFrame:
         self,
         open: Callable[[], Camera],
         *,
-        close_timeout_s: float = 5.0,
         first_back_off_s: float = FIRST_BACK_OFF_S,
         longest_back_off_s: float = LONGEST_BACK_OFF_S,
         reopens: bool = True,
@@ -53,11 +53,9 @@ class NewestFrame:
         """Start the thread and wait for the first opening; SetupError from it is raised here.
 
         A missing camera (CameraLost) is reported by `health` and opened again with back-off.
-        close_timeout_s: how long close() waits for a read that hangs.
         reopens: whether a camera that gives only bad or frozen images is opened again; a recording would start over.
         """
         self._open = open
-        self._close_timeout_s = close_timeout_s
         self._back_off = BackOff(round(first_back_off_s * 1e9), round(longest_back_off_s * 1e9))
         self._reopens = reopens
         self._clock_ns = clock_ns
@@ -84,13 +82,10 @@ class NewestFrame:
             raise self._failure
 
     @classmethod
-    def configured(
-        cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns, close_timeout_s: float = 5.0
-    ) -> NewestFrame:
+    def configured(cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns) -> NewestFrame:
         """The camera that [camera] names. A feed is never opened again, since it would start over."""
         return cls(
             lambda: open_camera(config),
-            close_timeout_s=close_timeout_s,
             reopens=config.kind != "feed",
             clock_ns=clock_ns,
         )
@@ -146,12 +141,12 @@ class NewestFrame:
     def close(self) -> None:
         """Stop the thread, which closes the camera; more than once is harmless.
 
-        Waits at most `close_timeout_s` for a read that hangs in a driver; the thread ends with the process.
+        Waits at most CLOSE_S for a read that hangs in a driver; the thread ends with the process.
         """
         with self._changed:
             self._stop.set()
             self._changed.notify_all()
-        self._thread.join(self._close_timeout_s)
+        self._thread.join(CLOSE_S)
 
     def _run(self) -> None:
         # A signal in this thread would interrupt a wait for a frame, which OpenCV reports as a lost camera.
