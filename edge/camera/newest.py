@@ -84,11 +84,7 @@ class NewestFrame:
     @classmethod
     def configured(cls, config: CameraConfig, clock_ns: Callable[[], int] = time.monotonic_ns) -> NewestFrame:
         """The camera that [camera] names. A feed is never opened again, since it would start over."""
-        return cls(
-            lambda: open_camera(config),
-            reopens=config.kind != "feed",
-            clock_ns=clock_ns,
-        )
+        return cls(lambda: open_camera(config), reopens=config.kind != "feed", clock_ns=clock_ns)
 
     @property
     def health(self) -> CameraHealth:

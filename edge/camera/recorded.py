@@ -18,10 +18,7 @@ class RecordedCamera:
     """Plays the rows of a feed in order; an unreadable image raises FrameError, and the next read continues."""
 
     def __init__(
-        self,
-        feed: Feed,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], object] = time.sleep,
+        self, feed: Feed, clock_ns: Callable[[], int] = time.monotonic_ns, sleep: Callable[[float], object] = time.sleep
     ) -> None:
         """Open the feed's images; FeedError if its video cannot be opened.
 

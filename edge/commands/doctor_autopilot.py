@@ -79,10 +79,7 @@ REQUIREMENTS = {
         Requirement("VISO_TYPE", "else vision positions are ignored", "set it to 1", (1,)),
         Requirement("EK3_SRC2_POSXY", "the second source set must use vision positions", "set it to 6", (6,)),
         Requirement(
-            "ARMING_CHECK",
-            ARMABLE,
-            "set it to 785918: all checks of a rover but VisualOdometry",
-            clear=VISUAL_ODOMETRY,
+            "ARMING_CHECK", ARMABLE, "set it to 785918: all checks of a rover but VisualOdometry", clear=VISUAL_ODOMETRY
         ),
     ),
     (PX4, "global_position_sensor"): (

@@ -43,11 +43,7 @@ class Journal:
     """An open journal, which begins with `JournalOpened`; the folder it lies in is created."""
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        max_bytes: float = math.inf,
-        unix_time_s: Callable[[], float] = time.time,
+        self, path: Path, *, max_bytes: float = math.inf, unix_time_s: Callable[[], float] = time.time
     ) -> None:
         """ConfigError where the path can be no journal. A disk that cannot be written is tried again with each line.
 

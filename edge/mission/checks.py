@@ -55,8 +55,7 @@ def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig)
         yield Finding(True, "the vehicle is at the start of the drive")
     if waypoints > MOST_WAYPOINTS:
         yield Finding(
-            True,
-            f"{waypoints} waypoints are more than autopilots store ({MOST_WAYPOINTS}); use a larger tolerance_m",
+            True, f"{waypoints} waypoints are more than autopilots store ({MOST_WAYPOINTS}); use a larger tolerance_m"
         )
 
 
@@ -128,8 +127,7 @@ def start_check(away_m: float, sigma_m: float | None, turn_rad: float | None, co
         yield Finding(True, f"the vehicle is {away_m:.0f} m from the drive; max_start_m is {config.max_start_m:g}")
     if sigma_m is not None and sigma_m > config.max_start_m:
         yield Finding(
-            True,
-            f"the vehicle's position is only known to {sigma_m:.0f} m; max_start_m is {config.max_start_m:g}",
+            True, f"the vehicle's position is only known to {sigma_m:.0f} m; max_start_m is {config.max_start_m:g}"
         )
     if turn_rad is None or turn_rad < math.pi / 2:
         return

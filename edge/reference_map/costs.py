@@ -72,10 +72,7 @@ class CostMatcher:
     """Matches queries against the int8 descriptors of a map, straight from the memory map."""
 
     def __init__(
-        self,
-        descriptors: NDArray[np.int8],
-        norms_sq: NDArray[np.int32],
-        projection: NDArray[np.float32] | None = None,
+        self, descriptors: NDArray[np.int8], norms_sq: NDArray[np.int32], projection: NDArray[np.float32] | None = None
     ) -> None:
         """descriptors (R, N, D) int8 as `encode` makes them, norms_sq (N,) int32; with R = 2 both orders are tried.
 

@@ -28,14 +28,7 @@ from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
-from edge.reference_map.store import (
-    PLACES,
-    MapHeader,
-    ModelKey,
-    ReferenceMap,
-    RegionsKey,
-    matching_files,
-)
+from edge.reference_map.store import PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
 
 SAMPLED_MAPS = 16
 log = logging.getLogger(__name__)

@@ -21,11 +21,7 @@ class ReportLink:
     """A further link, to a ground station or a router: heartbeats, lines and values, never a position."""
 
     def __init__(
-        self,
-        port: Port,
-        vehicle: Vehicle,
-        clock_ns: Callable[[], int],
-        record: Callable[[Record], object],
+        self, port: Port, vehicle: Vehicle, clock_ns: Callable[[], int], record: Callable[[Record], object]
     ) -> None:
         """vehicle: that of the autopilot's link; messages are sent with its system id and on its boot clock."""
         self.port = port

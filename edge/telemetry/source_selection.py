@@ -15,13 +15,7 @@ from pathlib import Path
 from edge.backoff import BackOff
 from edge.journal.records import Record, SourceSetAnswered
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import (
-    ANSWER_NS,
-    BACK_OFF_FIRST_NS,
-    NO_ANSWER,
-    VERDICTS,
-    result_name,
-)
+from edge.telemetry.acknowledgements import ANSWER_NS, BACK_OFF_FIRST_NS, NO_ANSWER, VERDICTS, result_name
 from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Vehicle
 
