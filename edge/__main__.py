@@ -11,15 +11,11 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
+from typing import Any, NoReturn, TextIO, cast
 
 from edge.commands.parser import build_parser, moved
 from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
 
-if TYPE_CHECKING:
-    LinesHandler = logging.StreamHandler[TextIO]
-else:
-    LinesHandler = logging.StreamHandler  # generic from Python 3.11 on
 LEVELS = ("debug", "info", "warning", "error")
 
 
@@ -39,7 +35,7 @@ class PlainText:
         return getattr(self._stream, name)
 
 
-class AboveBars(LinesHandler):
+class AboveBars(logging.StreamHandler):  # type: ignore[type-arg]  # generic from Python 3.11 on
     """Writes each line above the bars that tqdm draws, if there are any."""
 
     def emit(self, record: logging.LogRecord) -> None:

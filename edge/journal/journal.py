@@ -9,7 +9,6 @@ is the one that is written, and PATH.1, PATH.2, ... are those before it, the new
 from __future__ import annotations
 
 import contextlib
-import errno
 import logging
 import math
 import os
@@ -25,6 +24,7 @@ import msgspec
 
 import edge
 from edge.errors import ConfigError
+from edge.files import DISK_ERRORS
 from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record, StateChanged
 
 log = logging.getLogger(__name__)
@@ -35,8 +35,6 @@ QUEUE_RECORDS = 1000
 FLUSH_S = 3.0
 """How long the end waits for a disk that does not answer; systemd kills after 10 s (TimeoutStopSec=)."""
 TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
-OF_THE_DISK = (errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Errors of a disk, not of the path: navigation goes on without a journal."""
 
 
 class Journal:
@@ -59,7 +57,7 @@ class Journal:
         try:
             self._open()
         except OSError as error:
-            if error.errno not in OF_THE_DISK:
+            if error.errno not in DISK_ERRORS:  # with those of a disk, navigation goes on without a journal
                 raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
             self._report_lost(error.strerror or str(error))
         else:
