@@ -20,6 +20,7 @@ from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north_of
+from edge.opened_parts import OpenedParts
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.ros2.robot import Clock, Robot
 from tests.udp_port import free_port
@@ -47,7 +48,7 @@ def test_a_position_comes_by_odometry_alone(
     fixes: list[tuple[Any, float]] = []  # each with how far the vehicle had driven
     with ExitStack() as parts:
         frames = ScriptedFrames(clock)
-        daemon = Daemon(config, parts, clock, frames=frames, network=network)
+        daemon = Daemon(OpenedParts(config, parts, clock, frames=frames, network=network))
         for turn in range(2 * FRAMES):
             clock.now_ns += 100_000_000
             robot.send_odometry(time.time_ns(), MPS, yaw_rad=math.pi / 2)
