@@ -97,7 +97,7 @@ class Daemon:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
         pictures = self.parts.pictures
         before_ns = pictures.age_ns
-        frame = pictures.dated(frame, self._autopilot.report().speed_mps)
+        frame = pictures.dated(frame, self._autopilot.vehicle.speed_mps(self._clock_ns()))
         age_ns = pictures.age_ns
         if age_ns != before_ns:
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
@@ -108,7 +108,7 @@ class Daemon:
     def _is_usable(self, frame: Frame) -> bool:
         """Whether a frame may be used: its picture shows something, and it is not the first after a gap."""
         parts = self.parts
-        is_usable = parts.pictures.is_usable(frame, self._autopilot.report().speed_mps)
+        is_usable = parts.pictures.is_usable(frame, self._autopilot.vehicle.speed_mps(self._clock_ns()))
         return is_usable and not (parts.device and parts.monitor.is_first_after_gap(parts.device.health))
 
     def _process_if_place(self, frame: Frame) -> bool:
@@ -288,7 +288,7 @@ class Daemon:
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
             withheld=self._autopilot.why_no_position,
-            driven_m=self._autopilot.report().driven_m,
+            driven_m=self._autopilot.vehicle.driven_m(self._clock_ns()),
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
         return self.parts.monitor.update(inputs, parts.camera.health, hang)

@@ -113,7 +113,7 @@ class DriveMapper:
         busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
         self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
         frame = self._frames.take(0.0) if self._frames is not None and self._spare_s >= self._takes_s else None
-        if frame is not None and self._pictures.is_usable(frame, self._autopilot.report().speed_mps):
+        if frame is not None and self._pictures.is_usable(frame, self._autopilot.vehicle.speed_mps(self._clock_ns())):
             distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
             if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
                 missed = self._sampler.missed

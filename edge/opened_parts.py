@@ -123,7 +123,7 @@ class OpenedParts:
     def _await_speed(self) -> None:
         """A feed waits for nobody, and its frames are chosen by the distance driven: let an autopilot speak first."""
         until_s = time.monotonic() + FEED_WAITS_S
-        while self.autopilot.report().speed_mps is None and time.monotonic() < until_s:
+        while self.autopilot.vehicle.speed_mps(self.clock_ns()) is None and time.monotonic() < until_s:
             self.autopilot.poll()
             time.sleep(POLL_S)
 
