@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 
 class BackOff:
     """The pause after the latest failure; none before the first. No clock: the time comes in as an argument."""
@@ -23,10 +21,6 @@ class BackOff:
     def reset(self) -> None:
         """An attempt succeeded: no pause now, and a short one after the next failure."""
         self._pause_ns, self._until_ns = self._first_ns, 0
-
-    def give_up(self) -> None:
-        """No further attempt, until an attempt that was begun before succeeds."""
-        self._until_ns = sys.maxsize
 
     def is_over(self, now_ns: int) -> bool:
         """Whether the next attempt may be made."""

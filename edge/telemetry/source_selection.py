@@ -15,7 +15,13 @@ from pathlib import Path
 from edge.backoff import BackOff
 from edge.journal.records import Record, SourceSetAnswered
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import ANSWER_NS, BACK_OFF_FIRST_NS, NO_ANSWER, VERDICTS, result_name
+from edge.telemetry.acknowledgements import (
+    ANSWER_NS,
+    BACK_OFF_FIRST_NS,
+    NO_ANSWER,
+    VERDICTS,
+    result_name,
+)
 from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Vehicle
 
@@ -46,6 +52,7 @@ class SourceSelection:
         """The link came up, or the autopilot rebooted: which set it uses is not known."""
         self._selected: int | None = None
         self._asked: tuple[int, int] | None = None  # the set, and when
+        self._refused = False
         self._back_off = BackOff(BACK_OFF_FIRST_NS, AGAIN_NS)
         self._published = ""
 
@@ -55,7 +62,7 @@ class SourceSelection:
             self._not_selected(self._asked[0], NO_ANSWER, now_ns)
         if self.wanted == GPS_SET and not self._may_be_changed:
             return []
-        if self.wanted in (None, self._selected) or self._asked or not self._back_off.is_over(now_ns):
+        if self.wanted in (None, self._selected) or self._asked or self._refused or not self._back_off.is_over(now_ns):
             return []
         return self._select(self.wanted or GPS_SET, now_ns)
 
@@ -75,9 +82,8 @@ class SourceSelection:
             return
         number, _ = self._asked
         if verdict != "accepted":
+            self._refused = verdict == "never"
             self._not_selected(number, result_name(result), now_ns)
-            if verdict == "never":
-                self._back_off.give_up()
             return
         self._asked, self._selected = None, number
         self._back_off.reset()

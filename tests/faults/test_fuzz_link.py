@@ -249,8 +249,9 @@ class Turns:
                 self.link.send_position(fix)
             self.link.set_system_status(4)
             assert self.link.status().state == self.link.state
-            position, speed_mps = self.link.position(), self.link.speed_mps()
-            self.link.report(), self.link.motion(now_ns), self.link.gps_fix(now_ns)
+            report = self.link.report()
+            position, speed_mps = report.position, report.speed_mps
+            self.link.vehicle.motion(now_ns, now_ns), self.link.gps_fix(now_ns)
         assert position is None or math.isfinite(position.lat_deg + position.lon_deg + position.speed_mps)
         assert speed_mps is None or math.isfinite(speed_mps)
 
