@@ -9,8 +9,10 @@ blocks that need make or root are not run here.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -24,6 +26,7 @@ import pytest
 from pymavlink.dialects.v20.common import MAVLink_heartbeat_message
 
 import edge
+from edge.commands.parser import build_parser
 from edge.config import Config, parse_config
 from edge.feed.format import MEASURES, SOURCE
 from edge.geodesy import POSITION_SOURCES
@@ -103,6 +106,20 @@ def test_every_command_works(page: Path, tmp_path: Path, make_once: Callable[...
             shutil.copytree(make_once("readme", run_readme), tmp_path, dirs_exist_ok=True)
         output = run_page(page, tmp_path)
     assert re.search(PRINTS.get(page.stem, ""), output)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_that_is_shown_exists_with_its_options(page: Path) -> None:
+    """Those too that no test runs, since they need a vehicle, a container or somebody's recordings."""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        words = shlex.split(line, comments=True) if re.match(r" *(sudo )?lookback [a-z]", line) else []
+        if words and not line.rstrip().endswith("\\"):
+            words = words[words.index("lookback") + 1 :]
+            words = list(itertools.takewhile(lambda word: word not in ("|", ">", "&", "2>", "&&"), words))
+            try:
+                build_parser(words).parse_args(words)
+            except SystemExit as refused:
+                raise AssertionError(f"{page.name}: {line}") from refused
 
 
 def run_page(page: Path, folder: Path) -> str:
