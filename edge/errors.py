@@ -17,6 +17,11 @@ Every message is one line that names the file, key or field and says what to do.
 EXIT_SETUP = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus names it
 
 
+def reason(error: Exception) -> str:
+    """What went wrong, in words: of an error of the system without its number."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 class LookbackError(Exception):
     """Any error that Lookback raises on purpose; `str()` is one line for the user."""
 

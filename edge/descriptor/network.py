@@ -125,7 +125,8 @@ def open_session(model: bytes, provider: str = CPU) -> onnxruntime.InferenceSess
     options.add_session_config_entry("session.use_env_allocators", "1")
     if lacks_int8_products():
         # Its int8 kernels saturate at 16 bits: the same picture would give another fc6 than on other processors. The
-        # precise ones give the same bytes as VNNI. Weights of 7 bits would need neither, and failed `model verify`.
+        # precise ones give the same bytes as VNNI. Weights of 7 bits would need neither, and failed `model verify`. All
+        # layers need them: each has neighboring weights of one sign that exceed 128 together, which 255 times saturate.
         options.add_session_config_entry("session.x64quantprecision", "1")
     options.log_severity_level = 4  # errors are raised as exceptions, and need not be printed as well
     providers = list(dict.fromkeys((provider_name(provider), f"CPU{_SUFFIX}")))  # the CPU runs what the other cannot

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import MapError
+from edge.errors import MapError, reason
 from edge.files import replacing
 from edge.reference_map import MapHeader, MapSet
 
@@ -142,7 +142,7 @@ def read_tally(file: Path) -> Tally:
     try:
         return msgspec.json.decode(file.read_bytes(), type=Tally)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise MapError(f"{file}: cannot read these counts: {error}") from None
+        raise MapError(f"{file}: cannot read these counts: {reason(error)}") from None
 
 
 def _is_whole(maps: MapSet, before: int, place: int, driven_m: float) -> bool:

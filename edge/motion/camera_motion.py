@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.errors import reason
 from edge.files import replacing
 from edge.journal.records import MotionMeasured, Record
 from edge.motion.ground import GroundView, Step, measure
@@ -115,7 +116,7 @@ class CameraMotion:
         try:
             kept = msgspec.json.decode(self._path.read_bytes(), type=LearnedHeight)
         except (OSError, ValueError) as error:
-            log.warning("%s: ignored, the camera's height is learned again: %s", self._path, error)
+            log.warning("%s: ignored, the camera's height is learned again: %s", self._path, reason(error))
             return unknown
         return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else unknown
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from edge.errors import MapError
+from edge.errors import MapError, reason
 from edge.files import replacing
 from edge.reference_map.store import read_header
 
@@ -35,7 +35,7 @@ class Retired:
         except FileNotFoundError:
             pass
         except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            log.warning("%s: cannot read it, so all drives are searched: %s", self._file, error)
+            log.warning("%s: cannot read it, so all drives are searched: %s", self._file, reason(error))
 
     @property
     def drives(self) -> Drives:

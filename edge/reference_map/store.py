@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 import edge
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.errors import MapError
+from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import Checksums, FileKey
 from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
@@ -196,7 +196,7 @@ class ReferenceMap:
         try:
             mean, deviation = np.fromfile(self.path / STATISTICS, dtype="<f8").reshape(shape)
         except (OSError, ValueError) as error:
-            raise MapError(f"{self.path / STATISTICS}: cannot read it: {error}") from None
+            raise MapError(f"{self.path / STATISTICS}: cannot read it: {reason(error)}") from None
         if not (np.isfinite(mean).all() and np.isfinite(deviation).all()):
             raise MapError(f"{self.path / STATISTICS}: damaged (not a number); build or copy the map again")
         return mean, deviation

@@ -22,7 +22,7 @@ from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import serial
 
-from edge.errors import ConfigError, LinkLost
+from edge.errors import ConfigError, LinkLost, reason
 
 KINDS: TypeAlias = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
 READ_SIZE = 65536
@@ -122,7 +122,7 @@ class SerialLink:
         try:
             return bytes(self._port.read(READ_SIZE))
         except (OSError, termios.error) as error:
-            raise LinkLost(f"{self._device}: the port is gone: {error}") from None
+            raise LinkLost(f"{self._device}: the port is gone: {reason(error)}") from None
 
     def send(self, data: bytes) -> bool:
         """See Link. A port whose buffer is full (flow control, nobody reading) drops the message."""

@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
+from edge.errors import reason
 from edge.files import replacing
 from edge.mission import MissionItem
 from edge.telemetry.mission_transfer import is_same
@@ -46,7 +47,7 @@ class ReplacedMission:
         except FileNotFoundError:
             pass
         except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            log.warning("%s: ignored, so the mission that was replaced is not known: %s", path, error)
+            log.warning("%s: ignored, so the mission that was replaced is not known: %s", path, reason(error))
 
     def items(self, system_id: int) -> tuple[MissionItem, ...]:
         """The mission that was replaced in this vehicle; empty where there was none."""

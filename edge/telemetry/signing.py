@@ -19,7 +19,7 @@ from typing import TypeAlias
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.errors import ConfigError
+from edge.errors import ConfigError, reason
 from edge.files import read_key, replacing
 
 TICKS_PER_S = 100_000
@@ -215,5 +215,7 @@ def _read(file: Path) -> SigningClock:
     except FileNotFoundError:
         return SigningClock()
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        log.warning("%s: ignored, so replayed signed frames of the last minute may be accepted: %s", file, error)
+        log.warning(
+            "%s: ignored, so replayed signed frames of the last minute may be accepted: %s", file, reason(error)
+        )
         return SigningClock()

@@ -24,6 +24,7 @@ from edge.mission import plan_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.codec import MavlinkCodec
 from tests.mission.test_way_home import straight
+from tests.telemetry.home_requests import DRIVING_ITSELF
 from tests.telemetry.rig import Rig
 
 SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
@@ -387,7 +388,10 @@ def test_a_lookback_that_is_not_heard_is_not_asked() -> None:
 
 
 def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along: Callable[..., Path]) -> None:
-    """The real script, the real connection and the simulated autopilot: from the switch to the mode."""
+    """The real script, the real connection and the simulated autopilot: from the switch to the mode.
+
+    A mode must hold for 2.5 s: a request right after one in which the vehicle drove itself is refused.
+    """
     rig = Rig(tmp_path, home=HomeConfig(enabled=True))
     maps = open_map_set(map_along(straight(400.0, 60.0)))
     rig.connection.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
@@ -406,11 +410,19 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
             while scripting.sent:
                 rig.autopilot.send(scripting.sent.pop())
 
+    manual, rig.autopilot.base_mode = rig.autopilot.base_mode, DRIVING_ITSELF
     pump(12.0)
+    rig.autopilot.base_mode = manual
+    pump(1.5)
+    scripting.switch = HIGH
+    pump(0.5)
+    assert scripting.texts == ["Home: mission requested", "Home: no mission, not now"]
+    scripting.switch = LOW
+    pump(2.5)
     scripting.switch = HIGH
     pump(15.0)
     rig.close()
     announced = "Home: mode 10 in 5 s, switch low cancels"
-    assert scripting.texts == ["Home: mission requested", announced, "Home: on the way"]
+    assert scripting.texts[2:] == ["Home: mission requested", announced, "Home: on the way"]
     assert scripting.modes == [AUTO]
     assert len(rig.autopilot.mission.waypoints_deg) == 2

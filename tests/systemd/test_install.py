@@ -122,13 +122,19 @@ def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> 
     shutil.copy(checkout / START_TOML, root / CONFIG)
 
 
-def test_an_old_python_is_named(tmp_path: Path) -> None:
-    python = tmp_path / "python3.9"
-    python.write_text("#!/bin/sh\necho 3.9\n")
+@pytest.mark.parametrize(
+    ("version", "why"),
+    [
+        ("3.9", "is Python 3.9, and Lookback needs 3.10 to 3.14; name one with --python"),
+        ("3.14", "has no venv: apt install python3.14-venv"),
+    ],
+)
+def test_a_python_that_does_not_do_is_named(version: str, why: str, tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text(f"#!/bin/sh\n[ \"$2\" = 'import ensurepip, venv' ] && exit 1\necho {version}\n")
     python.chmod(0o755)
     result = run(INSTALL, "--root", tmp_path / "root", "--python", python)
-    needs = "and Lookback needs 3.10 to 3.14; name one with --python"
-    assert result.stderr == f"install.sh: {python} is Python 3.9, {needs}\n"
+    assert result.stderr == f"install.sh: {python} {why}\n"
 
 
 def pretend_to_install(root: Path, *distributions: str) -> None:

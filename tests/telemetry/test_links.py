@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
@@ -17,6 +19,7 @@ from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 
+ROOT = Path(__file__).parents[2]
 OpenRig: TypeAlias = Callable[..., Any]
 
 
@@ -121,6 +124,15 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
     assert rig.connection.positions.enabled
     assert [record.result for record in rig.journalled(FixAnswered)] == ["ACCEPTED"]
     assert not [message for message in rig.received("TIMESYNC") if message.ts1 == 5], "asked by another, not for us"
+
+
+def test_the_first_autopilot_that_is_heard_is_named(rig: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """It may be somebody else's: simulators and ground stations talk on UDP port 14550, where no example listens."""
+    caplog.set_level("INFO")
+    rig.run(4.0)
+    assert "link up: system 1, ArduPilot" in caplog.text
+    pages = (ROOT / "README.md", ROOT / "edge/start.toml", ROOT / "edge/default.toml", *ROOT.glob("docs/*.md"))
+    assert not [page.name for page in pages if re.search(r"udpin:[^ ]*:14550", page.read_text())]
 
 
 def test_a_wrong_link_is_named(open_rig: OpenRig) -> None:

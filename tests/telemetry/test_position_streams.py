@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
 from edge.telemetry import stream_check
+from edge.telemetry.encoders import SET_EKF_SOURCE_SET
 from tests.telemetry.positions import OFTEN, offer_for
 from tests.telemetry.rig import OpenRig
 
@@ -116,6 +117,13 @@ def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(o
     rig.autopilot.gps = True
     rig.run(8.0)
     assert rig.autopilot.inputs.source_set == 1
+
+
+def test_the_set_of_sources_that_the_pilot_chose_stays_while_gps_works(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="vision_position", gates=GatesConfig())
+    rig.run(12.0)
+    assert rig.connection.vehicle.gps.state(rig.now_ns) == "healthy"
+    assert not [one for one in rig.received("COMMAND_LONG") if one.command == SET_EKF_SOURCE_SET]
 
 
 def test_a_vision_stream_that_begins_far_off_says_that_it_jumps(open_rig: OpenRig) -> None:
