@@ -76,7 +76,11 @@ def _parts(folder: Path, camera: str | None) -> list[Path]:
     files = [file for file in files if file.stem.endswith(camera or "")]
     ends = {(match[1] if (match := TESLA.search(file.stem)) else bool(REAR.search(file.stem))) for file in files}
     if len(ends) != 1:
-        what = "several cameras; choose one with `lookback import --camera`, as in --camera front" if ends else f"no {camera or ''} video"
+        what = (
+            "several cameras; choose one with `lookback import --camera`, as in --camera front"
+            if ends
+            else f"no {camera or ''} video"
+        )
         raise FeedError(f"{folder}: {what}")
     return sorted(files, key=lambda file: natural_key(file.name))
 

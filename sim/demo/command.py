@@ -13,7 +13,6 @@ from contextlib import ExitStack, contextmanager, redirect_stderr
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
 from edge.config import Config, DescriptorConfig, MapConfig, PageConfig, RigConfig, SamplingConfig, TelemetryConfig
@@ -23,7 +22,7 @@ from edge.feed import read_feed
 from edge.reference_map.store import ReferenceMap, open_map
 from sim.calibration.command import measure_rig
 from sim.calibration.offset import measure_parallax, rig_config
-from sim.demo.review import Review, review_drive
+from sim.demo.review import Review, median_95, review_drive, stages_ms
 from sim.maps.command import build_map
 from sim.vehicle.daemon_drive import START_S, DaemonDrive, ReceivedFix, start_daemon_drive
 from sim.world.recording import record_drive
@@ -236,11 +235,11 @@ def _spell(live: DaemonDrive, fix: ReceivedFix) -> str:
 
 
 def _in_short(live: DaemonDrive, review: Review) -> str:
-    errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
-    return (
-        f"{live.name:<10}  {len(live.fixes)} positions, error {np.median(errors_m):.1f} m (95 %"
-        f" {np.percentile(errors_m, 95):.1f} m); precision {review.precision:.3f}, recall {review.recall:.2f}"
-    )
+    errors_m = [fix.error_m for fix in live.fixes]
+    found = f"{len(errors_m)} positions, error (median / 95 %) {median_95(errors_m)}"
+    if not errors_m:  # as on a computer that is too slow, or busy
+        found = f"no position; a frame took {sum(stages_ms(live).values()):.0f} ms"
+    return f"{live.name:<10}  {found}; precision {review.precision:.3f}, recall {review.recall:.2f}"
 
 
 def _is_good(live: DaemonDrive, review: Review) -> bool:

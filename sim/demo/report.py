@@ -13,7 +13,7 @@ from edge.config import AcceptanceConfig, RigConfig, SequenceConfig
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.reference_map.store import ReferenceMap
-from sim.demo.review import Review, stages_ms
+from sim.demo.review import Review, median_95, stages_ms
 from sim.demo.story import headline, sections_of
 from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
@@ -75,12 +75,11 @@ def _name(live: DaemonDrive) -> str:
 
 def _numbers(live: DaemonDrive, review: Review) -> dict[str, report.Cell]:
     """The column of one drive, by row."""
-    errors_m = np.array([fix.error_m for fix in live.fixes] or [np.nan])
     return {
         "light, direction along the map": f"{live.scenario.light}, {live.scenario.direction}",
         "frames used": len(review.seen),
         "positions that reached the autopilot": len(live.fixes),
-        "their error, median / 95 %": f"{np.median(errors_m):.1f} / {np.percentile(errors_m, 95):.1f} m",
+        "their error, median / 95 %": median_95([fix.error_m for fix in live.fixes]),
         f"protection level below {LIMIT_M:.0f} m, of the time without GPS": f"{live.available:.0%}",
         f"precision: believed frames within {TOLERANCE_M:.0f} m": f"{review.precision:.3f}",
         "recall: believed and right, of all frames": f"{review.recall:.2f}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -53,6 +54,11 @@ class Review:
 def used_frames(live: DaemonDrive) -> list[FrameUsed]:
     """Every frame that the daemon used, from its journal."""
     return list(records_of(live.journal, FrameUsed))
+
+
+def median_95(errors_m: Sequence[float] | NDArray[np.float64]) -> str:
+    """Of some errors, in words; a dash where there is none."""
+    return f"{np.median(errors_m):.1f} m / {np.percentile(errors_m, 95):.1f} m" if len(errors_m) else "–"
 
 
 def stages_ms(live: DaemonDrive) -> dict[str, float]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
+from sim.demo.review import median_95
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
@@ -62,7 +63,7 @@ def sections_of(run: Run) -> list[report.Section]:
         ["GPS failed after", f"{lost_m:.0f} m", f"{lost_m:.0f} m"],
         ["first position after the failure", f"{first_m:.0f} m further on", "none"],
         ["positions sent", f"{len(errors_m)}", "none"],
-        ["their error, median / 95 %", _median_95(errors_m), "–"],
+        ["their error, median / 95 %", median_95(errors_m), "–"],
         ["largest standard deviation sent", f"{sigma_m.max(initial=0.0):.1f} m", "–"],
         ["largest error, in standard deviations", f"{run.sent.sigmas.max(initial=0.0):.1f}", "–"],
         [f"protection level below {LIMIT_M:.0f} m", f"{run.available:.0%} of the way home", "never"],
@@ -72,10 +73,6 @@ def sections_of(run: Run) -> list[report.Section]:
     table = report.Table("story", "", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth.")
     figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
     return [report.Section("Take me home", text, figures=[figure]), report.Section("Of the way home", tables=[table])]
-
-
-def _median_95(errors_m: NDArray[np.float64]) -> str:
-    return f"{np.median(errors_m):.1f} m / {np.percentile(errors_m, 95):.1f} m" if len(errors_m) else "–"
 
 
 def picture(run: Run) -> Figure:

@@ -238,7 +238,9 @@ def test_the_clips_of_one_tesla_camera_are_one_drive(tmp_path: Path, degrees_at:
     for camera in ("front", "back"):
         write_mp4(tmp_path / f"2026-05-04_12-30-00-{camera}.mp4", first)
         write_mp4(tmp_path / f"2026-05-04_12-31-00-{camera}.mp4", second)
-    with pytest.raises(FeedError, match="several cameras; choose one with `lookback import --camera`, as in --camera front"):
+    with pytest.raises(
+        FeedError, match="several cameras; choose one with `lookback import --camera`, as in --camera front"
+    ):
         open_dataset("video", tmp_path)
     assert find_kind(tmp_path) == "video"
     assert north_m(tmp_path, degrees_at, camera="back") == pytest.approx(np.arange(60.0), abs=0.01)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge.errors import LookbackError
+from sim.demo.review import median_95
 from sim.demo.story import LENGTH_M, headline, lost_at_m, picture, require_good, sections_of, true_track
 from sim.trial.rules import Run, Sent, Track
 
@@ -33,6 +34,10 @@ def test_the_table_tells_both_drives_side_by_side() -> None:
     assert rows["largest standard deviation sent"][0] == "4.0 m"
     assert headline(_run()) == "95 % within 2.0 m of its lane; 30.0 m without Lookback"
     assert lost_at_m(_run()) == pytest.approx(LENGTH_M)
+
+
+def test_where_no_position_came_there_is_no_error() -> None:
+    assert (median_95([]), median_95([1.0, 3.0])) == ("–", "2.0 m / 2.9 m")
 
 
 def test_the_picture_shows_the_true_tracks_in_meters() -> None:
