@@ -80,7 +80,7 @@ class CostMatcher:
         """
         self._planes = descriptors
         self._inverse = inverse_lengths(norms_sq)
-        self._projection = projection
+        self.projection = projection
         self.orders = len(descriptors)
 
     @classmethod
@@ -105,7 +105,7 @@ class CostMatcher:
 
     def encoded(self, query: NDArray[np.float32]) -> NDArray[np.int8]:
         """Normalized query rows (n, R, D) as the map keeps its own: (R, n, D) int8, shrunk if the map is."""
-        return encode(query if self._projection is None else project(query, self._projection))
+        return encode(query if self.projection is None else project(query, self.projection))
 
     def costs_of_encoded(
         self, query: NDArray[np.int8], ranges: Sequence[tuple[int, int]] | None = None

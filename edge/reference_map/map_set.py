@@ -179,10 +179,11 @@ class MapSet:
 
     def costs(self, query: NDArray[np.float32], ranges: Ranges) -> NDArray[np.int32]:
         """Normalized rows (n, R, D) against some places: (n, orders, places), see `CostMatcher.costs`."""
-        encoded: dict[str, NDArray[np.int8]] = {}
+        encoded: dict[int, NDArray[np.int8]] = {}  # tiles of one map have one projection
         costs = []
         for index, pieces in groupby(self.index.by_map(ranges), key=lambda piece: piece[0]):
-            matcher, alike = self.matchers[index], self.maps[index].header.shrunk_by
+            matcher = self.matchers[index]
+            alike = id(matcher.projection)
             if alike not in encoded:
                 encoded[alike] = matcher.encoded(query)
             costs.append(matcher.costs_of_encoded(encoded[alike], [(start, end) for _, start, end in pieces]))
