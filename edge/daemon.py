@@ -28,8 +28,7 @@ from edge.health.health import HealthInputs
 from edge.health.service import notify
 from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS, Limits
-from edge.localization.dead_reckoning import Displacement, ReportedMotion, TurnAround
-from edge.localization.velocity_error import VelocityError
+from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
@@ -114,11 +113,10 @@ class Daemon:
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
         self._measure_motion(frame)
-        motion = self._autopilot.vehicle.motion(frame.stamp_ns, self._clock_ns())
-        self._use_velocity_error(self._estimator.follow(frame.stamp_ns, motion))
-        is_place = self._sampler.is_place(frame.stamp_ns, motion.distance_m)
+        distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
+        is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
-            self._process_frame(frame, motion)
+            self._process_frame(frame, distance_m)
         return is_place
 
     def _measure_motion(self, frame: Frame) -> None:
@@ -130,15 +128,15 @@ class Daemon:
         if speed is not None and self.parts.config.motion.use == "odometer":
             self._autopilot.vehicle.use_speed(speed.stamp_ns, speed.speed_mps)
 
-    def _process_frame(self, frame: Frame, motion: ReportedMotion) -> None:
+    def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self.parts.times.start()
-        began_ns, missed, distance_m = self._clock_ns(), self._sampler.missed, motion.measured_m
+        began_ns, missed = self._clock_ns(), self._sampler.missed
         displacement = self._autopilot.vehicle.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
-        self._estimate(frame.stamp_ns, match, motion, displacement, missed)
+        self._estimate(frame.stamp_ns, match, displacement, missed)
         self._map_frame(frame, distance_m, missed)
         self._publish_frame(frame, match, missed)
         self._warn_without_odometer()
@@ -152,24 +150,14 @@ class Daemon:
         self.parts.warm_start.keep_if_due(now_ns)
 
     def _estimate(
-        self,
-        stamp_ns: int,
-        match: PlaceMatch | None,
-        motion: ReportedMotion,
-        displacement: Displacement | None,
-        missed: int,
+        self, stamp_ns: int, match: PlaceMatch | None, displacement: Displacement | None, missed: int
     ) -> None:
-        """What follows from the answer to a frame: for the vehicle, for GPS, and for the autopilot's velocity."""
+        """What follows from the answer to a frame: for the vehicle, and for GPS."""
         report, gps = self._autopilot.report(), self._autopilot.gps_fix(stamp_ns)
         stands = self._recognizer.state == "standing"
-        seen = match, stamp_ns, motion, displacement, report, gps
-        verdict = self._estimator.update(*seen, missed=missed, stands=stands)
+        verdict = self._estimator.update(match, stamp_ns, displacement, report, gps, missed=missed, stands=stands)
         if not stands:
             self._autopilot.judge_gps(verdict)
-        self._use_velocity_error(self._estimator.velocity_error)
-
-    def _use_velocity_error(self, error: VelocityError) -> None:
-        self._autopilot.vehicle.use_velocity_error(error.error_mps, error.sigma_mps, self._clock_ns())
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
@@ -269,11 +257,18 @@ class Daemon:
                 parts.ros2.publish_place(fix)
 
     def _warn_without_odometer(self) -> None:
-        """Say once that the distance driven is not known, without which frames must be as far apart as places."""
-        if self._recognizer.matcher.lacks_odometer and not self._warned_of_odometer:
-            self._warned_of_odometer = True
-            log.warning("speed unknown: %s; they must be as far apart", self._recognizer.matcher.spacing)
-            self._autopilot.status_text("speed unknown: drive as when mapping", mavlink.MAV_SEVERITY_WARNING)
+        """Say once that the distance driven is not known, and what follows."""
+        matcher = self._recognizer.matcher
+        if self._warned_of_odometer or not matcher.lacks_odometer:
+            return
+        self._warned_of_odometer = True
+        if matcher.needs_odometer:
+            log.warning('speed unknown: no place is recognized; if you drive as when mapping, [sampling] by = "time"')
+            text = "speed unknown: no place is recognized"
+        else:
+            log.warning("speed unknown: %s; they must be as far apart", matcher.spacing)
+            text = "speed unknown: drive as when mapping"
+        self._autopilot.status_text(text, mavlink.MAV_SEVERITY_WARNING)
 
     def _update_health(self) -> bool:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""

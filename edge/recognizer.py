@@ -167,9 +167,11 @@ class PlaceRecognizer:
         self.matcher.begin_way_back()
 
     def restart_odometer(self) -> None:
-        """The distance driven before cannot be compared with what follows."""
+        """The distance driven before cannot be compared with what follows: the frames of both lie on no line."""
         if self._last is not None:
             self._last = replace(self._last, distance_m=None)
+        if self.matcher.needs_odometer:
+            self.matcher.reset()
 
     def _stands_still(self, frame: _UsedFrame) -> bool:
         """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""

@@ -29,8 +29,8 @@ SERIAL = (
     " both ends need the same key"
 )
 AIDS = {
-    ARDUPILOT: "fit wheel encoders (EK3_SRC1_VELXY 7) or optical flow (5), see firmware_config/",
-    PX4: "fit optical flow, or send a velocity as ODOMETRY, see firmware_config/px4_velocity_aid.params",
+    ARDUPILOT: "fit wheel encoders (EK3_SRC1_VELXY 7) or optical flow (5), see firmware_config/, or set [motion]",
+    PX4: "fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]",
 }
 NETWORK = (
     "check that a program sends MAVLink 2 to this address (mavlink-router, or MAVProxy with --out), that its computer"
@@ -150,7 +150,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         suitable, why = suitable_message(vehicle.autopilot, vehicle.version)
         yield good(f"emit = auto: {suitable.name}, {why}") if suitable else note(f"emit = auto: report, {why}")
     if status.speed_mps is None:
-        yield note("it reports no speed", "frames are chosen by time, which fits a map by distance badly")
+        yield note("it reports no speed", "without one no place is recognized on a map with distances")
     if status.lat_deg is None:
         yield note("it reports no position", "recordings have no positions until it has GPS or an origin")
     if status.gps != "healthy":

@@ -4,15 +4,15 @@
 matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
 `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
 `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`. `report` is what an autopilot
-reports, `dead_reckoning` integrates its motion, and `velocity_error` finds what is wrong with that where nothing
-measures it; `integrity` decides what may be published, by the rules of `refusals` and by what was observed (`claims`),
-and `protection_level` says how far off that may be, also by what `bound`s a position without places.
+reports, and `dead_reckoning` integrates its motion; `integrity` decides what may be published, by the rules of
+`refusals` and by what was observed (`claims`), and `protection_level` says how far off that may be, also by what
+`bound`s a position without places.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import DeadReckoning, Displacement, ReportedMotion
+from edge.localization.dead_reckoning import DeadReckoning, Displacement
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
     GPS_SIGMA_M,
@@ -27,13 +27,11 @@ from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
 from edge.localization.report import GpsState, Report
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
-from edge.localization.velocity_error import PULLED_NS
 
 __all__ = [
     "AGREE_SIGMAS",
     "CORRELATION_M",
     "GPS_SIGMA_M",
-    "PULLED_NS",
     "DeadReckoning",
     "Displacement",
     "GpsFix",
@@ -46,7 +44,6 @@ __all__ = [
     "ProtectionLevel",
     "Refusal",
     "Report",
-    "ReportedMotion",
     "Situation",
     "distance_from",
     "offset_m",

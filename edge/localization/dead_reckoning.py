@@ -10,7 +10,6 @@ import math
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
 LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are believed to span
@@ -40,7 +39,6 @@ BACKED_M = 30.0
 class Displacement:
     """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
-    drift: share of the newest meters that may be wrong, where nothing measures the velocity; 0 where something does.
     unknown_m: the most by which it may be wrong for all times between two legs.
     doubtful_m: those that it is too far by if a change of the velocity that no vehicle can make, `STRONGEST_MPS2`, was
     none.
@@ -49,7 +47,6 @@ class Displacement:
     leg: int
     east_m: float
     north_m: float
-    drift: float = 0.0
     unknown_m: float = 0.0
     doubtful_m: float = 0.0
 
@@ -60,26 +57,6 @@ class Displacement:
     def unknown_sigma_since(self, before: Displacement) -> float:
         """One standard deviation of that: nothing up to the most is more likely than anything else."""
         return self.unknown_since(before) / math.sqrt(3)
-
-
-class ReportedMotion(NamedTuple):
-    """What an autopilot reports of its motion at a moment.
-
-    distance_m: driven, None where not known. is_measured: whether it is by sensors, or by the velocity less what was
-    found of its error. velocity_mps: east and north, as reported. heading_rad: clockwise from north. pulled_m: how
-    far our positions of the last second were from its own.
-    """
-
-    distance_m: float | None
-    is_measured: bool
-    velocity_mps: tuple[float, float]
-    heading_rad: float
-    pulled_m: float
-
-    @property
-    def measured_m(self) -> float | None:
-        """Meters driven, None where nothing measures them."""
-        return self.distance_m if self.is_measured else None
 
 
 class _Integral:

@@ -246,7 +246,7 @@ class GpsReferee:
         moved_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
         places_off_m = _between(before, comparison) - moved_m
         gps_off_m = places_off_m + _offset(comparison) - _offset(before)
-        drift_m = max(self._drift, now.drift) * float(np.hypot(*moved_m))
+        drift_m = self._drift * float(np.hypot(*moved_m))
         unknown_m = now.unknown_sigma_since(then)
         variance = before.along_sigma_m**2 + comparison.along_sigma_m**2 + drift_m**2 + unknown_m**2
         return float(gps_off_m @ gps_off_m - places_off_m @ places_off_m) / (2 * variance)

@@ -1,6 +1,5 @@
 """Where the vehicle is, and whether that may be published: all that follows from matches and from what is reported.
 
-    every frame:   `follow`, with the autopilot's velocity
     a used frame:  `update`, with its match, the motion and GPS: the route filter, GPS by the places, the evidence
     every turn:    `bind_by_gps`, and `bind` where the autopilot has used a position
     a position:    `position_at_exposure` or `position`, and `refusal`: why it may not be published
@@ -14,16 +13,15 @@ from __future__ import annotations
 from edge.config import Config
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.localization.bound import Anchor, Bound, Reckoned
-from edge.localization.dead_reckoning import Displacement, ReportedMotion
+from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import BOUND_WRONG, Integrity, Limits, Situation
-from edge.localization.place_fix import LEAST_SHARPNESS, frame_used, line_middle, untracked_fix
+from edge.localization.place_fix import frame_used, untracked_fix
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
 from edge.localization.report import Report
 from edge.localization.route_filter import RouteFilter
-from edge.localization.velocity_error import VelocityError
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 
@@ -40,22 +38,18 @@ class PositionEstimator:
         self._route: Route | None = None
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
-        self.velocity_error = VelocityError(config.sequence.length)
         self._integrity = Integrity(gates)
         self._bound: Bound | None = None  # of the autopilot's position
         self._by_gps: Anchor | None = None  # where GPS had the vehicle last
         self._by_gps_m = 0.0  # driven by then
         self._drift = gates.drift_percent / 100
         self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
-        self.newest: PlaceMatch | None = None
-        """The newest believed match."""
 
     def use_maps(self, maps: MapSet) -> None:
         """Follow the vehicle along the drives of these maps; what is known of GPS and of the autopilot stays."""
         self._route = Route(maps)
         self._filter = RouteFilter(self._route, self._config)
         self._gps.use_route(self._route)
-        self.newest = None
 
     def grow(self, maps: MapSet) -> None:
         """Follow the vehicle along maps that have further places after those of the last ones."""
@@ -67,8 +61,6 @@ class PositionEstimator:
         if self._filter is not None:
             self._filter.reset()
         self._gps.reset()
-        self.velocity_error.clear()
-        self.newest = None
 
     def restart(self) -> None:
         """The autopilot may be another one, or has rebooted: nothing bounds its position any more.
@@ -77,19 +69,10 @@ class PositionEstimator:
         """
         self._bound = None
 
-    def follow(self, stamp_ns: int, motion: ReportedMotion) -> VelocityError:
-        """Go on to a frame, used or not: what the autopilot's velocity is wrong by, while nothing measures it."""
-        error = self.velocity_error
-        if motion.is_measured:
-            error.begin()
-        error.predict(stamp_ns, motion.heading_rad, motion.velocity_mps, motion.pulled_m)
-        return error
-
     def update(
         self,
         match: PlaceMatch | None,
         stamp_ns: int,
-        motion: ReportedMotion,
         displacement: Displacement | None,
         report: Report,
         gps: GpsFix | None = None,
@@ -104,9 +87,6 @@ class PositionEstimator:
         assert self._filter is not None
         believed = self._gps.believed(report)
         self._filter.update(match, stamp_ns, displacement, missed)
-        if match is not None and match.accepted:
-            self.newest = match
-        self._correct_velocity(match, stamp_ns, motion, stands=stands)
         if not stands and self._gps.update(match, gps, displacement, believed, self._by_gps, missed):
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
@@ -137,22 +117,6 @@ class PositionEstimator:
     def ignores_gps(self) -> bool:
         """Whether positions are published as if GPS were lost."""
         return self._gps.is_ignored
-
-    def _correct_velocity(
-        self, match: PlaceMatch | None, stamp_ns: int, motion: ReportedMotion, *, stands: bool
-    ) -> None:
-        error = self.velocity_error
-        if stands:
-            error.use_halt(stamp_ns, motion.velocity_mps)
-            return
-        error.add_frame(stamp_ns)
-        if motion.is_measured or match is None or not match.accepted or match.sharpness < LEAST_SHARPNESS:
-            return
-        assert self._route is not None
-        line = line_middle(match, self._route, self._config.sequence.length)
-        if line is not None:
-            sign = 1 if match.direction == "forward" else -1
-            error.use_line((line.segment, sign), sign * line.along_m, line.length_m)
 
     def bind_by_gps(self, report: Report) -> None:
         """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
@@ -252,7 +216,7 @@ class PositionEstimator:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self._by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
             return None
-        drift = max(self._drift, fix.velocity_error, displacement.drift)
+        drift = max(self._drift, fix.velocity_error)
         return self._by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:

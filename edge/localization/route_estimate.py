@@ -29,8 +29,6 @@ HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
 """Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
 DOUBTFUL = -0.5, 0.5
 """Mean and standard deviation of that share, since the doubtful meters are all true or none is."""
-UNMEASURED_M = 150.0
-"""The same of the scale error of a velocity that nothing measures, less the error that was found."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
 REGION_M, REGION_JITTER_M = 1.05, 0.5
@@ -163,8 +161,8 @@ class RouteEstimate:
         doubtful_m = float(self.mean[DOUBT]) * displacement_m[..., 2:] * _direction(displacement_m)
         return (1 + float(self.mean[3])) * _turned(displacement_m[..., :2], float(self.mean[2])) + doubtful_m
 
-    def predict(self, displacement_m: Vector, drift: float = 0.0) -> None:
-        """Move on by a displacement (3,); drift: its scale error where nothing measures it, which soon is another."""
+    def predict(self, displacement_m: Vector) -> None:
+        """Move on by a displacement (3,)."""
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_regions_m += driven_m
         begins_doubt, self._is_doubtful = displacement_m[2] != 0 and not self._is_doubtful, displacement_m[2] != 0
@@ -172,19 +170,13 @@ class RouteEstimate:
             self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
             self.mean[DOUBT], self.covariance[DOUBT, DOUBT] = DOUBTFUL[0], DOUBTFUL[1] ** 2
         self.mean[:2] += self.truly(displacement_m)
-        variances, scale_m = self._variances, SCALE_M
-        if drift:
-            variances, scale_m = self._variances.copy(), UNMEASURED_M
-            variances[1] = drift**2
-        kept = np.exp(-driven_m / np.array([HEADING_M, scale_m, np.inf, DRIVE_M, *[CORRELATION_M] * 3]))
+        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, np.inf, DRIVE_M, *[CORRELATION_M] * 3]))
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:MATCH] = self._slopes(displacement_m)
         self.mean[2:] *= kept
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
-        self.covariance += np.diag([*wander, *(variances * (1 - kept**2))])
-        # Of a velocity that nothing measures no more is known than what was found of it.
-        self.covariance[3, 3] = max(self.covariance[3, 3], drift**2)
+        self.covariance += np.diag([*wander, *(self._variances * (1 - kept**2))])
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""

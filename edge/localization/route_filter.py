@@ -140,7 +140,7 @@ class RouteFilter:
         if self._is_lost(track, stamp_ns, driven_m):
             return None
         estimate = track.estimate.copy()
-        estimate.predict(since_m, displacement.drift)
+        estimate.predict(since_m)
         return self._fix(track, estimate, stamp_ns, track.since_m + driven_m)
 
     def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
@@ -153,9 +153,9 @@ class RouteFilter:
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
             if self._track is not None:
-                self._track.move(moved_m, displacement.drift)
+                self._track.move(moved_m)
             for estimate in self._reckoned:
-                estimate.predict(moved_m, displacement.drift)
+                estimate.predict(moved_m)
         self._at = displacement
 
     def _use(self, sighting: Sighting, stamp_ns: int) -> None:

@@ -32,9 +32,9 @@ class Track:
         """Whether it began where reckoning had the vehicle, or matches have agreed with it for a correlation length."""
         return not self.contradicts_reckoning or self.driven_m - self.since_m >= CORRELATION_M
 
-    def move(self, displacement_m: Vector, drift: float) -> None:
+    def move(self, displacement_m: Vector) -> None:
         """Move on by a displacement (3,) of the autopilot's velocity; see `RouteEstimate.predict`."""
-        self.estimate.predict(displacement_m, drift)
+        self.estimate.predict(displacement_m)
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_m += driven_m
         self.driven_m += driven_m

@@ -246,7 +246,7 @@ class PositionSender:
             self.sent_status |= {"level_along_m": level_m[0], "level_across_m": level_m[1]}
             values = encoders.protection_values(self._estimator.protection_level, round(1000 * boot_s))
         self._last_sent_ns = now_ns
-        vehicle.expect_pull(distance_m or 0.0, now_ns)
+        vehicle.has_our_position = True
         if message.shares_information or not (message.acknowledged or vehicle.is_aided):
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending), *values]

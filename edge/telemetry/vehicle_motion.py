@@ -1,4 +1,4 @@
-"""How a vehicle moves: by the autopilot's estimate, its wheels, and the error of its velocity found from places.
+"""How a vehicle moves: by the autopilot's estimate, or where nothing measures that, by its wheels or its camera.
 
 No I/O: the time comes in as an argument.
 """
@@ -6,28 +6,16 @@ No I/O: the time comes in as an argument.
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import replace
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import PULLED_NS, DeadReckoning, Displacement, ReportedMotion
+from edge.localization import DeadReckoning, Displacement
 
 WHEELS_APART_NS = 2_500_000_000
-MOST_SHARE, SLOW_MPS = 0.5, 2.0
-"""Of the speed, but at least of SLOW_MPS: by which a velocity that nothing measures may be uncertain to be of use."""
-STAYS, LEAST_DRIFT = 0.37, 0.05
-"""How much of that stays over a line, since it changes within seconds: with it, positions on simulated drives are about
-as wrong as they say. And the least share of a distance by which it may be wrong."""
-MAY_BE = 0.5
-"""Standard deviations of a speed that nothing measures, at which frames are used where it seems to be less: one in 4 m
-at a deviation of 2 m/s and a true speed of 8."""
 SPEED_FRESH_NS = 5_000_000_000
-"""How long a speed of the wheels holds, and an error that was found: that comes with each used frame."""
+"""How long a speed of the wheels holds."""
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
 WHEELS, ODOMETRY, CAMERA = 3, 5, 6  # ranks of speeds, after those of the autopilot
 POSITIONS_APART_S = 0.5
-PULLS_KEPT = 16
-"""More than are sent within PULLED_NS."""
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
@@ -38,45 +26,25 @@ class VehicleMotion:
 
     def __init__(self) -> None:
         self._motion = DeadReckoning()
-        self._pulls: deque[tuple[int, float]] = deque(maxlen=PULLS_KEPT)
-        """When positions of ours were sent, and how far they were from the autopilot's own."""
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
         self._reported_ns = 0
-        self._error: tuple[int, tuple[float, float]] | None = None
-        self._error_sigma_mps = 0.0
-        self._course = (0.0, 0.0), 0.0  # velocity east and north in m/s, and heading in radians
         self.is_aided = True
         """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
-        moves ahead at the speed of its wheels, or at that velocity less the error that was found from places."""
+        moves the way it heads at the speed of its wheels, or at that which the camera measures."""
         self.has_our_position = False
         """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
 
     def _end_leg(self, *, is_same_vehicle: bool) -> None:
         """The session has ended."""
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
-        self._pulls.clear()
-        self._wheels = self._error = None
+        self._wheels = None
         self._speeds.clear()
         self.is_aided = True
 
     def distance_m(self, stamp_ns: int) -> float | None:
         """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
         return self._motion.distance_m(stamp_ns)
-
-    def motion(self, stamp_ns: int, now_ns: int) -> ReportedMotion:
-        """What was reported of the motion, at the moment of a frame."""
-        is_measured = self._is_speed_measured(now_ns)
-        pulled_m = max((off_m for sent_ns, off_m in self._pulls if now_ns - sent_ns <= PULLED_NS), default=0.0)
-        return ReportedMotion(self.distance_m(stamp_ns), is_measured, *self._course, pulled_m)
-
-    def expect_pull(self, off_m: float, now_ns: int) -> None:
-        """A position of ours is sent, so far from the autopilot's own."""
-        self.has_our_position = True
-        self._pulls.append((now_ns, off_m))
-
-    def _is_speed_measured(self, now_ns: int) -> bool:
-        return self.is_aided or self._own_speed(now_ns) is not None
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
@@ -97,13 +65,8 @@ class VehicleMotion:
         if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
-        velocity_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
-        self._course = velocity_mps, math.pi / 2 - yaw_rad
-        self._motion.add_velocity(stamp_ns, *velocity_mps)
-
-    def use_velocity_error(self, error_mps: tuple[float, float], sigma_mps: float, now_ns: int) -> None:
-        """What the velocity is wrong by, and one standard deviation of that ahead; of use while nothing measures it."""
-        self._error, self._error_sigma_mps = (now_ns, error_mps), sigma_mps
+        east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
+        self._motion.add_velocity(stamp_ns, east_mps, north_mps)
 
     @property
     def distance_gaps(self) -> int:
@@ -115,12 +78,8 @@ class VehicleMotion:
         return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m
 
     def displacement(self, stamp_ns: int) -> Displacement | None:
-        """Meters east and north at the moment of a frame, by the autopilot's own velocity."""
-        moved = self._motion.displacement(stamp_ns)
-        if moved is None or self._is_speed_measured(stamp_ns):
-            return moved
-        share = self._error_sigma_mps / max(self._motion.speed_mps(stamp_ns) or 0.0, SLOW_MPS)
-        return replace(moved, drift=max(STAYS * share, LEAST_DRIFT)) if share <= MOST_SHARE else None
+        """Meters east and north at the moment of a frame, None where nothing measures the velocity."""
+        return self._motion.displacement(stamp_ns)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """Ground speed, None when the newest is over a second old."""
@@ -167,20 +126,14 @@ class VehicleMotion:
         heading_deg: float | None,
         reported_mps: tuple[float, float] | None = None,
     ) -> None:
-        """A velocity by the autopilot's estimate; where nothing aids that, only what is known of it ahead counts."""
-        heading_rad = self._course[1] if heading_deg is None else math.radians(heading_deg)
-        self._course, self._reported_ns = ((east_mps, north_mps), heading_rad), stamp_ns
+        """A velocity by the autopilot's estimate; where nothing aids that, its heading and the speed of the vehicle."""
+        self._reported_ns = stamp_ns
         if not self.is_aided:
-            sin, cos = math.sin(heading_rad), math.cos(heading_rad)
             speed_mps = self._own_speed(stamp_ns)
-            if speed_mps is None and self._error is not None and stamp_ns - self._error[0] <= SPEED_FRESH_NS:
-                east_error_mps, north_error_mps = self._error[1]
-                speed_mps = (east_mps - east_error_mps) * sin + (north_mps - north_error_mps) * cos
-                # As fast as it may well be, or it would use no frame that could say that it does not stand.
-                self._motion.add_speed(stamp_ns, max(speed_mps, MAY_BE * self._error_sigma_mps), source=1)
             if speed_mps is None or heading_deg is None:
                 return
-            east_mps, north_mps = speed_mps * sin, speed_mps * cos
+            heading_rad = math.radians(heading_deg)
+            east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
             reported_mps = None
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps)
 

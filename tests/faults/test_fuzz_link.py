@@ -251,7 +251,7 @@ class Turns:
             assert self.link.status().state == self.link.state
             report = self.link.report()
             position, speed_mps = report.position, report.speed_mps
-            self.link.vehicle.motion(now_ns, now_ns), self.link.gps_fix(now_ns)
+            self.link.vehicle.distance_m(now_ns), self.link.gps_fix(now_ns)
         assert position is None or math.isfinite(position.lat_deg + position.lon_deg + position.speed_mps)
         assert speed_mps is None or math.isfinite(speed_mps)
 

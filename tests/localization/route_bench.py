@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ReportedMotion
+from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map.builder import MapBuilder, Place
@@ -289,10 +289,9 @@ class Bench:
         distance_m = self.motion.distance_m(now_ns) or 0.0
         if distance_m - self.sampled_m >= SPACING_M:
             self.sampled_m += SPACING_M * math.floor((distance_m - self.sampled_m) / SPACING_M)
-            motion = ReportedMotion(distance_m, True, (report.speed_mps or 0.0, 0.0), 0.0, 0.0)
             own = report.position
             fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps and own is not None else None
-            self.estimator.update(self._match(s), now_ns, motion, report.displacement, report, fix)
+            self.estimator.update(self._match(s), now_ns, report.displacement, report, fix)
         self.own_error = self.own - truth
         self._send(truth, report)
         if round(self.seconds / STEP_S) % 10 == 0 and not gps:

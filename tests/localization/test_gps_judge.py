@@ -9,7 +9,7 @@ import pytest
 
 from edge.config import RigConfig
 from edge.geodesy import moved
-from edge.localization import GpsFix, ReportedMotion
+from edge.localization import GpsFix
 from edge.localization.gps_judge import FIRM, UNSEEN_M, UnseenRoad
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
@@ -127,8 +127,7 @@ def test_it_is_a_state_of_the_verdict_and_the_position_stays_as_it_is(map_set: M
     estimator.use_maps(map_set)
 
     def verdict(answer: PlaceMatch, place: int) -> str:
-        motion = ReportedMotion(0.0, True, (0.0, 8.0), 0.0, 0.0)
-        return estimator.update(answer, 0, motion, None, Report(0), gps_at(place * SPACING_M)).state
+        return estimator.update(answer, 0, None, Report(0), gps_at(place * SPACING_M)).state
 
     states = [verdict(seen(place) if place < FROM else unseen(place), place) for place in range(20, FROM + FRAMES)]
     assert states[FROM - 21] == "agrees"

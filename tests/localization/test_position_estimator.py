@@ -9,7 +9,7 @@ import pytest
 
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import GpsFix, ReportedMotion
+from edge.localization import GpsFix
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map import MapSet
@@ -17,7 +17,7 @@ from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, matc
 
 TURNED_AT, FRAMES = 110, 40
 ROOT = Path(__file__).parents[2]
-PARTS = "Integrity", "RouteFilter", "VelocityError"
+PARTS = "Integrity", "RouteFilter"
 
 
 @pytest.mark.parametrize(("heading_deg", "is_called"), [(0.0, False), (None, True)])
@@ -30,12 +30,11 @@ def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(
     """
     estimator = PositionEstimator(settings(RigConfig()))
     estimator.use_maps(map_set)
-    motion = ReportedMotion(0.0, True, (0.0, 8.0), 0.0, 0.0)
 
     def judged(place: int, direction: str, seen: int) -> str:
         gps = GpsFix(LAT_DEG + place * SPACING_M * METRE_DEG, 153.0, 1.0)
         report = Report(0, position=VehiclePosition(0, gps.lat_deg, gps.lon_deg, 0.0, heading_deg, 8.0))
-        return estimator.update(match(seen, direction), 0, motion, None, report, gps).state
+        return estimator.update(match(seen, direction), 0, None, report, gps).state
 
     states = [judged(place, "forward", place) for place in range(30, TURNED_AT)]
     assert states[-1] == "agrees"

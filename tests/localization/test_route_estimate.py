@@ -194,14 +194,6 @@ def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -
     assert np.sqrt(np.diag(estimate.covariance))[2:4] == pytest.approx([HEADING_RAD, SCALE])
 
 
-def test_of_a_velocity_that_nothing_measures_no_more_is_known_than_was_found() -> None:
-    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
-    estimate.predict(np.array([0.0, 2.0, 0.0]), 0.3)
-    assert estimate.scale_sigma == pytest.approx(0.3)
-    estimate.predict(np.array([0.0, 40.0, 0.0]), 0.3)
-    assert np.sqrt(estimate.covariance[1, 1]) > 0.9 * 0.3 * 40.0
-
-
 def test_another_drive_has_an_error_of_its_own() -> None:
     estimate, _ = drive(1)
     before = estimate.covariance[:2, :2].copy()

@@ -31,7 +31,7 @@ def sends(run: Run) -> str:
 
 
 def never_sent(run: Run) -> str:
-    """GPS works, so no position is sent."""
+    """No position is sent."""
     return f"{len(run.sent.time_s)} sent" if len(run.sent.time_s) else ""
 
 

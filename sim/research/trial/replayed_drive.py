@@ -138,7 +138,8 @@ class Playback:
             one for one in drive.link if run.from_s <= one.time_s < run.to_s and _is_autopilots(one.message)
         )
         self._exposures_s = deque(run.exposures_s.tolist())
-        self._pulls = deque(pull for pull in _pulls(drive) if run.from_s <= pull[0] < run.to_s)
+        ours = (one.time_s for one in drive.link if one.message.get_srcComponent() == WE and read_position(one.message))
+        self._ours_s = deque(time_s for time_s in ours if run.from_s <= time_s < run.to_s)
         latency_s = max(0.0, drive.latency_s)
         self._camera = TrialCamera(
             self.clock_ns, np.random.default_rng(1), latency_s=(latency_s, latency_s), hole_rate=0.0
@@ -154,9 +155,9 @@ class Playback:
 
     def pull(self, vehicle: Vehicle) -> None:
         """What was sent then moved the recorded autopilot."""
-        while self._pulls and self._pulls[0][0] <= self.now_ns / 1e9:
-            sent_s, off_m = self._pulls.popleft()
-            vehicle.expect_pull(off_m, round(sent_s * 1e9))
+        while self._ours_s and self._ours_s[0] <= self.now_ns / 1e9:
+            self._ours_s.popleft()
+            vehicle.has_our_position = True
 
     def _step(self) -> None:
         self.now_ns += round(STEP_S * 1e9)
@@ -194,18 +195,6 @@ class Playback:
 
     def close(self) -> None:
         """See NewestFrame."""
-
-
-def _pulls(drive: RecordedDrive) -> list[tuple[float, float]]:
-    """When positions were sent then, and how far they were from the autopilot's own."""
-    own = drive.own
-    found = []
-    for one in drive.link:
-        position = read_position(one.message) if one.message.get_srcComponent() == WE else None
-        if position is not None:
-            here_m = [float(np.interp(one.time_s, own["mono_s"], own[name])) for name in ("east_m", "north_m")]
-            found.append((one.time_s, math.dist(here_m, position[:2])))
-    return found
 
 
 def _is_autopilots(message: Message) -> bool:

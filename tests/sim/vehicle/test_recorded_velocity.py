@@ -1,12 +1,8 @@
-"""A velocity that nothing measured, on recorded drives of PX4: how its error changes, and what is found of it.
-
-It is found with lines along the true way.
-"""
+"""A velocity that nothing measured, on recorded drives of PX4: how its error changes."""
 
 from __future__ import annotations
 
 import gzip
-import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,28 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.journal.records import FixSent
-from edge.localization.velocity_error import PULLED_MPS_PER_M, PULLED_NS, VelocityError
 from sim.journal import records_of
 from sim.research.trial.courses.streams import WANDER_MPS
 from sim.research.trial.recorded_drive import read_columns
 
-FRAMES, SPACING_M = 40, 2.0
 GPS_S = 9.0
 """From when the vehicle moves to when GPS is lost, in each of them."""
-LINE_M, LINE_FRAMES = 3.0, 30
-"""Standard deviation of the middle of a line, and for how many frames it stays about the same."""
-SETTLED_S = 25.0
 AFTER_S, BEFORE_S = 1.5, 0.1
 """How long a position that was sent moves the velocity, and how early it may have been."""
-
-
-@dataclass(frozen=True)
-class Replay:
-    """Meters per second ahead at each frame, (n,): what the velocity was wrong by, and what was left of that."""
-
-    wrong_mps: NDArray[np.float64]
-    left_mps: NDArray[np.float64]
-    sigma_mps: NDArray[np.float64]
 
 
 def positions_sent(folder: Path) -> NDArray[np.float64]:
@@ -90,37 +72,6 @@ def read_drive(folder: Path) -> Drive:
     )
 
 
-def replay(folder: Path) -> Replay:
-    """From the loss of GPS on; frames are used every 2 m of the velocity without the error that was found."""
-    drive = read_drive(folder)
-    time_s, own_mps, ahead, lost_s = drive.time_s, drive.own_mps, drive.ahead, drive.moves_s + GPS_S
-    error, rng = VelocityError(FRAMES), np.random.default_rng(1)
-    odometer_m = due_m = line_off_m = 0.0
-    passed_m: list[float] = []
-    found = []
-    for at in range(int(np.searchsorted(time_s, lost_s)), len(time_s)):
-        stamp_ns = round(1e9 * time_s[at])
-        recent = (drive.sent[:, 0] <= time_s[at]) & (time_s[at] - drive.sent[:, 0] <= PULLED_NS / 1e9)
-        pulled_m = float(drive.sent[recent, 1].max(initial=0.0))
-        own_east_mps, own_north_mps = own_mps[at].tolist()
-        error.predict(stamp_ns, float(drive.heading_rad[at]), (own_east_mps, own_north_mps), pulled_m)
-        odometer_m += float((own_mps[at] - error.error_mps) @ ahead[at]) * (time_s[at] - time_s[at - 1])
-        if odometer_m < due_m:
-            continue
-        due_m = odometer_m + SPACING_M
-        passed_m = [*passed_m[1 - FRAMES :], drive.driven_m[at]]
-        kept = math.exp(-1 / LINE_FRAMES)
-        line_off_m = kept * line_off_m + math.sqrt(1 - kept**2) * rng.normal(0.0, LINE_M)
-        error.add_frame(stamp_ns)
-        if len(passed_m) == FRAMES:
-            error.use_line(1, passed_m[FRAMES // 2] + line_off_m, passed_m[-1] - passed_m[0])
-        wrong_mps = float((own_mps[at] - drive.true_mps[at]) @ ahead[at])
-        left_mps = float(np.array(error.error_mps) @ ahead[at]) - wrong_mps
-        if time_s[at] > lost_s + SETTLED_S:
-            found.append((wrong_mps, left_mps, error.sigma_mps))
-    return Replay(*np.array(found).T)
-
-
 def changes_mps(drive: Drive) -> NDArray[np.float64]:
     """By what the error ahead changes within a second without GPS, while the vehicle moves and no position comes."""
     time_s, second = drive.time_s, round(1.0 / float(np.median(np.diff(drive.time_s))))
@@ -142,19 +93,6 @@ def flight(shared: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "share"),
-    [("px4_no_velocity_aid_person", 0.1), ("px4_external_position_person", 0.9), ("px4_rover_mission", 0.3)],
-)
-def test_what_is_left_of_the_error_is_as_uncertain_as_stated(shared: Path, name: str, share: float) -> None:
-    """share: of the error itself, that is left of it (rms)."""
-    found = replay(flight(shared, name))
-    sigmas = found.left_mps / found.sigma_mps
-    assert np.sqrt(np.mean(sigmas**2)) <= 1.1
-    assert np.abs(sigmas).max() <= 4.0
-    assert np.sqrt(np.mean(found.left_mps**2)) <= share * np.sqrt(np.mean(found.wrong_mps**2))
-
-
-@pytest.mark.parametrize(
     ("name", "wanders_mps"),
     [
         ("px4_no_velocity_aid_person", 0.35),
@@ -169,13 +107,3 @@ def test_a_simulated_velocity_that_nothing_measures_wanders_more_than_recorded(
     changes = changes_mps(read_drive(flight(shared, name)))
     assert np.std(changes) == pytest.approx(wanders_mps, abs=0.01)
     assert wanders_mps < WANDER_MPS
-
-
-def test_a_position_that_was_sent_changes_the_velocity_by_no_more_than_assumed(shared: Path) -> None:
-    drive = read_drive(flight(shared, "px4_external_position_person"))
-    error_mps = ((drive.own_mps - drive.true_mps) * drive.ahead).sum(axis=1)
-    sent_s, off_m = drive.sent[drive.sent[:, 1] > 8.0].T
-    before_mps, after_mps = (np.interp(sent_s + later_s, drive.time_s, error_mps) for later_s in (0.0, 1.0))
-    per_meter = np.abs(after_mps - before_mps) / off_m
-    assert len(per_meter) == 5
-    assert per_meter.min() > 0.02 and per_meter.max() < PULLED_MPS_PER_M

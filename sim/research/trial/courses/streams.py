@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.research.trial.course_rules import close, first_in_time, sends, warns
+from sim.research.trial.course_rules import close, first_in_time, never_sent, sends, warns
 from sim.research.trial.courses.registry import COURSES, course
 from sim.trial.draft import Draft
 from sim.trial.rules import no_false_place, not_worse, within_sigmas
@@ -14,28 +14,33 @@ WANDER_MPS = 0.4
 0.35 on three recorded flights of PX4, 0.1 of its rover."""
 
 
-@course("H", "px4-no-velocity-aid{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
-def _px4_no_aid(draft: Draft, value: str) -> None:
-    """Nothing measures PX4's velocity, which runs away; our positions must not follow it, whatever else happens."""
-    if value.lstrip("-") in COURSES:
-        COURSES[value.lstrip("-")].lay(draft)
-    draft.firmware, draft.steers = "px4-without-agp" if value == "-unused" else "px4", False
-    draft.emit = "external_position" if value not in ("", "-unused") else "auto"
+def _run_away(draft: Draft) -> None:
     acceleration_mps2, seed = draft.rng.uniform(0.1, 0.2), int(draft.rng.integers(2**31))
     draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
-    draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("H", "px4-no-velocity-aid")
+def _px4_no_aid(draft: Draft) -> None:
+    """Nothing measures PX4's velocity, which runs away: where the vehicle is between two places, nobody knows."""
+    draft.firmware, draft.steers, draft.sees_road = "px4", False, False
+    _run_away(draft)
+    draft.rules = (never_sent,)
 
 
 SEEN_S = 25.0
 """With GPS, in which about 200 m are driven: enough to learn the camera's height."""
 
 
-@course("J", "px4-camera{}", "", "-stop", "-turn-off", "-blind")
+@course("J", "px4-camera{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
 def _px4_camera(draft: Draft, value: str) -> None:
-    """As px4-no-velocity-aid, with GPS for 25 s; the camera measures the speed, unless the road is not to be seen."""
-    COURSES[f"px4-no-velocity-aid{value.removesuffix('-blind')}"].lay(draft)
+    """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that."""
+    if value.lstrip("-") in COURSES:
+        COURSES[value.lstrip("-")].lay(draft)
+    draft.firmware, draft.steers, draft.sees_road = "px4-without-agp" if value == "-unused" else "px4", False, True
+    draft.emit = "external_position" if value not in ("", "-unused") else "auto"
+    _run_away(draft)
     draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
-    draft.sees_road = value != "-blind"
+    draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
 @course("H", "px4-aided{}", "", "-43003")

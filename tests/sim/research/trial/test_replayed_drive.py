@@ -47,12 +47,12 @@ def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], Replayed])
 
 
 @pytest.mark.soak
-def test_a_pull_does_not_stall_the_velocity_filter(replayed: Callable[[str], Replayed]) -> None:
-    """PX4 without a velocity aid: a position 161 m from its own took 13 m/s off its velocity, 75 m before the end."""
+def test_where_nothing_measures_the_velocity_no_place_is_believed(replayed: Callable[[str], Replayed]) -> None:
+    """PX4 without a velocity aid, by which a frame was used every 45 m and more: its velocity ran away."""
     found = replayed("px4_no_aid_person_296_w921")
-    assert found.recorded_frames.apart_m.max() > 45.0, "of 75 m, one frame"
-    assert found.replayed_frames.apart_m.max() < 4.0
-    assert found.replayed_frames.apart_m[-15:].mean() < 2.6, "the line that spans the pull says nothing wrong"
+    assert found.recorded_frames.apart_m.max() > 45.0
+    assert found.recorded_frames.believed > 0 and found.replayed_frames.believed == 0
+    assert not len(found.replayed.time_s)
 
 
 @pytest.mark.soak

@@ -44,7 +44,7 @@ SMALL = (
     "gps-steered-aside",
     "daemon-killed",
     "px4-failsafe",
-    "px4-no-velocity-aid-43003",
+    "px4-no-velocity-aid",
 )
 """Courses driven in every test run; `make smoke` drives take-me-home-night."""
 SEEDS = {"one-stretch": 2}
