@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import struct
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -180,6 +181,20 @@ def make_street(
         return folder
 
     return make
+
+
+@pytest.fixture(scope="session")
+def play_on() -> Callable[[Path, Path], Path]:
+    """Copies a feed to one of an hour, five frames a second: a busy machine keeps up, and no test outlasts it."""
+
+    def copy(feed: Path, path: Path) -> Path:
+        files = [row.file for row in read_feed(feed).rows]
+        shutil.copytree(feed, path)
+        rows = [f"{files[number % len(files)]},{number * 200_000_000}" for number in range(18_000)]
+        (path / "frames.csv").write_text("\n".join(["file,stamp_ns", *rows]), encoding="utf-8")
+        return path
+
+    return copy
 
 
 @pytest.fixture

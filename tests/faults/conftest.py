@@ -21,7 +21,6 @@ import pytest
 import tomli_w
 
 from edge.config import SamplingConfig
-from edge.feed import read_feed
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
 from sim.evaluation.memoizing_network import MemoizingNetwork
@@ -30,7 +29,6 @@ from tests.faults.simulated_daemon import Bench, ScriptedFrames
 
 FIGURE = "fault bench"
 PERIOD_MS = 40
-CALM_FRAMES, CALM_PERIOD_NS = 18_000, 200_000_000
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
@@ -100,13 +98,9 @@ def street(make_street: Callable[..., Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def calm_feed(street: Path) -> Path:
-    """The street over and over, five frames a second for an hour: a busy machine keeps up, and no test outlasts it."""
-    files = [row.file for row in read_feed(street / "feed").rows]
-    path = shutil.copytree(street / "feed", street / "calm")
-    rows = [f"{files[number % len(files)]},{number * CALM_PERIOD_NS}" for number in range(CALM_FRAMES)]
-    (path / "frames.csv").write_text("\n".join(["file,stamp_ns", *rows]), encoding="utf-8")
-    return path
+def calm_feed(street: Path, play_on: Callable[[Path, Path], Path]) -> Path:
+    """The street over and over."""
+    return play_on(street / "feed", street / "calm")
 
 
 @pytest.fixture(scope="session")
