@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.sequence import PlaceMatch
-from edge.sequence.evidence import HoldOff, Neighborhood, best_match
+from edge.sequence.evidence import HoldOff, Neighborhood, best_match, lowest_around
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 UNKNOWN, NOTHING = np.full(100, np.nan), np.zeros(100)
@@ -103,6 +103,13 @@ def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     found = match(np.arange(100.0)[::-1], around)
     assert found.uniqueness == 1.0
     assert match_anywhere(np.full(100, NO_LINE), around) is None
+
+
+@pytest.mark.parametrize(("cheaper_at", "lowest"), [(1, 9), (2, 5), (4, 5), (5, 9)])
+def test_a_neighbor_on_either_side_is_around_a_place(cheaper_at: int, lowest: int) -> None:
+    row = np.full(7, 9, np.int32)
+    row[cheaper_at] = 5
+    assert lowest_around(row, 3, 8.0) == lowest
 
 
 def test_hold_off_counts_from_the_last_event_that_passed() -> None:
