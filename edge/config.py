@@ -91,7 +91,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class MotionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[motion]: the vehicle's speed from the ground that [camera] shows."""
 
-    use: Literal["off", "report", "odometer"] = "off"
+    use: Literal["off", "report", "odometer", "send"] = "off"
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     pitch_deg: Annotated[float, Meta(ge=-20, le=90)] = 0.0
 

@@ -125,8 +125,11 @@ class Daemon:
         if motion is None:
             return
         speed = motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
-        if speed is not None and self.parts.config.motion.use == "odometer":
+        use = self.parts.config.motion.use
+        if speed is not None and use != "report":
             self._autopilot.vehicle.use_speed(speed.stamp_ns, speed.speed_mps)
+        if speed is not None and use == "send":
+            self._autopilot.send_velocity(speed)
 
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""

@@ -69,7 +69,7 @@ class OpenedParts:
             self.record = self.journal.write
         self.estimator = PositionEstimator(config)
         settings = config.telemetry, clock_ns, self.record, config.gates, config.home
-        link = AutopilotConnection(*settings, estimator=self.estimator)
+        link = AutopilotConnection(*settings, estimator=self.estimator, sends_velocity=config.motion.use == "send")
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)

@@ -18,7 +18,7 @@ from edge.config import TelemetryConfig
 from edge.errors import LookbackError
 from edge.telemetry import stream_check
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, velocity_aid
+from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocity_aid
 from edge.telemetry.position_messages import autopilot_name, suitable_message
 from edge.telemetry.vehicle import DOUBLED, Vehicle
 
@@ -31,6 +31,10 @@ SERIAL = (
 AIDS = {
     ARDUPILOT: "fit wheel encoders (EK3_SRC1_VELXY 7) or optical flow (5), see firmware_config/, or set [motion]",
     PX4: "fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]",
+}
+CAMERA_AIDS = {
+    ARDUPILOT: "load firmware_config/ardupilot_camera_velocity.param",
+    PX4: "load firmware_config/px4_velocity_aid.params",
 }
 NETWORK = (
     "check that a program sends MAVLink 2 to this address (mavlink-router, or MAVProxy with --out), that its computer"
@@ -172,6 +176,9 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
         yield bad(words, remedy or "")
     else:
         yield good(f"velocity without GPS: {aid}")
+    if examined.settings.motion.use == "send" and aid != VISION:
+        words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
+        yield bad(words, CAMERA_AIDS.get(vehicle.autopilot or 0, 'use = "odometer"'))
     if doubted_gps != "report" and aid in (None, NO_AID):
         words = f'[gates] doubted_gps = "{doubted_gps}" sends no position: only GPS is known to measure velocity'
         yield bad(words, remedy or "")

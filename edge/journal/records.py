@@ -138,6 +138,13 @@ class MotionMeasured(_Tagged, frozen=True, tag="motion"):
     why: Annotated[str, unit("", 'why nothing was measured, "" where it was')] = ""
 
 
+class VelocityChanged(_Tagged, frozen=True, tag="velocity"):
+    """The camera's velocity is sent to the autopilot from now on, or is not any more; with [motion] use = "send"."""
+
+    is_sent: Annotated[bool, unit("", "whether it is; nothing is sent either while `motion` has no speed")]
+    why: Annotated[str, unit("", 'why not, "" while it is')] = ""
+
+
 class PlaceFix(_Tagged, frozen=True, tag="place"):
     """A position of the vehicle on a map; the journal has those of events."""
 
@@ -275,6 +282,7 @@ Record = (
     | LinkChanged
     | FrameUsed
     | MotionMeasured
+    | VelocityChanged
     | PlaceFix
     | PositionMessageChosen
     | FixWithheld

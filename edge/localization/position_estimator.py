@@ -40,10 +40,12 @@ class PositionEstimator:
         self._gps = GpsJudge(config)
         self._integrity = Integrity(gates)
         self._bound: Bound | None = None  # of the autopilot's position
+        self._has_run_away = False  # since then: nothing measured its velocity for a while
         self._by_gps: Anchor | None = None  # where GPS had the vehicle last
         self._by_gps_m = 0.0  # driven by then
         self._drift = gates.drift_percent / 100
-        self._own_velocity_error = 0.0  # of the autopilot, as a share, by the newest position
+        self.own_velocity_error = 0.0
+        """Of the autopilot, as a share, by the newest position."""
 
     def use_maps(self, maps: MapSet) -> None:
         """Follow the vehicle along the drives of these maps; what is known of GPS and of the autopilot stays."""
@@ -121,6 +123,7 @@ class PositionEstimator:
     def bind_by_gps(self, report: Report) -> None:
         """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
         report = self._gps.believed(report)
+        self._has_run_away |= not report.is_aided
         if report.gps_sigma_m is None:
             return
         self._bind(report.gps_sigma_m, report, by_gps=True)
@@ -138,7 +141,7 @@ class PositionEstimator:
     def _bind(self, sigma_m: float, report: Report, *, by_gps: bool = False) -> None:
         if report.driven_m is not None:
             wrong = BOUND_WRONG if by_gps else self._integrity.bound_wrong
-            self._bound = Bound(sigma_m, report.driven_m, wrong, by_gps)
+            self._bound, self._has_run_away = Bound(sigma_m, report.driven_m, wrong, by_gps), False
         self._integrity.contradict_nothing()
 
     @property
@@ -148,14 +151,14 @@ class PositionEstimator:
 
     def uncertainty_m(self, report: Report) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        return self._sigma_m(report, max(self._drift, self._own_velocity_error), report.accuracy_m)
+        return self._sigma_m(report, max(self._drift, self.own_velocity_error), report.accuracy_m)
 
     def bounded_m(self, report: Report) -> float | None:
         """The same by what bounded it and the distance driven since alone."""
         return self._sigma_m(report, self._drift)
 
     def _sigma_m(self, report: Report, drift: float, reported_m: float | None = None) -> float | None:
-        if self._bound is None or not report.is_aided:
+        if self._bound is None or self._has_run_away or not report.is_aided:
             return None
         return self._bound.sigma_at(report.driven_m, drift, reported_m)
 
@@ -190,7 +193,7 @@ class PositionEstimator:
     def _situation(
         self, fix: PlaceFix, displacement: Displacement | None, report: Report, last_sent_ns: int | None
     ) -> Situation:
-        self._own_velocity_error = fix.velocity_error
+        self.own_velocity_error = fix.velocity_error
         reckoned = self._reckoned(fix, displacement, report)
         own, sigma_m, bound = report.position, self.uncertainty_m(report), self._bound
         is_by_gps, wrong = (False, BOUND_WRONG) if bound is None else (bound.by_gps, bound.wrong)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,25 +69,26 @@ class LearnedHeight(msgspec.Struct, frozen=True):
     @property
     def height_m(self) -> float | None:
         """None until it is known well enough."""
-        return float(np.median(self.heights_m)) if self.share <= KNOWN_SHARE else None
+        return _median_and_share(self.heights_m)[0] if self.share <= KNOWN_SHARE else None
 
     @property
     def share(self) -> float:
-        """One standard deviation, as a share of the height, infinite before there are WINDOWS comparisons.
-
-        Of a median, by the median distance from it: 1.48 and 1.25 are those of normal errors.
-        """
-        if len(self.heights_m) < WINDOWS:
-            return math.inf
-        middle_m = float(np.median(self.heights_m))
-        spread = 1.48 * float(np.median(np.abs(np.array(self.heights_m) - middle_m))) / middle_m
-        return math.hypot(LEAST_SHARE, 1.25 * spread / math.sqrt(len(self.heights_m)))
+        """One standard deviation, as a share of the height, infinite before there are WINDOWS comparisons."""
+        return _median_and_share(self.heights_m)[1] if len(self.heights_m) >= WINDOWS else math.inf
 
     def with_window(self, height_m: float, pitch_rad: float) -> LearnedHeight:
         """With one more comparison."""
         heights_m = (*self.heights_m, height_m)[-WINDOWS_MOST:]
         pitch_rad = self.pitch_rad + (pitch_rad - self.pitch_rad) / len(heights_m)
         return LearnedHeight(self.camera, pitch_rad, heights_m)
+
+
+@lru_cache(2)  # each picture asks for them, and they change every 20 m
+def _median_and_share(heights_m: tuple[float, ...]) -> tuple[float, float]:
+    """The error of a median by the median distance from it: 1.48 and 1.25 are those of normal errors."""
+    middle_m = float(np.median(heights_m))
+    spread = 1.48 * float(np.median(np.abs(np.array(heights_m) - middle_m))) / middle_m
+    return middle_m, math.hypot(LEAST_SHARE, 1.25 * spread / math.sqrt(len(heights_m)))
 
 
 class CameraMotion:

@@ -24,6 +24,7 @@ CORNERS, FEWEST = 80, 20
 """Tracked at most (each costs 14 us there and back), and at least: with fewer, wrong motions were found at night."""
 APART_PX, BLOCK_PX, WINDOW_PX, BACK_PX = 5, 5, 11, 0.5
 """Between corners; their size; the size that is tracked; how far the track back may end from where it began."""
+AROUND = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)  # what must be seen of the ground around a corner
 SMOOTHED_PX, LOCAL_PX, CONTRAST = 0.8, 17, 24.0
 """Pictures are compared by their contrast against squares of LOCAL_PX, brought to CONTRAST gray levels: a beam that
 moves with the vehicle, and exposure, are gone."""
@@ -155,7 +156,7 @@ def measure(
     share = elapsed_s / last.elapsed_s if last else 0.0
     ahead = last.ahead * share if last else _search(view, before, now, pitch[0])
     start = np.array([ahead, 0.0, last.turn_rad * share if last else 0.0, 0.0, pitch[0]])
-    tracks = _track(view, before, now, view.in_pixels(ground_motion(start)))
+    tracks = _track(view, before, now, view.in_pixels(ground_motion(start)), is_known=last is not None)
     if tracks is None:
         return "too few corners of the ground to be tracked"
     corners, tracked = map(view.rays, tracks)
@@ -192,21 +193,22 @@ def _search(view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8],
 
 
 def _track(
-    view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], moved: NDArray[np.float64]
+    view: GroundView, before: NDArray[np.uint8], now: NDArray[np.uint8], moved: NDArray[np.float64], *, is_known: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Pixels (N, 2) of corners of the ground, and where the newer picture has them.
 
-    The former are of the older picture warped as `moved` says pixels should move. None: too few.
+    The former are of the older picture warped as `moved` says pixels should move, which is known or searched for. None:
+    too few.
     """
     warped = cv2.warpPerspective(before, moved, now.shape[::-1])
-    inside = cv2.warpPerspective(np.full_like(before, 255), moved, now.shape[::-1], flags=cv2.INTER_NEAREST)
-    used = cv2.bitwise_and(cv2.erode(inside, np.ones((WINDOW_PX, WINDOW_PX), np.uint8)), view.mask)
+    # Contrast is hardly ever 0; what lies beyond the older picture is.
+    used = cv2.bitwise_and(cv2.erode(cv2.threshold(warped, 0, 255, cv2.THRESH_BINARY)[1], AROUND), view.mask)
     corners = cv2.goodFeaturesToTrack(warped, CORNERS, QUALITY, APART_PX, mask=used, blockSize=BLOCK_PX)
     if corners is None or len(corners) < FEWEST:
         return None
-    window = (WINDOW_PX, WINDOW_PX)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(warped, now, corners, np.empty(0), winSize=window, maxLevel=2)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, warped, there, np.empty(0), winSize=window, maxLevel=2)
+    window, most = (WINDOW_PX, WINDOW_PX), 1 if is_known else 2  # levels
+    there, found, _ = cv2.calcOpticalFlowPyrLK(warped, now, corners, np.empty(0), winSize=window, maxLevel=most)
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, warped, there, np.empty(0), winSize=window, maxLevel=most)
     astray_px = np.linalg.norm((back - corners)[:, 0], axis=1)
     kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (astray_px < BACK_PX)
     return (corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64)) if kept.sum() >= FEWEST else None
@@ -237,10 +239,9 @@ def _solve(
         off_px = residual_px(motion)
         lengths_px = np.linalg.norm(off_px, axis=1)
         weights = 1 / (1 + (lengths_px / (2 * scale_px)) ** 2) ** 2  # Geman and McClure
-        weighted = slopes * weights[:, None, None]
-        noise = scale_px**2
-        information = np.einsum("nik,nil->kl", weighted, slopes) / noise + np.diag(sigmas**-2)
-        pull = np.einsum("nik,ni->k", weighted, off_px) / noise + (known - motion) / sigmas**2
+        weighted = (slopes * (weights / scale_px**2)[:, None, None]).reshape(-1, 5).T
+        information = weighted @ slopes.reshape(-1, 5) + np.diag(sigmas**-2)
+        pull = weighted @ off_px.ravel() + (known - motion) / sigmas**2
         motion = motion + np.linalg.solve(information, pull)
         scale_px = max(LEAST_PX, float(np.median(lengths_px)))
     off_px = residual_px(motion)

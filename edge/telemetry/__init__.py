@@ -7,7 +7,8 @@ and says what measures the velocity without GPS. `position_messages` says which 
 firmware, `doubted_gps` publishes what the places say of GPS, `encoders` writes all that is sent, `acknowledgements`
 says what an answer means, `position_use` and `stream_check` whether positions are used, `source_selection` selects
 ArduPilot's sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `position_history` has
-the position at an exposure. `report_link` is for people. `home_requests` answers requests for the way home, which come
+the position at an exposure. `velocity_sender` sends the
+camera's velocity. `report_link` is for people. `home_requests` answers requests for the way home, which come
 by MAVLink or by `local_socket`, and `mission_transfer` uploads it. `autopilot` joins all into the one object that the
 daemon polls.
 """

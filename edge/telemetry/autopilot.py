@@ -15,11 +15,12 @@ from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryCo
 from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
 from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator, Report
+from edge.motion import CameraSpeed
 from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, NO_AID, LinkProtocol, StatusTexts, velocity_aid
+from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, NO_AID, VISION, LinkProtocol, StatusTexts, velocity_aid
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_messages import TimeBase
@@ -27,6 +28,7 @@ from edge.telemetry.position_sender import PositionSender
 from edge.telemetry.report_link import ReportLink
 from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.vehicle import DOUBLED, Vehicle
+from edge.telemetry.velocity_sender import VelocitySender
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
@@ -48,6 +50,8 @@ class AutopilotConnection:
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
         home: HomeConfig = HomeConfig(),  # noqa: B008
         estimator: PositionEstimator | None = None,
+        *,
+        sends_velocity: bool = False,
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
 
@@ -71,6 +75,7 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
+        self.velocity = VelocitySender(self.vehicle, record, is_on=sends_velocity and config.emit != "report")
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._session = 0
@@ -99,7 +104,7 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        self.positions.judge_gps(verdict, is_aided=self._velocity_aid not in (None, NO_AID))
+        self.positions.judge_gps(verdict, is_aided=self._is_aided(self._clock_ns()))
 
     @property
     def why_no_position(self) -> str:
@@ -295,7 +300,18 @@ class AutopilotConnection:
         Where no positions are sent its parameters are not requested, and nothing of ours can come back.
         """
         is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._estimator.ignores_gps
-        return is_by_gps or not self.positions.enabled or self._velocity_aid not in (None, NO_AID)
+        return is_by_gps or not self.positions.enabled or self._is_aided(now_ns)
+
+    def _is_aided(self, now_ns: int) -> bool:
+        """Whether anything besides GPS measures it; the camera of ours only while it sees the road."""
+        aid = self._velocity_aid
+        return aid not in (None, NO_AID) and not (aid == VISION and self.velocity.is_silent(now_ns))
+
+    def send_velocity(self, speed: CameraSpeed) -> None:
+        """Send the autopilot what the camera measured, if nothing speaks against it."""
+        if self.state == "up" and self.velocity.is_on:
+            wrong = self._estimator.own_velocity_error
+            self._send(self.velocity.send(speed, self._velocity_aid, wrong, self._clock_ns()))
 
     def _warn_without_velocity_aid(self, now_ns: int) -> None:
         """Once in a session, where none is known."""

@@ -45,7 +45,35 @@ class EkfStatusReport(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavli
         return bytes(self._pack(mav, self.crc_extra, self.unpacker.pack(*self.variances, self.flags), force_mavlink1))
 
 
-mavlink.mavlink_map[EkfStatusReport.id] = EkfStatusReport
+class VisionPositionDelta(mavlink.MAVLink_message):  # type: ignore[misc]
+    """VISION_POSITION_DELTA of the same dialect: body turned (rad) and moved (m) within a time; confidence to 100."""
+
+    id, msgname, crc_extra = 11011, "VISION_POSITION_DELTA", 106
+    fieldnames = ordered_fieldnames = "time_usec", "time_delta_usec", "angle_delta", "position_delta", "confidence"
+    orders, lengths, array_lengths = (0, 1, 2, 3, 4), (1, 1, 3, 3, 1), (0, 0, 3, 3, 0)
+    unpacker = struct.Struct("<QQ3f3ff")
+    instance_field, instance_offset = None, -1
+
+    def __init__(
+        self,
+        time_usec: int,
+        time_delta_usec: int,
+        angle_delta: Sequence[float],
+        position_delta: Sequence[float],
+        confidence: float,
+    ) -> None:
+        super().__init__(self.id, self.msgname)
+        self._fieldnames = self.fieldnames
+        self.time_usec, self.time_delta_usec, self.confidence = time_usec, time_delta_usec, confidence
+        self.angle_delta, self.position_delta = angle_delta, position_delta
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """The message as a frame."""
+        values = self.time_usec, self.time_delta_usec, *self.angle_delta, *self.position_delta, self.confidence
+        return bytes(self._pack(mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1))
+
+
+mavlink.mavlink_map |= {kind.id: kind for kind in (EkfStatusReport, VisionPositionDelta)}
 
 
 class _Parser(SignatureCheck):

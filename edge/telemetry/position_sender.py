@@ -72,6 +72,7 @@ class PositionSender:
         self.doubted_gps = DoubtedGps(vehicle, record, send_text)
         bound = remembered and remembered.with_suffix(".bound")
         self._remembered, self._remember_due_ns = RememberedBound(bound, gates.drift_percent), 0
+        self._was_aided = False
         self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
         self._withheld = self._withheld_words = ""
         self._recorded_ns = 0
@@ -308,6 +309,9 @@ class PositionSender:
     def _remember(self, report: Report) -> None:
         """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
         vehicle, now_ns = self._vehicle, report.now_ns
+        if self._was_aided and not vehicle.is_aided:
+            self._remembered.drop()
+        self._was_aided = vehicle.is_aided
         if now_ns < self._remember_due_ns or not vehicle.is_aided:
             return
         self._remember_due_ns = now_ns + REMEMBER_NS

@@ -67,6 +67,12 @@ class RememberedBound:
                 new.write_bytes(msgspec.json.encode(bound))
                 new.replace(self._path)
 
+    def drop(self) -> None:
+        """Nothing measures the velocity any more: the autopilot's position runs away from what is remembered."""
+        self._bound = None
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
     def recall(self, vehicle: Vehicle, now_ns: int) -> tuple[float, bool] | None:
         """The standard deviation now, and whether it rests on positions of ours.
 

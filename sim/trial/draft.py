@@ -64,7 +64,8 @@ class Draft:
     that repeat. frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than
     they say. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its messages. companion_s: how often
     another companion computer resets the autopilot. has_double: another vehicle ahead on the same radio has the same
-    ids. sees_road: pictures are rendered, and the camera measures the speed ([motion] use = "odometer").
+    ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the camera, as if it was learned
+    before, in true ones.
     """
 
     rng: np.random.Generator
@@ -99,7 +100,8 @@ class Draft:
     companion_s: float = math.inf
     has_double: bool = False
     down_s: float = 0.0
-    sees_road: bool = False
+    motion: Literal["off", "odometer", "send"] = "off"
+    height: float | None = None
 
     def __post_init__(self) -> None:
         self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)

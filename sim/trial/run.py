@@ -32,6 +32,8 @@ from edge.config import (
 )
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
+from edge.motion import CameraMotion
+from edge.motion.camera_motion import WINDOWS_MOST
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place
@@ -51,6 +53,7 @@ from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.route import Route
 from sim.world.scenario import Scenario
+from sim.world.sensor import CAMERA_HIGH_M
 
 MAP_SIGMA_M = math.sqrt(2)
 """Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
@@ -102,6 +105,10 @@ def _run_daemon(
     simulation: Simulation, draft: Draft, link: PtyLink, map_path: Path, folder: Path, network: Network
 ) -> None:
     config = _settings(draft, link, map_path, folder)
+    if draft.height is not None:
+        learned = CameraMotion(config).height
+        height = msgspec.structs.replace(learned, heights_m=(CAMERA_HIGH_M * draft.height,) * WINDOWS_MOST)
+        (folder / JOURNAL).with_suffix(".height").write_bytes(msgspec.json.encode(height))
     mapping = simulation.rear if draft.maps_live else None
     for until_s in (draft.killed_s, math.inf):
         if until_s is None:
@@ -133,7 +140,7 @@ def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path) -> Conf
         camera=CameraConfig(kind="sim", view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(map_path)),
-        motion=MotionConfig(use="odometer" if draft.sees_road else "off"),
+        motion=MotionConfig(use=draft.motion),
         mapping=mapping if draft.maps_live else MappingConfig(),
         page=PageConfig(port=0),
         rig=RIG,

@@ -56,7 +56,7 @@ class Simulation:
         self._draft = draft
         late = round(draft.late_s / FRAME_S)
         self._front = TrialCamera(
-            lambda: self.now_ns, np.random.default_rng([seed, 9]), late, is_rendered=draft.sees_road
+            lambda: self.now_ns, np.random.default_rng([seed, 9]), late, is_rendered=draft.motion != "off"
         )
         self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
         """The camera that maps, where the course has one."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.errors import LinkLost
-from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message
+from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message, VisionPositionDelta
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME
 from edge.telemetry.link import Link
 from sim import Pose
@@ -104,6 +104,7 @@ class SimulatedAutopilot:
         """By how much its answers to TIMESYNC are ahead of the clock that its messages are stamped with."""
         self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
         self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
+        self.inputs.is_aided_by_camera = self._errors.source == "camera"
         self._boot()
         self._boot_ns -= self._booted_before_ns
 
@@ -212,6 +213,8 @@ class SimulatedAutopilot:
             self.send(mavlink.MAVLink_timesync_message(self._timesync_ns, message.ts1))
         elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
             self.inputs.sensor(message, self._moment())
+        elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, VisionPositionDelta.id):
+            self.inputs.velocity(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
             self.inputs.vision(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
@@ -296,7 +299,7 @@ class SimulatedAutopilot:
             origin_m=self._origin_m,
             velocity_mps=self.estimate.velocity_mps,
             driven_m=self.estimate.driven_m if self._errors.source == "wheels" else None,
-            aided=self._errors.source != "none" or self._uses_gps,
+            aided=self.estimate.is_aided or self._uses_gps,
             lon_shift_deg=self._lon_shift_deg,
             base_mode=self.base_mode,
         )

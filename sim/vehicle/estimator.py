@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -19,10 +20,12 @@ from numpy.typing import NDArray
 
 from sim import Pose
 
-VelocitySource: TypeAlias = Literal["wheels", "velocity sensor", "none"]
+VelocitySource: TypeAlias = Literal["wheels", "velocity sensor", "camera", "none"]
+"""With "camera" it is what a companion computer sends, and nothing else."""
 KEPT_S = 16.0  # PX4 applies fixes that are up to 15 s old
 GPS_SIGMA_M = 1.0
 STARVED_S = 5.0  # EKF2_NOAID_TOUT: after this long without aiding, a rejected source resets the estimate
+VELOCITY_STARVED_S = 1.0  # the same for a velocity alone (EKF2_NOAID_TOUT as shipped); EKF3 then begins anew as well
 COVARIANCE_S = 0.1
 SETTLES_S = 20.0
 SPIN_S, SPIN_EVERY_S = 3.0, 20.0  # as wheels were driven to spin on the trial's first drives of that kind
@@ -87,7 +90,11 @@ class Estimator:
         self._covariance_s = time_s
         self._covariance: NDArray[np.float64] = np.zeros((5, 5))
         self._gps = False
-        self._fused_s = -math.inf
+        self._is_free = errors.source in ("camera", "none")
+        self._fused_s = self._velocity_fused_s = -math.inf
+        self._motions: deque[tuple[float, float, float]] = deque(
+            maxlen=100
+        )  # time, true heading (rad) and speed; for 2 s
         self._restart(GPS_SIGMA_M)
 
     @property
@@ -128,7 +135,7 @@ class Estimator:
     def _velocity_mps(self, turned_rad: float) -> tuple[float, float]:
         errors = self._errors
         heading_rad = math.radians(self._pose.heading_deg) + (turned_rad if errors.source == "wheels" else 0.0)
-        speed_mps = self._pose.speed_mps * (1.0 if self._gps or errors.source == "none" else self._scale)
+        speed_mps = self._pose.speed_mps * (1.0 if self._gps or self._is_free else self._scale)
         return (
             speed_mps * math.sin(heading_rad) + self._bias_mps[0],
             speed_mps * math.cos(heading_rad) + self._bias_mps[1],
@@ -158,6 +165,7 @@ class Estimator:
         self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
         self._wheels_m += (pose.distance_m - self._pose.distance_m) * self._scale
         self._pose, self._gps = pose, gps is not None
+        self._motions.append((time_s, math.radians(pose.heading_deg), pose.speed_mps))
         if gps is not None:
             self._bias_mps = (0.0, 0.0)
             east_m, north_m = gps
@@ -196,6 +204,36 @@ class Estimator:
         self._fused_s = self._time_s
         return True
 
+    def fuse_velocity(self, ahead_mps: float, ahead_sigma_mps: float, sideways_mps: float, time_s: float) -> bool:
+        """A gated velocity of the body at a time, by the filter's own heading; False if the gate rejected it.
+
+        sideways_mps: one standard deviation of that to the side, which is 0. After VELOCITY_STARVED_S without one, it
+        resets the velocity.
+        """
+        _, true_rad, speed_mps = min(self._motions, key=lambda one: abs(one[0] - time_s))
+        heading_rad = true_rad + self._heading_rad
+        ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
+        right = np.array([ahead[1], -ahead[0]])
+        true = speed_mps * np.array([math.sin(true_rad), math.cos(true_rad)])
+        innovation = ahead_mps * ahead - true - np.array(self._bias_mps)
+        noise = ahead_sigma_mps**2 * np.outer(ahead, ahead) + sideways_mps**2 * np.outer(right, right)
+        variance = self._covariance[2:4, 2:4] + noise
+        if innovation @ np.linalg.solve(variance, innovation) <= self._noise.gate_sigmas**2:
+            self._correct(innovation, self._covariance[:, 2:4] @ np.linalg.inv(variance), slice(2, 4))
+        elif self._gps or self._time_s - self._velocity_fused_s < VELOCITY_STARVED_S:
+            return False
+        else:
+            self._bias_mps = self._bias_mps[0] + float(innovation[0]), self._bias_mps[1] + float(innovation[1])
+            self._covariance[2:4] = self._covariance[:, 2:4] = 0.0
+            self._covariance[2:4, 2:4] = noise
+        self._velocity_fused_s = self._time_s
+        return True
+
+    @property
+    def is_aided(self) -> bool:
+        """Whether anything besides GPS measures its velocity now."""
+        return not self._is_free or self._time_s - self._velocity_fused_s < STARVED_S
+
     def _correct(self, innovation: NDArray[np.float64], gain: NDArray[np.float64], measured: slice | int) -> None:
         """Apply a Kalman gain (5, n) to the state and to its covariance; measured: the n states."""
         change = gain @ innovation
@@ -207,11 +245,11 @@ class Estimator:
     def _restart(self, sigma_m: float) -> None:
         """The covariance while GPS is fused: the velocity is known, and the heading as well as a compass does."""
         self._covariance = np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01, self._noise.heading_rad**2])
-        if self._errors.source != "none":
+        if not self._is_free:
             self._covariance[V_EAST, V_EAST] = self._covariance[V_NORTH, V_NORTH] = 0.0
 
     def _drift(self, elapsed_s: float) -> None:
-        if self._errors.source == "none":
+        if self._is_free:
             heading_rad = math.radians(self._pose.heading_deg)
             gained_mps = self._errors.acceleration_mps2 * elapsed_s
             east_mps, north_mps = self._errors.wander_mps * math.sqrt(elapsed_s) * self._rng.standard_normal(2)
@@ -228,7 +266,7 @@ class Estimator:
             return
         self._covariance_s = time_s
         moves, noise = np.eye(5), np.zeros(5)
-        if self._errors.source == "none":
+        if self._is_free:
             moves[EAST, V_EAST] = moves[NORTH, V_NORTH] = step_s
             noise[V_EAST] = noise[V_NORTH] = self._noise.acceleration * step_s
         else:

@@ -114,5 +114,5 @@ def parameters_of(firmware: Firmware, source: VelocitySource) -> dict[str, tuple
             stream_check.CONTROL: (float(firmware.fuses_sensor), kind),
             stream_check.ID: (float(firmware.fuses_sensor), kind),
         }
-    wheels = 7.0 * is_aided
+    wheels = 6.0 if source == "camera" else 7.0 * is_aided
     return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}

@@ -18,6 +18,8 @@ LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
 VISION_SET = 2
 SOFT_GATE = 5.0
+EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.5, 0.1, 0.9, 0.15
+"""EKF2_EVV_NOISE and VISO_DELAY_MS as in firmware_config, EK3_VIS_VERR_MIN and _MAX as shipped."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,10 @@ class PositionInputs:
         self.fused: list[Reset] = []
         """Corrections by a stream of positions, which passed the gate."""
         self.source_set = 1
+        self.is_aided_by_camera = False
+        """By its parameters: a velocity that a camera measured is fused."""
+        self.velocities_fused: list[bool] = []
+        """Whether the gate let each one pass."""
         self._jump_counter: int | None = None
 
     def boot(self) -> None:
@@ -93,7 +99,8 @@ class PositionInputs:
 
     def _would_accept(self, without_gps_s: float, moment: Moment) -> bool:
         if self._firmware.accepts_fix == "aiding":
-            return moment.origin_m is not None and OTHER_POSITION_S <= without_gps_s <= self._firmware.aids_for_s
+            has_position = moment.origin_m is not None and (self._estimate.is_aided or not self.is_aided_by_camera)
+            return has_position and OTHER_POSITION_S <= without_gps_s <= self._firmware.aids_for_s
         return self._firmware.accepts_fix == "always" or without_gps_s > 0
 
     def sensor(self, message: Message, moment: Moment) -> None:
@@ -115,6 +122,21 @@ class PositionInputs:
             self._reset(east_m, north_m, moment, 0.0, sigma_m)
         else:
             self._fuse(east_m, north_m, moment, sigma_m)
+
+    def velocity(self, message: Message, moment: Moment) -> None:
+        """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives): of the body, gated."""
+        is_px4 = self._firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        if not self.is_aided_by_camera or is_px4 != (message.get_msgId() == mavlink.MAVLINK_MSG_ID_ODOMETRY):
+            return
+        if is_px4:
+            variances = message.velocity_covariance
+            sigmas = max(variances[0], EV_NOISE_MPS**2) ** 0.5, max(variances[6], EV_NOISE_MPS**2) ** 0.5
+            values = message.vx, *sigmas, message.time_usec / 1e6
+        else:
+            error_mps = VERR_MAX_MPS + (VERR_MIN_MPS - VERR_MAX_MPS) * 0.01 * message.confidence
+            ahead_mps = message.position_delta[0] / (message.time_delta_usec / 1e6)
+            values = ahead_mps, error_mps, error_mps, moment.now_s - VISO_DELAY_S
+        self.velocities_fused.append(self._estimate.fuse_velocity(*values))
 
     def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
         before_m = self._estimate.error_m

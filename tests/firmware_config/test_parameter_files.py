@@ -21,6 +21,7 @@ PX4 = sorted(FILES.glob("*.params"))
 LISTS = {
     "ardupilot_vision_position": ["ardupilot_rover", "ardupilot_copter"],
     "ardupilot_rover_gps": ["ardupilot_rover"],
+    "ardupilot_camera_velocity": ["ardupilot_rover"],
     "px4_global_position_sensor": ["px4"],
     "px4_velocity_aid": ["px4"],
 }  # of each file that is for another firmware than its name says
@@ -84,6 +85,7 @@ all_files = pytest.mark.parametrize("file", ARDUPILOT + PX4, ids=lambda path: pa
 
 def test_every_firmware_has_its_file() -> None:
     assert {path.name for path in ARDUPILOT + PX4} == {
+        "ardupilot_camera_velocity.param",
         "ardupilot_copter.param",
         "ardupilot_plane.param",
         "ardupilot_rover.param",

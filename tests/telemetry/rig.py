@@ -61,6 +61,8 @@ class Rig:
         gates: GatesConfig = LENIENT,
         config: Any = None,
         home: HomeConfig = HomeConfig(),  # noqa: B008  # frozen
+        *,
+        sends_velocity: bool = False,
         **autopilot: Any,
     ) -> None:
         self.now_ns = START_NS
@@ -79,13 +81,20 @@ class Rig:
             **(config or {}),
         }
         self._config, self._gates, self._home = TelemetryConfig(**options), gates, home
+        self._sends_velocity = sends_velocity
         self.connect()
 
     def connect(self) -> None:
         """Start our end; the autopilot goes on as it is."""
         self.estimator = PositionEstimator(Config(gates=self._gates))
         self.connection = AutopilotConnection(
-            self._config, lambda: self.now_ns, self.journal.write, self._gates, self._home, self.estimator
+            self._config,
+            lambda: self.now_ns,
+            self.journal.write,
+            self._gates,
+            self._home,
+            self.estimator,
+            sends_velocity=self._sends_velocity,
         )
 
     def judge_gps(self, verdict: GpsVerdict) -> None:

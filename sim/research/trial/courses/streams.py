@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sim.research.trial.course_rules import close, first_in_time, never_sent, sends, warns
 from sim.research.trial.courses.registry import COURSES, course
-from sim.trial.draft import Draft
+from sim.trial.draft import GPS_S, Draft
 from sim.trial.rules import no_false_place, not_worse, within_sigmas
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -22,11 +24,13 @@ def _run_away(draft: Draft) -> None:
 @course("H", "px4-no-velocity-aid")
 def _px4_no_aid(draft: Draft) -> None:
     """Nothing measures PX4's velocity, which runs away: where the vehicle is between two places, nobody knows."""
-    draft.firmware, draft.steers, draft.sees_road = "px4", False, False
+    draft.firmware, draft.steers, draft.motion = "px4", False, "off"
     _run_away(draft)
     draft.rules = (never_sent,)
 
 
+ROVER_WANDER_MPS = 0.1
+"""The same of PX4's rover, whose attitude is right while a velocity is fused."""
 SEEN_S = 25.0
 """With GPS, in which about 200 m are driven: enough to learn the camera's height."""
 
@@ -36,11 +40,31 @@ def _px4_camera(draft: Draft, value: str) -> None:
     """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that."""
     if value.lstrip("-") in COURSES:
         COURSES[value.lstrip("-")].lay(draft)
-    draft.firmware, draft.steers, draft.sees_road = "px4-without-agp" if value == "-unused" else "px4", False, True
+    draft.firmware, draft.steers = "px4-without-agp" if value == "-unused" else "px4", False
+    draft.motion = "odometer"
     draft.emit = "external_position" if value not in ("", "-unused") else "auto"
     _run_away(draft)
     draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
     draft.rules = (within_sigmas, no_false_place, not_worse)
+
+
+@course("J", "px4-camera-sent{}", "", "-stop", "-turn-off", "-scale-10")
+def _px4_camera_sent(draft: Draft, value: str) -> None:
+    """As px4-camera, and PX4 fuses the velocity that the camera measures; or one that is 10 % too large."""
+    COURSES[f"px4-camera{value if value != '-scale-10' else ''}"].lay(draft)
+    heading_deg = 0.5 * draft.rng.choice((-1.0, 1.0))
+    draft.errors = replace(draft.errors, source="camera", heading_deg=heading_deg, wander_mps=ROVER_WANDER_MPS)
+    draft.emit, draft.motion = "auto", "send"
+    if value == "-scale-10":
+        draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+        draft.height = 1.1
+
+
+@course("J", "rover-camera-sent{}", "", "-scale-10")
+def _rover_camera_sent(draft: Draft, value: str) -> None:
+    """ArduPilot Rover without wheel encoders steers itself home by the camera's velocity and our positions."""
+    COURSES[f"px4-camera-sent{value}"].lay(draft)
+    draft.firmware, draft.steers = "ardupilot", True
 
 
 @course("H", "px4-aided{}", "", "-43003")

@@ -1,0 +1,112 @@
+"""The camera's velocity for the autopilot's filter: by which message, whether it follows, and when it is silent."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.journal.records import VelocityChanged
+from edge.motion import CameraSpeed
+from edge.telemetry import encoders
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.link_protocol import NO_AID, VISION
+from edge.telemetry.velocity_sender import VelocitySender
+from sim.journal import records_of
+from sim.vehicle.estimator import OdometryErrors
+from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig
+from tests.telemetry.speaker import S, Speaker, connect
+
+RUNS_AWAY = OdometryErrors("camera", acceleration_mps2=0.2)
+
+
+def speed(now_ns: int, mps: float = SPEED_MPS, sigma_mps: float = 0.2) -> CameraSpeed:
+    return CameraSpeed(now_ns - S // 10, mps, sigma_mps, 0.1, 0.01)
+
+
+def flying(folder: Path, firmware: str, *, is_on: bool = True, emit: str = "auto") -> Rig:
+    """At 8 m/s; GPS is lost after 6 s."""
+    fails_s = START_NS / 1e9 + 6
+    return Rig(folder, emit, LENIENT, sends_velocity=is_on, firmware=firmware, errors=RUNS_AWAY, gps_fails_s=fails_s)
+
+
+def see(rig: Rig, seconds: float, mps: float = SPEED_MPS) -> None:
+    """The camera measures ten times a second."""
+    for _ in range(round(10 * seconds)):
+        rig.run(0.1)
+        rig.connection.send_velocity(speed(rig.now_ns, mps))
+
+
+@pytest.mark.parametrize(("firmware", "kind"), [("px4", "ODOMETRY"), ("ardupilot", "VISION_POSITION_DELTA")])
+def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind: str, tmp_path: Path) -> None:
+    rig = flying(tmp_path, firmware)
+    see(rig, 20.0)
+    assert rig.autopilot.estimate.error_m < 3.0
+    assert kind in {one.message.get_type() for one in rig.autopilot.received}
+    assert all(rig.autopilot.inputs.velocities_fused[-100:])
+    assert rig.connection.vehicle.is_aided
+    assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
+
+
+def test_without_it_the_same_filter_runs_away(tmp_path: Path) -> None:
+    rig = flying(tmp_path, "px4", is_on=False)
+    see(rig, 20.0)
+    assert rig.autopilot.estimate.error_m > 15.0
+    assert not rig.autopilot.inputs.velocities_fused
+
+
+def test_a_report_sends_no_velocity(tmp_path: Path) -> None:
+    rig = flying(tmp_path, "px4", emit="report")
+    see(rig, 8.0)
+    assert not rig.autopilot.inputs.velocities_fused
+
+
+def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_position(tmp_path: Path) -> None:
+    rig = flying(tmp_path, "px4")
+    see(rig, 12.0)
+    assert rig.connection.uncertainty_m is not None
+    rig.run(1.3)
+    assert not rig.connection.vehicle.is_aided
+    assert rig.connection.uncertainty_m is None
+    see(rig, 2.0)
+    assert rig.connection.vehicle.is_aided
+    assert rig.connection.uncertainty_m is None, "how far it went meanwhile, nobody knows"
+
+
+@pytest.mark.parametrize(
+    ("measured", "aid", "wrong", "why"),
+    [
+        (speed(10 * S), VISION, 0.0, ""),
+        (speed(10 * S), NO_AID, 0.0, "the autopilot's parameters do not use it"),
+        (speed(10 * S), None, 0.0, "the autopilot's parameters do not use it"),
+        (speed(9 * S), VISION, 0.0, "too old"),
+        (speed(11 * S), VISION, 0.0, "too old"),
+        (speed(10 * S, sigma_mps=1.7), VISION, 0.0, "too uncertain"),
+        (speed(10 * S, mps=0.1, sigma_mps=0.4), VISION, 0.0, ""),
+        (speed(10 * S), VISION, -0.16, "the places contradict it"),
+    ],
+)
+def test_what_speaks_against_sending(measured: CameraSpeed, aid: str | None, wrong: float, why: str) -> None:
+    records: list[object] = []
+    sender = VelocitySender(connect(Speaker()), records.append, is_on=True)
+    assert bool(sender.send(measured, aid, wrong, 10 * S)) == (not why)
+    assert records == [VelocityChanged(is_sent=not why, why=why)]
+    assert sender.is_silent(10 * S) == bool(why)
+
+
+def test_the_messages_as_others_read_them() -> None:
+    ours, theirs = MavlinkCodec(5, 191), ardupilotmega.MAVLink(None)
+    (delta,) = theirs.parse_buffer(ours.encode(encoders.position_delta(speed(10 * S, sigma_mps=0.5))))
+    assert delta.get_type() == "VISION_POSITION_DELTA" and delta.time_usec == 9_900_000
+    assert [one / delta.time_delta_usec * 1e6 for one in delta.position_delta] == pytest.approx([SPEED_MPS, 0, 0])
+    assert delta.angle_delta[2] / delta.time_delta_usec * 1e6 == pytest.approx(0.1)
+    assert delta.confidence == pytest.approx(50.0), "0.5 m/s, halfway from 0.1 to 0.9"
+    (odometry,) = theirs.parse_buffer(ours.encode(encoders.body_odometry(speed(10 * S))))
+    assert odometry.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
+    assert (odometry.vx, odometry.vy, odometry.vz) == (SPEED_MPS, 0.0, 0.0)
+    assert math.isnan(odometry.x) and math.isnan(odometry.q[0]), "neither a position nor an attitude"
+    assert odometry.velocity_covariance[0] == pytest.approx(0.04)
+    assert odometry.velocity_covariance[6] == odometry.velocity_covariance[11] == pytest.approx(0.24**2)
