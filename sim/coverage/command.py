@@ -154,7 +154,8 @@ def _name(span: Span) -> str:
 def _expected(one: Stretch) -> str:
     if one.share is None or one.soon is None:
         return "not driven"
-    return f"{one.share:4.0%} of the frames; within {SOON_M:.0f} m {one.soon:4.0%}"
+    mean = " (mean of all so far from the start)" if one.is_mean else ""
+    return f"{one.share:4.0%} of the frames; within {SOON_M:.0f} m {one.soon:4.0%}{mean}"
 
 
 def _drives(one: Stretch) -> str:
@@ -180,7 +181,8 @@ def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float)
 
 def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
-    found = {"share": share, "soon": soon, "drives": one.drives, "believed_in": one.believed_in}
+    drives = {"drives": one.drives, "believed_in": one.believed_in}
+    found = {"share": share, "soon": soon, "is_mean": one.is_mean, **drives}
     return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
 
 

@@ -137,7 +137,8 @@ def _draw_strip(axes: Axes, sheet: Sheet, is_alike: Sequence[bool]) -> None:
     at_m, gap = 0.0, sheet.gap
     for one, alike in zip(sheet.stretches, is_alike, strict=True):
         length_m = one.span.to_m - one.span.from_m
-        axes.barh(0, length_m, left=at_m, height=1, color=_color(one), linewidth=0.4, edgecolor="white")
+        edge = _color(one) if one.is_mean else "white"  # no borders where no difference is known
+        axes.barh(0, length_m, left=at_m, height=1, color=_color(one), linewidth=0.4, edgecolor=edge)
         if alike:
             axes.barh(-0.35, length_m, left=at_m, height=0.3, color=ALIKE)
         if gap is not None and gap.segment == one.span.segment and _overlaps(gap, one):

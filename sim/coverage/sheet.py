@@ -19,7 +19,7 @@ from sim.coverage.passes import SPARE_M, Pass, road_between_m
 SOON_M = 100.0
 KNOWN_M = 200.0
 """From where a drive enters a segment: beyond, predicted and found shares of stretches correlate -0.04 to 0.42
-(docs/coverage.md), so the mean of all such stretches is the better prediction of each."""
+(docs/coverage.md), so the mean of all such stretches predicts each as well, and no differences are shown."""
 REHEARSED_COUNT_AS = 2.0
 """Real drives that all rehearsed ones count as."""
 
@@ -36,6 +36,8 @@ class Stretch:
     soon: float | None
     drives: int
     believed_in: int
+    is_mean: bool = False
+    """Whether share and soon are the mean of all stretches far from where drives enter: of each, no more is known."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def _pooled(stretches: Sequence[Stretch], rehearsed: Sequence[Sequence[Pass]]) -
     if not far:
         return tuple(stretches)
     share, soon = (float(np.mean(values)) for values in zip(*((one.share, one.soon) for one in far), strict=True))
-    return tuple(replace(one, share=share, soon=soon) if one in far else one for one in stretches)
+    return tuple(replace(one, share=share, soon=soon, is_mean=True) if one in far else one for one in stretches)
 
 
 def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[Span]:

@@ -201,6 +201,7 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     found = json.loads(capsys.readouterr().out)
     assert [(one["drive"], one["from_m"]) for one in found["stretches"]] == [(1, 0.0), (1, 100.0), (1, 200.0)]
     assert found["stretches"][1]["share"] > 0.5
+    assert [one["is_mean"] for one in found["stretches"]] == [False, False, True], "of the third no more is known"
     assert found["longest_gap"]["drive"] == 1, "as people read it"
 
 
