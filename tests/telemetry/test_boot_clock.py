@@ -76,3 +76,10 @@ def test_a_stamp_of_another_boot_is_not_continued() -> None:
     assert clock.unwrapped_ms(7, S) == 7
     clock.add_stamp(30 * 24 * 3600 * S, S)
     assert clock.unwrapped_ms(7, 2 * S) == 7
+
+
+def test_a_stamp_minutes_from_each_turn_is_of_another_boot() -> None:
+    clock = BootClock()
+    clock.add_stamp((TURN_MS + 5 * 60_000) * MS, S)
+    assert clock.unwrapped_ms(0, S) == 0
+    assert clock.unwrapped_ms(4 * 60_000 + 30_000, S) == TURN_MS + 4 * 60_000 + 30_000

@@ -70,6 +70,15 @@ def test_an_origin_that_nothing_can_be_compared_with_needs_two_messages_to_chang
     assert known == [10, 10, 10, 10, 20]
 
 
+def test_an_origin_is_believed_once_it_was_undisputed_for_half_a_second() -> None:
+    vehicle, speaker = connect(Speaker()), Speaker()
+    for tenths, degrees in ((20, 10), (30, 20), (34, 20)):
+        vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(degrees, 1, 0)), tenths * S // 10)
+    assert vehicle.origin is not None and round(vehicle.origin.lat_deg * 1e7) == 10
+    vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(20, 1, 0)), 35 * S // 10)
+    assert vehicle.origin is not None and round(vehicle.origin.lat_deg * 1e7) == 20
+
+
 def test_a_mode_is_known_once_no_heartbeat_contradicts_it() -> None:
     """A stranger's heartbeats between those of an autopilot that drives itself do not permit a new mission."""
     vehicle, speaker = Vehicle(), Speaker()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,6 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.confirmation import Origin
+from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 
@@ -306,3 +308,12 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
         vehicle.handle(speaker.position(now_ns // 1_000_000), now_ns)
     assert vehicle.origin is None and vehicle.version is None
     assert vehicle.accuracy_m(3 * S) is None
+
+
+def test_a_stream_that_is_refused_twice_is_given_up() -> None:
+    requests, asked = StreamRequests(), Counter[int]()
+    for now_ns in range(S, 1000 * S, S):
+        for message in requests.due(Vehicle(), 1, now_ns):
+            asked[int(message.param1)] += 1
+            requests.read_acknowledgement(mavlink.MAV_RESULT_UNSUPPORTED)
+    assert asked == dict.fromkeys(STREAMS_HZ, 2)
