@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
+from edge.geodesy import VehiclePosition
 from edge.journal.records import FixSent, FixWithheld
 from edge.telemetry.codec import EkfStatusReport, MavlinkCodec
 from edge.telemetry.gps import Gps
@@ -42,6 +43,16 @@ def test_where_no_accuracy_is_reported_the_hdop_says_how_good_a_fix_is(h_acc_mm:
         fix = -274772000, 1530283000, 0, round(100 * hdop), 65535, 0, 0, 4
         gps.receivers[0].read(mavlink.MAVLink_gps_raw_int_message(0, FIX_3D, *fix, 0, h_acc_mm), now_ns)
     assert gps.receiver_state(now_ns) == state
+
+
+def test_of_two_receivers_the_less_accurate_one_bounds_the_position() -> None:
+    gps = Gps()
+    for now_ns in range(0, 6_000_000_000, 250_000_000):
+        for receiver, h_acc_mm in zip(gps.receivers, (1500, 6000), strict=True):
+            fix = -274772000, 1530283000, 0, 65535, 65535, 0, 0, 4
+            receiver.read(mavlink.MAVLink_gps_raw_int_message(0, FIX_3D, *fix, 0, h_acc_mm), now_ns)
+    own = VehiclePosition(now_ns, -27.4772, 153.0283, 0.0, None, 0.0, 0.0, 0.0)
+    assert gps.behind(own, now_ns) is gps.receivers[1]
 
 
 class Sky:
