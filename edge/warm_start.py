@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import RunningStatistics
+from edge.errors import reason
 from edge.files import replacing
 from edge.recognizer import PlaceRecognizer
 
@@ -92,8 +93,7 @@ class StateFile:
         try:
             return self._read(now, max_age_s)
         except (OSError, ValueError) as error:  # msgspec's errors are ValueErrors
-            why = error.strerror if isinstance(error, OSError) else str(error)
-            log.warning("%s: ignored: %s", self._path, why)
+            log.warning("%s: ignored: %s", self._path, reason(error))
             return None
 
     def _read(self, now: Moment, max_age_s: float) -> KeptState:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from edge.config import CameraConfig
-from edge.errors import FeedError
+from edge.errors import FeedError, reason
 from edge.feed.format import FeedHeader, FeedRow
 from edge.feed.reader import Frame
 from edge.feed.writer import FeedWriter
@@ -83,7 +83,7 @@ class Recorder:
             while (queued := self._queue.get()) is not None:
                 self._write(*queued)
         except (OSError, FeedError) as error:
-            self._stop(getattr(error, "strerror", None) or str(error))
+            self._stop(reason(error))
             while self._queue.get() is not None:
                 pass  # so that close() never waits for room
         finally:

@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 
 import edge
-from edge.errors import ConfigError
+from edge.errors import ConfigError, reason
 from edge.files import DISK_ERRORS
 from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record, StateChanged
 
@@ -59,7 +59,7 @@ class Journal:
         except OSError as error:
             if error.errno not in DISK_ERRORS:  # with those of a disk, navigation goes on without a journal
                 raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
-            self._report_lost(error.strerror or str(error))
+            self._report_lost(reason(error))
         else:
             self.write(JournalOpened(SCHEMA, edge.__version__))
 
@@ -102,7 +102,7 @@ class Journal:
             written = os.write(self._fd, line)
             self._size += written
         except OSError as error:
-            self._report_lost(error.strerror or str(error))
+            self._report_lost(reason(error))
             return False
         if written < len(line):
             self._torn = True
@@ -118,7 +118,7 @@ class Journal:
         try:
             self._open()
         except OSError as error:
-            self._report_lost(error.strerror or str(error))
+            self._report_lost(reason(error))
             return False
         return self.write(JournalOpened(SCHEMA, edge.__version__))
 

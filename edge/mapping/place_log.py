@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import MapError
+from edge.errors import MapError, reason
 from edge.files import replacing
 from edge.mapping.place_log_records import (
     FORMAT,
@@ -256,5 +256,5 @@ class PlaceLog:
 
     def _stop(self, error: OSError) -> None:
         if not self.stopped:
-            self.stopped = error.strerror or str(error)
+            self.stopped = reason(error)
             log.warning("%s: mapping stopped after %d places: %s", self.file.path, len(self.file.places_at), error)

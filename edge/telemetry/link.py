@@ -276,7 +276,7 @@ class TcpLink:
         except OSError as error:
             if error.errno == errno.ENOTCONN:  # still connecting
                 return b""
-            return self._lose(error.strerror or str(error))
+            return self._lose(reason(error))
         return data or self._lose("the other side has closed it")
 
     def send(self, data: bytes) -> bool:
@@ -294,7 +294,7 @@ class TcpLink:
             return False
         except OSError as error:
             if error.errno != errno.ENOTCONN:
-                self._lose(error.strerror or str(error))
+                self._lose(reason(error))
             return False
         return True
 

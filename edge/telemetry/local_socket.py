@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from edge.errors import ConfigError
+from edge.errors import ConfigError, reason
 from edge.telemetry.home_requests import Answer
 
 Request: TypeAlias = Literal["home", "restore"]
@@ -46,7 +46,7 @@ class LocalSocket:
             self._listener.listen()
         except OSError as error:
             self._listener.close()
-            raise ConfigError(f"[home] socket: {path}: cannot make it: {error.strerror or error}") from None
+            raise ConfigError(f"[home] socket: {path}: cannot make it: {reason(error)}") from None
 
     def requested(self) -> Request | None:
         """What a client has just requested; its answers go to `reply`."""

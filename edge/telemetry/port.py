@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 
 from edge.backoff import BackOff
-from edge.errors import LinkLost
+from edge.errors import LinkLost, reason
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.link import Connection, Link, UdpLink, is_address
 
@@ -95,8 +95,7 @@ class Port:
         try:
             return dataclasses.replace(connection, target=lookup.result()).open()
         except (OSError, UnicodeError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise LinkLost(f"{connection.target}: cannot find this host: {why}") from None
+            raise LinkLost(f"{connection.target}: cannot find this host: {reason(error)}") from None
 
     def receive(self) -> Iterator[Message]:
         """The messages that have arrived since the last call; after 50 ms the rest waits for the next."""

@@ -89,5 +89,5 @@ class ReplacedMission:
                 stream.write(msgspec.json.encode(kept))
         except OSError as error:
             log.warning("%s: cannot keep the mission that is replaced: %s", self._path, error.strerror)
-            return error.strerror or str(error)
+            return reason(error)
         return ""
