@@ -8,6 +8,7 @@ makes such a file of any image network at a desk; `open_network` opens it on the
 
 from __future__ import annotations
 
-from edge.descriptor.normalize import NormalizedRows, RunningStatistics, normalize
+from edge.descriptor.normalize import NormalizedRows, RunningStatistics
+from edge.descriptor.normalize import normalize as normalized
 
-__all__ = ["NormalizedRows", "RunningStatistics", "normalize"]
+__all__ = ["NormalizedRows", "RunningStatistics", "normalized"]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.descriptor import normalize
+from edge.descriptor import normalized
 from edge.errors import MapError
 from edge.files import AtomicFolder
 from edge.geodesy import POSITION_SOURCES, PositionSource
@@ -156,7 +156,7 @@ class MapBuilder:
         self, mean: NDArray[np.float64], deviation: NDArray[np.float64]
     ) -> Iterator[NDArray[np.float32]]:
         is_set = self._header.regions.normalization == "set"
-        return (normalize(block, mean, deviation) if is_set else block for block in self._raw_blocks())
+        return (normalized(block, mean, deviation) if is_set else block for block in self._raw_blocks())
 
     def _statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) over the whole set, from the raw values as they were stored."""

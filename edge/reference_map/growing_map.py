@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.descriptor import RunningStatistics, normalize
+from edge.descriptor import RunningStatistics, normalized
 from edge.errors import MapError
 from edge.reference_map.builder import Place
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
@@ -147,7 +147,7 @@ class GrowingMap:
     def _encode(self, rows: Sequence[int], raw: NDArray[np.float32]) -> None:
         """Normalize some places with the statistics so far, and keep them as they are matched."""
         if self._header.regions.normalization == "set":
-            raw = normalize(raw, self._statistics.mean, self._statistics.deviation)
+            raw = normalized(raw, self._statistics.mean, self._statistics.deviation)
         encoded = encode(raw)
         norms_sq = squared_norms(encoded)
         self._descriptors[:, list(rows)] = encoded
