@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
 from edge.errors import FeedError
-from edge.feed import Feed, Pictures
+from edge.feed import Feed, FeedRow, Pictures
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import VIDEO_SUFFIXES, JoinedPictures, natural_key, open_video
 from sim.datasets.track import Fix, Track
@@ -41,7 +41,7 @@ REAR = re.compile(r"(-back|[_\d][A-Z]?R)$")
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
-    """The frames of the videos at their own positions. FeedError where there are none, or names what is missing."""
+    """The frames of the videos at their own positions; with a warning where there are none. FeedError."""
     files = [path] if path.is_file() else _parts(path, options.camera)
     names: list[str] = []
     stamps_ns: list[int] = []
@@ -56,16 +56,20 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         names += [str(row) if path.is_file() else f"{file.name} {row}" for row in range(len(feed.rows))]
         stamps_ns += [start_ns + row.stamp_ns for row in feed.rows]
         start_ns = stamps_ns[-1] + (feed.rows[-1].stamp_ns // max(len(feed.rows) - 1, 1) or 1)
-    if not fixes:
-        raise FeedError(
-            f"{path}: no positions in it that mapillary_tools{'' if _has_exiftool() else ' (without ExifTool)'} can"
-            " read; name a track with --positions"
-        )
+    side = TESLA.search(files[0].stem)
+    if side and side[1] not in ("front", "back"):
+        raise FeedError(f"{files[0]}: a camera that looks aside; use the clips of the front or the back camera")
+    if fixes:
+        rows = Track(str(path), fixes).rows(str(path), names, stamps_ns)
+    else:
+        tried = "mapillary_tools and ExifTool" if _has_exiftool() else "mapillary_tools (ExifTool is not installed)"
+        log.warning("%s: no positions in it by %s; used without, unless --positions names a track", path.name, tried)
+        rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
     return Traverse(
         name=path.stem,
         view=options.view or ("rear" if REAR.search(files[0].stem) else "front"),
         source=path.name,
-        rows=Track(str(path), fixes).rows(str(path), names, stamps_ns),
+        rows=rows,
         pictures=JoinedPictures(opened, counts),
         notes=f"{len(files)} video(s), {len(fixes)} positions in them",
     )

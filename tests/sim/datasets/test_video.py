@@ -143,9 +143,13 @@ def test_chapters_of_a_gopro_are_one_drive(
     assert feed.rows[16].extra["source_file"] == "GX020042.MP4 2"
 
 
-def test_a_gopro_without_a_fix_is_refused(tmp_path: Path, degrees_at: Degrees, refused: Callable[..., None]) -> None:
+def test_a_gopro_without_a_fix_has_no_positions_and_says_so(
+    tmp_path: Path, degrees_at: Degrees, caplog: pytest.LogCaptureFixture
+) -> None:
     gopro(tmp_path / "indoors.MP4", degrees_at, fix=0)
-    refused("video", tmp_path / "indoors.MP4", r"indoors\.MP4: no positions in it .*; name a track with --positions")
+    assert np.isnan(north_m(tmp_path / "indoors.MP4", degrees_at)).all()
+    assert "GPS is too noisy" in caplog.text
+    assert "indoors.MP4: no positions in it by mapillary_tools" in caplog.text
 
 
 def nmea(text: str) -> str:
@@ -256,7 +260,12 @@ def test_a_tesla_that_drives_in_reverse_has_no_place(
     assert "2 pictures are missing in it, by their numbers" in caplog.text
 
 
-def test_a_plain_video_is_used_as_it_is(tmp_path: Path, refused: Callable[..., None]) -> None:
+def test_a_camera_that_looks_aside_is_refused(tmp_path: Path, refused: Callable[..., None]) -> None:
+    write_mp4(tmp_path / "2026-05-04_12-30-00-left_repeater.mp4", codec="mpeg4")
+    refused("video", tmp_path / "2026-05-04_12-30-00-left_repeater.mp4", "a camera that looks aside; use the clips of")
+
+
+def test_a_plain_video_is_used_as_it_is(tmp_path: Path) -> None:
     write_mp4(tmp_path / "plain.mp4", codec="mpeg4")
     assert find_kind(tmp_path / "plain.mp4") is None
-    refused("video", tmp_path / "plain.mp4", r"plain\.mp4: no positions in it")
+    assert {row.lat_deg for row in open_dataset("video", tmp_path / "plain.mp4").rows} == {None}
