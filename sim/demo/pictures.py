@@ -159,6 +159,7 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
         return False
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as profile:
+        shot = Path(profile) / path.name  # where Chromium writes none, an older picture must not pass for it
         command = [
             browser,
             *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-quic"),
@@ -167,7 +168,7 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
             f"--window-size={width},{height}",
             # Virtual time for the page to load and draw; it stops while requests are pending.
             "--virtual-time-budget=4000",
-            f"--screenshot={path}",
+            f"--screenshot={shot}",
             url,
         ]
         try:
@@ -175,4 +176,8 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
             log.warning("no picture of the live page: %s", error)
             return False
-    return path.exists()
+        if not shot.exists():
+            log.warning("no picture of the live page: %s does not answer", url)
+            return False
+        shutil.move(shot, path)
+    return True

@@ -29,6 +29,7 @@ from sim.demo.pictures import (
 )
 from sim.demo.story import COURSE, LENGTH_M
 from sim.trial.run import drafted
+from tests.udp_port import free_port
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium: apt-get install chromium")
@@ -40,6 +41,13 @@ def test_the_page_is_photographed_at_the_width_that_is_asked_for(tmp_path: Path)
     picture: Any = cv2.imread(str(tmp_path / "pictures/page.png"))
     assert picture.shape == (500, 700, 3)
     assert picture.std() > 5
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium: apt-get install chromium")
+def test_a_page_that_does_not_answer_leaves_the_older_picture_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "page.png").write_bytes(b"older")
+    assert not photograph_page(f"http://127.0.0.1:{free_port()}/", tmp_path / "page.png", 700, 500)
+    assert (tmp_path / "page.png").read_bytes() == b"older"
 
 
 def test_from_above_the_vehicles_are_as_far_apart_as_they_were() -> None:
