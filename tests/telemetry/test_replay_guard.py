@@ -70,6 +70,15 @@ def test_a_frame_from_the_future_leaves_no_trace() -> None:
     assert guard.accept(AUTOPILOT, NOW, NOW)
 
 
+def test_frames_from_the_future_whose_time_runs_otherwise_than_ours_are_not_believed() -> None:
+    clock = Clock()
+    guard = ReplayGuard({}, clock)
+    for second in range(10):
+        now = NOW + second * TICKS_PER_S
+        assert not guard.accept(AUTOPILOT, NOW + 2 * MINUTE_TICKS + 3 * second * TICKS_PER_S, now)
+        clock.s += 1.0
+
+
 def test_only_what_was_heard_is_kept_ahead() -> None:
     guard = ReplayGuard({AUTOPILOT: NOW, GROUND: NOW}, Clock())
     assert guard.accept(AUTOPILOT, NOW + 1, NOW)
