@@ -272,6 +272,7 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     without_gps: Literal["stop", "continue"] = "stop"
     behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
     resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
+    layers: Annotated[int, Meta(ge=0, le=100)] = 4
     quota_mb: Positive = 20_000.0
     min_free_mb: NotNegative = 500.0
     recognize: bool = False

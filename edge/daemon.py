@@ -69,6 +69,9 @@ class Daemon:
             if not (is_usable or parts.verification.checksums.is_done):
                 self._check_maps(self._recognizer.matcher.first.search.folders_in_use)
         self._autopilot.history.release()
+        if parts.learner is not None:
+            now_ns = self._clock_ns()
+            parts.learner.follow(now_ns, self._autopilot.vehicle.speed_mps(now_ns), parts.config.gates.min_speed_mps)
         if self._update_health():
             self._reset()
         self._publish_position()
@@ -167,7 +170,8 @@ class Daemon:
         if self._distance_gaps != self._autopilot.vehicle.distance_gaps:
             self._distance_gaps = self._autopilot.vehicle.distance_gaps
             self._recognizer.restart_odometer()
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._search_area(), missed, distance_m)
+        where, course_rad = self._search_area(), self._turn_around.course_rad
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, where, missed, distance_m, course_rad)
         if self._recognizer.was_carried:
             self._estimator.reset()
         return None if match is not None and match.accepted and not self._is_verified(match) else match
@@ -236,7 +240,8 @@ class Daemon:
         """Describe a frame of the second camera, which votes on the place if it may; timed as the others are."""
         self.parts.times.start()
         raw = self._recognizer.describe(frame.image)
-        self._recognizer.observe_second(raw, self._search_area(), missed, distance_m)
+        where, course_rad = self._search_area(), self._turn_around.course_rad
+        self._recognizer.observe_second(raw, where, missed, distance_m, course_rad)
         return raw
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known
+from edge.localization.place_fix import heads_along
 from edge.reference_map import MapSet, sigmas_m
 from edge.sequence import Alignment
 from edge.sequence.search import NO_LINE, SequenceSearch, slopes_around_diagonal
@@ -163,7 +164,11 @@ def _compare(
     back = float(search.passed(0, best)[-1]) / 2
     there = near[0] + best + (-back if pairing is ONE_VIEW else back)
     apart_m = _at(ground_m, middle) - _at(ground_m, there)
-    if np.isnan(apart_m).any():
+    ends = there + (LENGTH - 1) / 2, there - (LENGTH - 1) / 2
+    after, before = (min(max(end, near[0]), near[1] - 1) for end in (ends if pairing is ONE_VIEW else ends[::-1]))
+    ways = _at(ground_m, first + LENGTH - 1) - _at(ground_m, first), _at(ground_m, after) - _at(ground_m, before)
+    # Unknown positions compare as False.
+    if not heads_along(*(math.atan2(*way) for way in ways)) or np.isnan(apart_m).any():
         return None
     places = round(middle), round(there)
     explained_m = pairing.explained_m + EXPLAINED_SIGMAS * math.hypot(*sigma_m[list(places)])

@@ -24,7 +24,7 @@ from edge.geodesy import first_known
 from edge.health.health import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
-from edge.layers import DriveTally
+from edge.layers import DriveTally, Learner, learn_command
 from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
 from edge.mission import Start, WayHome, plan_way_home
@@ -88,6 +88,10 @@ class OpenedParts:
         if config.mapping.folder:
             others = parts, self.autopilot, self.record, self.clock_ns
             self.mapper = DriveMapper(config, model_key(network), *others, frames=mapping_frames)
+        self.learner: Learner | None = None
+        if config.mapping.folder and config.mapping.layers:
+            command = learn_command(Path(config.mapping.folder), config.mapping.layers)
+            self.learner = parts.enter_context(closing(Learner(command)))
         newest = self.mapper.live.so_far() if self.mapper else None
         self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
         maps = self.recognizer.map_set

@@ -88,11 +88,12 @@ class PlaceRecognizer:
         near: Near | None = None,
         missed: int = 0,
         distance_m: float | None = None,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
         stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed,
-        distance_m: see `SequenceMatcher.push`.
+        distance_m, course_rad: see `SequenceMatcher.push`.
         """
         raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, distance_m)
@@ -103,9 +104,10 @@ class PlaceRecognizer:
         self.was_carried = self._is_carried(frame)
         self._reset_after_gap(frame)
         missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
-        match = self.matcher.push(raw, near, missed, distance_m)
+        match = self.matcher.push(raw, near, missed, distance_m, course_rad)
         if match is None:
-            self.state = "searching" if self.matcher.first.is_scanning else "warming up"
+            first = self.matcher.first
+            self.state = "off the map" if first.has_lines else "searching" if first.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
@@ -113,13 +115,18 @@ class PlaceRecognizer:
         return replace(match, event=True, category=self._head.categories(raw)[0] if self._head else "")
 
     def observe_second(
-        self, raw: NDArray[np.float32], near: Near | None, missed: int, distance_m: float
+        self,
+        raw: NDArray[np.float32],
+        near: Near | None,
+        missed: int,
+        distance_m: float,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """Let a frame of the second camera vote on the place, by its raw descriptor; see `SequenceMatcher.push_second`.
 
         Not while the vehicle stands, since the lines of both cameras wait then, nor without [mapping] recognize.
         """
-        return None if self.state == "standing" else self.matcher.push_second(raw, near, missed, distance_m)
+        return None if self.state == "standing" else self.matcher.push_second(raw, near, missed, distance_m, course_rad)
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""

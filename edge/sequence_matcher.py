@@ -96,23 +96,37 @@ class CameraMatcher:
         """Whether there are enough frames for a sequence, and it is not known yet which part of the map to search."""
         return self.search.part is None and self._normalizer.is_full
 
+    @property
+    def has_lines(self) -> bool:
+        """Whether there are enough frames for an answer, even if it is that no road leads where the vehicle goes."""
+        return self.search.part is not None and self.search.part.lines is not None
+
     def ends_sequence(self, step: float, usual: float) -> bool:
         """Whether a step between two frames is too long for a line to run over; usual: step of this camera's frames."""
         return step > (1 + MOST_MISSED * self._config.sequence.length) * usual
 
     def push(
-        self, raw: NDArray[np.float32], near: Near | None, step: float, usual: float, *, is_measured: bool
+        self,
+        raw: NDArray[np.float32],
+        near: Near | None,
+        step: float,
+        usual: float,
+        *,
+        is_measured: bool,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
-        near: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last frame; usual:
-        the same from one frame to the next. is_measured: whether the odometer is known.
+        near, course_rad: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last
+        frame; usual: the same from one frame to the next. is_measured: whether the odometer is known.
         """
         if self.ends_sequence(step, usual):
             self.reset()
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
-        match = self.search.push(change, self._normalizer.rows, near, step=step, is_measured=is_measured)
+        match = self.search.push(
+            change, self._normalizer.rows, near, step=step, is_measured=is_measured, course_rad=course_rad
+        )
         self._stopwatch("search")
         return match
 
@@ -193,11 +207,14 @@ class SequenceMatcher:
         near: Near | None = None,
         missed: int = 0,
         distance_m: float | None = None,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
 
         near: where the vehicle may be, which only maps too large to be searched whole make use of. missed: places that
         were passed since the last frame without one. distance_m: the odometer, None where it is not known.
+        course_rad: that the vehicle moves on, clockwise from north, None where it is not known. Of places whose road
+        leads another way, no line is searched.
         """
         odometer_m = distance_m if self._drives.is_metric else None
         if odometer_m is not None:
@@ -210,8 +227,10 @@ class SequenceMatcher:
         step, usual = self._steps.next(odometer_m, missed, self._drives.spacing_m), self._usual_step
         if self.first.ends_sequence(step, usual):
             self.reset()
-        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual)
-        match = self.best = self.first.push(raw, near, step, usual, is_measured=odometer_m is not None)
+        measured = odometer_m is not None
+        match = self.best = self.first.push(raw, near, step, usual, is_measured=measured, course_rad=course_rad)
+        some_excluded = self.first.search.part is not None and self.first.search.part.excludes
+        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         vote = PlaceVote.of(match, self._drives) if match else None
         believed = self._believed(match, self._consensus.update(vote, odometer_m, step))
         for camera in self._cameras:
@@ -240,7 +259,12 @@ class SequenceMatcher:
         return spell_spacing(self._config.sampling, self._drives.spacing_m if self._drives.is_metric else None)
 
     def push_second(
-        self, raw: NDArray[np.float32], near: Near | None, missed: int, distance_m: float
+        self,
+        raw: NDArray[np.float32],
+        near: Near | None,
+        missed: int,
+        distance_m: float,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """Match a frame of the second camera, one of SECOND_EVERY, and let it vote.
 
@@ -254,7 +278,8 @@ class SequenceMatcher:
             return None
         step, usual = self._passed * self._usual_step, SECOND_EVERY * self._usual_step
         self._passed = 0
-        match = self._second.push(raw, near, step, usual, is_measured=self._drives.is_metric)
+        measured = self._drives.is_metric
+        match = self._second.push(raw, near, step, usual, is_measured=measured, course_rad=course_rad)
         vote = self._vote_of_second(match) if match is not None else None
         if vote is not None:
             self._consensus.add(vote, distance_m)

@@ -13,10 +13,11 @@ import pytest
 from edge.__main__ import main
 from edge.config import SamplingConfig
 from edge.geodesy import PositionSource, moved
-from edge.map_agreement import as_uncertain, disagreements
+from edge.map_agreement import LENGTH, as_uncertain, disagreements
 from edge.reference_map import Route, open_map, open_map_set
 from edge.reference_map.builder import NAN, MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
+from sim.maps.outvoted import outvoted
 from sim.maps.tiles import split_map
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 64)
@@ -37,6 +38,8 @@ class Driven:
     end: int = PLACES
     wrong_from: int = 0
     """Places of the road from there on are recorded so; those before, at the truth."""
+    mirrored: bool = False
+    """Whether each window looks like the road does backwards."""
 
 
 def build(path: Path, drives: Sequence[Driven]) -> None:
@@ -45,6 +48,8 @@ def build(path: Path, drives: Sequence[Driven]) -> None:
             rng = np.random.default_rng(drive.road)
             road = np.maximum(rng.normal(size=(PLACES, 2, 64)), 0)
             seen = np.maximum(road + 0.4 * np.random.default_rng([number, 7]).normal(size=road.shape), 0)
+            if drive.mirrored:
+                seen = seen.reshape(-1, LENGTH, 2, 64)[:, ::-1].reshape(seen.shape)
             builder.begin_segment(f"drive {number}", drive.view)
             rows = list(range(drive.start, drive.end))[:: -1 if drive.back else 1]
             for row, at in enumerate(rows):
@@ -87,6 +92,7 @@ def test_drives_that_are_apart_by_more_than_their_accuracy_are_found(
         Driven(east_m=8.0, view="front", back=True),
         Driven(east_m=40.0, road=1),
         Driven(east_m=40.0, view="front"),
+        Driven(east_m=40.0, view="front", mirrored=True),
         Driven(east_m=40.0, end=50),
     ],
     ids=[
@@ -97,6 +103,7 @@ def test_drives_that_are_apart_by_more_than_their_accuracy_are_found(
         "lanes of both directions",
         "another road beside it",
         "what the cameras saw lies apart",
+        "a line that leads against the road",
         "too short",
     ],
 )
@@ -126,6 +133,23 @@ def test_drives_in_several_maps_and_tiles_are_compared(tmp_path: Path) -> None:
     build(tmp_path / "whole", [Driven(), Driven(east_m=40.0)])
     split_map(open_map(tmp_path / "whole"), tmp_path / "tiles", 150)
     assert disagreements(open_map_set(tmp_path / "tiles"))
+
+
+@pytest.mark.parametrize("wrong", [Driven(north_m=15.0), Driven(east_m=-15.0), Driven(east_m=40.0, wrong_from=100)])
+def test_one_that_others_contradict_is_named(wrong: Driven, tmp_path: Path) -> None:
+    for number, drive in enumerate((Driven(), wrong, Driven(east_m=2.0))):
+        build(tmp_path / "maps" / str(number), [*[Driven(road=9, end=2)] * number, drive])
+    (path, apart_m), *others = outvoted(open_map_set(tmp_path / "maps")).items()
+    assert (path.name, others) == ("1", [])
+    assert apart_m == pytest.approx(40.0 if wrong.wrong_from else 15.0, abs=2.1)
+
+
+def test_of_two_that_disagree_and_of_two_recordings_nobody_knows_which_is_wrong(tmp_path: Path) -> None:
+    build(tmp_path / "maps" / "0", [Driven()])
+    build(tmp_path / "maps" / "1", [Driven(road=9, end=2), Driven(east_m=40.0)])
+    assert outvoted(open_map_set(tmp_path / "maps")) == {}
+    build(tmp_path / "maps" / "2", [Driven(start=2)])
+    assert outvoted(open_map_set(tmp_path / "maps")) == {}, "a part of the recording that 0 is of"
 
 
 def test_a_drive_without_positions_agrees_with_everything(tmp_path: Path) -> None:

@@ -1,10 +1,12 @@
 """Drives over one road as its layers, and what each was good for. `lookback map learn` chooses which are searched.
 
+`learner` runs that command after the daemon's drives
 `tally`   what the daemon recognized, by map, light and stretch; a file for each run
 `stored`  the maps of a folder on the disk
 `road`    which drives pass the same road, and how alike they look there
 """
 
+from edge.layers.learner import Learner, learn_command
 from edge.layers.road import NEEDED, REACH_M, Stretch, stretches
 from edge.layers.stored import CLOCK_SET_UNIX_S, KEEP_FILE, StoredMap, keys_of, stored_maps
 from edge.layers.tally import (
@@ -30,10 +32,12 @@ __all__ = [
     "TALLIES",
     "Counts",
     "DriveTally",
+    "Learner",
     "StoredMap",
     "Stretch",
     "Tally",
     "keys_of",
+    "learn_command",
     "light_of",
     "read_tallies",
     "read_tally",

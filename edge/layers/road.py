@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,13 @@ class Stretch:
     def drives(self) -> set[int]:
         """That pass here, whichever way they looked."""
         return {*self.rows, *self.opposed}
+
+    def without(self, drives: Collection[int]) -> Stretch:
+        """The same, as if some drives had not been made."""
+        kept = (
+            {number: row for number, row in rows.items() if number not in drives} for rows in (self.rows, self.opposed)
+        )
+        return Stretch(*kept)
 
     def alike(self, maps: Sequence[ReferenceMap]) -> Floats:
         """Cosine (n, n) of each two layers' descriptors; 0 where they cannot be compared, or are not alike at all."""

@@ -256,6 +256,9 @@ class DeadReckoning:
 class TurnAround:
     """Whether the vehicle has turned around and now drives back, by its displacement at each used frame."""
 
+    course_rad: float | None = None
+    """Of the newest third of the frames, clockwise from north; None where that is not known."""
+
     def __init__(self) -> None:
         self._recent: deque[Displacement] = deque(maxlen=TURN_FRAMES)
 
@@ -263,13 +266,15 @@ class TurnAround:
         """True at the frame at which it drives the other way; then not again before it has turned once more."""
         if displacement is None or (self._recent and displacement.leg != self._recent[-1].leg):
             self._recent.clear()
+        third, self.course_rad = TURN_FRAMES // 3, None
         if displacement is None:
             return False
         self._recent.append(displacement)
-        third = TURN_FRAMES // 3
+        if len(self._recent) >= third:
+            self.course_rad = after = _course(self._recent[-third], displacement)
         if len(self._recent) < TURN_FRAMES:
             return False
-        before, after = (_course(self._recent[at], self._recent[at + third - 1]) for at in (0, TURN_FRAMES - third))
+        before = _course(self._recent[0], self._recent[third - 1])
         turned = before is not None and after is not None and abs(math.remainder(after - before, math.tau)) > AROUND_RAD
         if turned:
             self._recent.clear()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from edge.config import RigConfig
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.reference_map import Position, Route
-from edge.sequence import Direction, PlaceMatch
+from edge.sequence import MOST_ASIDE_RAD, Direction, PlaceMatch
 
 UNTRACKED_SIGMA_M = 10.0
 """Of a match that the filter does not follow: the first lines on a stretch were up to 20 m off."""
@@ -28,9 +28,6 @@ PUSHED = 3.0
 """Places from an end of the drive within which a line may have been pushed."""
 JITTER_M = 1.5
 """What else differs from match to match."""
-MOST_ASIDE_RAD = math.radians(60)
-"""Between the way that the vehicle goes and that of the road that it matches. Where a mapped drive turned round and the
-vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
 LEAST_SHARPNESS = 0.05
 """A line that is less sharp says nothing of where the vehicle is. Of drives 12 m beside the map's, with such lines the
 estimate stayed on the road while the vehicle left it: 32 m off and 5 sigma; without them 8 m and 1.7. In drives home by

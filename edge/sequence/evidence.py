@@ -6,7 +6,8 @@ much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a pl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.reference_map import COST_ONE
-from edge.sequence import ORDERS, Direction, PlaceMatch
+from edge.sequence import MOST_ASIDE_RAD, ORDERS, Direction, PlaceMatch
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch
 
 BESIDE = 0.3
@@ -22,6 +23,10 @@ BESIDE = 0.3
 within a line, and at least so many places as a line has frames: neighbors are as alike where frames are denser. With a
 frame every meter on a map of 2 m, recall was .37 so, and .27 with what was driven alone; every 4 m on a map of 1 m,
 .27, and .08 with so many places as frames."""
+CHORD_M = 5.0
+"""From a place to those whose chord is the way of its road; positions by GPS are wrong by a meter or two."""
+LEAST_M = 1.5
+"""A chord that is shorter says nothing of a way."""
 
 
 class Neighborhood:
@@ -76,6 +81,53 @@ class Neighborhood:
         """The places of the same drive."""
         first, end = np.searchsorted(self._segment_of, [self._segment_of[place], self._segment_of[place] + 1])
         return slice(int(first), int(end))
+
+
+class Roads:
+    """The drives of some places as ways on the ground."""
+
+    def __init__(
+        self,
+        east_north_m: NDArray[np.float64],
+        route_m: NDArray[np.float64],
+        segments: Sequence[tuple[int, int]],
+        laps: Sequence[int | None],
+        config: AcceptanceConfig,
+    ) -> None:
+        """east_north_m (N, 2), route_m (N,) (NaN where unknown). segments: [start, end) of each drive, laps: as closed.
+
+        What a vehicle goes along may lie as far from the place as `window_m`: it sees ahead, and turns later.
+        """
+        self._ahead = np.full((2, len(route_m)), np.nan)
+        self._around = np.tile(np.arange(len(route_m)), (2, 1))  # the first and the last place within the window
+        for (start, end), lap in zip(segments, laps, strict=True):
+            here, along_m = slice(start, end), np.abs(route_m[start:end] - route_m[start])
+            if end - start < 2 or np.isnan(along_m).any() or (np.diff(along_m) < 0).any():
+                continue
+            (before, after), at = _within(along_m, CHORD_M), np.arange(end - start)
+            before, after = np.minimum(before, at - 1).clip(0), np.maximum(after, at + 1).clip(0, end - start - 1)
+            chords_m = (east_north_m[start + after] - east_north_m[start + before]).T
+            lengths_m = np.hypot(*chords_m)
+            self._ahead[:, here] = np.where(lengths_m > LEAST_M, chords_m / np.maximum(lengths_m, LEAST_M), np.nan)
+            if lap is not None:  # it goes on at its beginning
+                self._ahead[:, [start, end - 1]] = np.nan
+            self._around[:, here] = np.stack(_within(along_m, config.window_m)) + start
+
+    def against(self, course_rad: float) -> dict[Direction, NDArray[np.bool_]]:
+        """Places (N,) around which the road nowhere leads along a course, by direction; none where it is unknown."""
+        along = math.sin(course_rad) * self._ahead[0] + math.cos(course_rad) * self._ahead[1]
+        (first, last), found = self._around, {}
+        ways: tuple[tuple[Direction, NDArray[np.float64]], ...] = (("forward", along), ("reverse", -along))
+        for direction, ahead in ways:
+            aside = np.concatenate([[0], np.cumsum(ahead < math.cos(MOST_ASIDE_RAD))])
+            found[direction] = aside[last + 1] - aside[first] == last + 1 - first
+        return found
+
+
+def _within(along_m: NDArray[np.float64], reach_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The first and the last place within a distance of each place, by the meters (n,) along their drive."""
+    last = np.searchsorted(along_m, along_m + reach_m, side="right") - 1
+    return np.searchsorted(along_m, along_m - reach_m), last
 
 
 def best_match(

@@ -147,21 +147,30 @@ class PlaceSearch:
             self._search(self._everything(), None)
 
     def push(
-        self, change: NormalizedRows, ring: Ring, near: Near | None, *, step: float = 1.0, is_measured: bool = False
+        self,
+        change: NormalizedRows,
+        ring: Ring,
+        near: Near | None,
+        *,
+        step: float = 1.0,
+        is_measured: bool = False,
+        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """The best match now; None while there are too few rows, or the maps are still being scanned.
 
         step: places that are as far apart as was driven since the last row. is_measured: whether that was measured, so
-        that lines are hardly inclined.
+        that lines are hardly inclined. course_rad: see `SequenceMatcher.push`.
         """
         self._measure(is_measured)
         self._is_position_known = near is not None
         if not self._is_whole and near is not None:
             self._look_around(near)
         self._drive(step)
+        if self.part is not None:
+            self.part.head(course_rad)
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._span, self._lanes)
+            found = self._scan.step(ring(), self._span, self._lanes, course_rad)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found

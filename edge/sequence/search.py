@@ -17,8 +17,9 @@ costs COST_ONE, as a place with nothing in common would.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -243,8 +244,11 @@ class SequenceSearch:
                 total[first - start :] += row[first - offset : stop - offset]
         self._sums.of(k)[plane, start:stop] = total
 
-    def lines(self) -> Lines | None:
-        """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends."""
+    def lines(self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})) -> Lines | None:
+        """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends.
+
+        against: places (N,) at which none ends in a direction, by direction.
+        """
         if self._rows < self._first_rows:
             return None
         best = self._sums.of(0).copy()
@@ -257,6 +261,9 @@ class SequenceSearch:
         if self._impossible is not None:
             for row, impossible in zip(by_plane, self._impossible, strict=True):
                 row[impossible] = NO_LINE
+        for row, (direction, _) in zip(by_plane, self.planes, strict=True):
+            if direction in against:
+                row[against[direction]] = NO_LINE
         costs = by_plane[0] if len(by_plane) == 1 else np.minimum(*by_plane[:2])
         for other in by_plane[2:]:
             np.minimum(costs, other, out=costs)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.evidence import Neighborhood, best_match, best_match_within
+from edge.sequence.evidence import Neighborhood, Roads, best_match, best_match_within
 from edge.sequence.parallax import Lanes, lane_costs
 from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
 
@@ -27,6 +28,8 @@ class RowMatcher:
     """
 
     lines: Lines | None = None
+    _against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})
+    """Places (N,) that the vehicle cannot pass in a direction."""
 
     def __init__(
         self,
@@ -80,7 +83,7 @@ class RowMatcher:
         return self._best()
 
     def _best(self) -> PlaceMatch | None:
-        self.lines = self._search.lines()
+        self.lines = self._search.lines(self._against)
         if self.lines is None:
             return None
         return self._named(best_match(self._search, self.lines, self._newest_searched, self.neighborhood))
@@ -131,14 +134,17 @@ class Submap(RowMatcher):
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
+        segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
+        east_north_m = map_set.east_north_m(ranges)
+        route_m = np.ascontiguousarray(map_set.places_in(ranges)["route_m"])
+        self._roads = Roads(east_north_m, route_m, segments, laps, config.acceptance)
         neighborhood = Neighborhood(
-            map_set.east_north_m(ranges),
-            np.ascontiguousarray(map_set.places_in(ranges)["route_m"]),
+            east_north_m,
+            route_m,
             np.repeat(np.array([number for number, _, _ in pieces], dtype=np.int32), lengths),
             config.acceptance,
             {number: lap for (number, _, _), lap in zip(pieces, laps, strict=True) if lap is not None},
         )
-        segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
 
     def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lanes: Lanes) -> bool:
@@ -162,6 +168,15 @@ class Submap(RowMatcher):
         self.neighborhood, self.lines = neighborhood, None
         self._search = self._search.grown(segments, possible, costs)
         return True
+
+    def head(self, course_rad: float | None) -> None:
+        """Search from the next row on only what leads along a course; everything if that is not known."""
+        self._against = {} if course_rad is None else self._roads.against(course_rad)
+
+    @property
+    def excludes(self) -> bool:
+        """Whether lines against the course are not searched."""
+        return any(bool(of.any()) for of in self._against.values())
 
     def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
         """The best line that ends at places [first, end) of one drive; None where none of them is in this part."""
@@ -222,10 +237,13 @@ class GlobalSearch:
         self._next = 0
         self._found: list[PlaceMatch] = []
 
-    def step(self, ring: NDArray[np.float32], span: float, lanes: Lanes) -> PlaceMatch | None:
+    def step(
+        self, ring: NDArray[np.float32], span: float, lanes: Lanes, course_rad: float | None = None
+    ) -> PlaceMatch | None:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
-        span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`.
+        span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`. course_rad: see
+        `PlaceSearch.push`.
         """
         if len(ring) < self._config.sequence.length:
             return None
@@ -233,6 +251,7 @@ class GlobalSearch:
         # Lines that end in the slice may begin before it, or after it on the way back.
         ranges = self._map_set.index.widened([(self._next, end)], math.ceil(span))
         slice_of_maps = Submap(ranges, self._map_set, self._config, span)
+        slice_of_maps.head(course_rad)
         ages = range(len(ring))[::-1]
         costs = lane_costs(self._map_set, ring, ages, ranges, lanes)
         match = slice_of_maps.refill(costs, lanes.driven[-len(ring) :])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
@@ -13,8 +13,11 @@ from edge.errors import MapError
 from edge.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
 from edge.reference_map import MapSet, ReferenceMap, open_map_set
 from sim.maps.choice import Choice, choose
+from sim.maps.outvoted import outvoted
 from sim.maps.use import Use
 
+MOST_COMPARED, LEAST_WINDOWS = 2000, 100
+"""Windows of drives that are compared with those of others, of all drives and at least: about 10 s, see `AT_START`."""
 LAYERS = 4
 """Searched of one road, unless said otherwise: a light of the day and one of the night for each way of looking."""
 STALE_AFTER = 3
@@ -52,8 +55,11 @@ def learn(
     maps, drives = _opened(folder, tallies)
     road, use = stretches(maps.maps), Use(maps.maps, tallies, stale_after)
     forced = _forced(maps.maps, drives, is_ours)
+    wrong = _wrong(maps, forced)
+    road = [stretch.without(wrong) for stretch in road]
     forced.update(_new(road, use, drives, tallies, forced))
-    return Learned(tuple(drives), choose(road, maps.maps, use, layers, forced))
+    choice = choose(road, maps.maps, use, layers, forced)
+    return Learned(tuple(drives), replace(choice, retired={**choice.retired, **wrong}))
 
 
 def stale_places(folder: Path, stale_after: int = STALE_AFTER) -> Iterator[tuple[str, int, int]]:
@@ -82,6 +88,17 @@ def _opened(folder: Path, tallies: Sequence[Tally]) -> tuple[MapSet, list[Stored
         raise MapError(f"{maps.excluded[0].why}; delete this map or copy it again first")
     by_path = {one.path: one for one in stored_maps(folder, tallies)}
     return maps, [by_path[one.path] for one in maps.maps]
+
+
+def _wrong(maps: MapSet, forced: Mapping[int, str]) -> dict[int, str]:
+    """Drives whose positions are not those of the others, and by how much; a drive that is forced is not named."""
+    most = max(LEAST_WINDOWS, MOST_COMPARED // max(1, len(maps.maps)))
+    far = outvoted(maps, most)
+    return {
+        number: f"{far[one.path]:.0f} m from where two or more other drives were"
+        for number, one in enumerate(maps.maps)
+        if one.path in far and number not in forced
+    }
 
 
 def _forced(

@@ -32,6 +32,7 @@ class Driven:
     made_s: float = MADE_S
     is_placed: bool = True
     back: bool = False
+    east_m: float = 0.0
 
 
 def build(path: Path, drive: Driven) -> Path:
@@ -44,7 +45,9 @@ def build(path: Path, drive: Driven) -> Path:
         builder.begin_segment(f"drive of {path.name}", drive.view)
         rows = list(range(drive.start, drive.end))[:: -1 if drive.back else 1]
         for row, at in enumerate(rows):
-            lat_deg, lon_deg = moved(-27.0, 153.0, 0.0, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
+            lat_deg, lon_deg = (
+                moved(-27.0, 153.0, drive.east_m, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
+            )
             heading_deg = 180.0 * drive.back
             builder.add(seen[at], Place(row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M, b"", 1.5, "gps"))
         builder.finish()

@@ -63,6 +63,21 @@ def test_matches_that_move_with_the_odometer_are_believed(direction: Direction) 
     assert belief.along_m == pytest.approx(580.0 if direction == "forward" else 420.0)
 
 
+def test_a_drive_that_was_matched_first_does_not_hold_back_the_one_that_agrees_with_it() -> None:
+    """Two drives over one road: a few matches on one do not show that its places go along with the vehicle."""
+    alone = _last(_drive(PlaceConsensus(SETTINGS), _right(500.0, 40)))
+    on_two_drives: list[PlaceVote | None] = [
+        replace(vote, drive=int(frame >= 4)) for frame, vote in enumerate(_right(500.0, 40)) if vote is not None
+    ]
+
+    def on_one_spot(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([np.zeros(len(drives)), along_m])
+
+    both = _last(_drive(PlaceConsensus(SETTINGS, on_one_spot), on_two_drives))
+    assert both.drive == 1
+    assert both.confidence == pytest.approx(alone.confidence, abs=0.02)
+
+
 def test_one_match_is_not_believed() -> None:
     belief = _last(_drive(PlaceConsensus(SETTINGS), _right(500.0, 1)))
     assert not belief.is_believed

@@ -146,6 +146,20 @@ def test_turning_around_is_noticed_once(turn_deg: float, around: int) -> None:
     assert noticed == around
 
 
+def test_the_course_is_that_of_the_newest_frames() -> None:
+    """North, then east; none where the displacement is unknown, begins again, or hardly grows."""
+    turning, third = TurnAround(), TURN_FRAMES // 3
+    for frame in range(2 * third):
+        assert (turning.course_rad is None) == (frame < third)
+        turning.add(Displacement(1, max(0.0, frame - third) * 2.0, min(frame, third) * 2.0))
+    assert turning.course_rad == pytest.approx(math.pi / 2)
+    turning.add(Displacement(2, 0.0, 0.0))
+    assert turning.course_rad is None
+    for _ in range(third):
+        turning.add(Displacement(2, 0.0, 0.0))
+    assert turning.course_rad is None
+
+
 def test_another_leg_is_no_turn() -> None:
     turning = TurnAround()
     for leg, sign in ((1, 1), (2, -1)):

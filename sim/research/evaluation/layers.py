@@ -54,6 +54,8 @@ NEW: tuple[tuple[View, LightName, int], ...] = (("front", "snow", 15), ("front",
 REBUILT = slice(180, 220)
 GRAY: dict[LightName, int] = {"day": 120, "dusk": 60, "night": 20, "rain": 100, "snow": 140}
 M_PER_DEG = 110_574.0
+FIRST_COURSE = 12
+"""The first frame with a course, as of `TurnAround`."""
 AHEAD_M = 30.0
 """That a front camera sees before a rear one that looks the other way: the median of docs/evaluation.md."""
 
@@ -70,7 +72,12 @@ def write_drive(path: Path, drive: Described, view: View) -> None:
 
 
 def drive_over(
-    folder: Path, query: Described, light: LightName, tally: DriveTally, judged: slice = slice(FIRST_FRAME, None)
+    folder: Path,
+    query: Described,
+    light: LightName,
+    tally: DriveTally,
+    judged: slice = slice(FIRST_FRAME, None),
+    knows_course: bool = True,
 ) -> list[float]:
     """Meters to the first right belief, recall, precision, and places searched, of one drive of a front camera.
 
@@ -78,10 +85,11 @@ def drive_over(
     """
     maps = open_map_set(folder)
     matcher = SequenceMatcher(maps, Config(rig=RigConfig(parallax=1.0)))
+    course_rad = (0.0 if query.route_m[-1] > query.route_m[0] else np.pi) if knows_course else None
     image = np.full((16, 16, 3), GRAY[light], np.uint8)
     right, believed, first_m = [], [], float("inf")
     for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
-        match = matcher.push(raw, distance_m=driven_m)
+        match = matcher.push(raw, distance_m=driven_m, course_rad=course_rad if frame >= FIRST_COURSE else None)
         is_believed = match is not None and match.accepted
         off_m = float("inf")
         if match is not None:
@@ -141,6 +149,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--length", type=float, default=800.0, help="of the road, m")
+    parser.add_argument("--no-course", action="store_true", help="nothing knows which way the vehicle goes")
     parser.add_argument("--rebuilt", action="store_true", help="the road that was rebuilt instead")
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
@@ -163,7 +172,8 @@ def main() -> None:
             cells = []
             for query, light in ((dusk, "dusk"), (home, "night")):
                 tally = DriveTally(folder, "front", time.time(), f"{light}-{what}")
-                first_m, recall, precision, places = drive_over(folder, query, light, tally)  # type: ignore[arg-type]
+                found = drive_over(folder, query, light, tally, knows_course=not args.no_course)  # type: ignore[arg-type]
+                first_m, recall, precision, places = found
                 tally.close()
                 cells.append(f"{first_m:.0f} m, {recall:.2f}, {precision:.3f}")
             print(f"| {seed} | {what} | {places:.0f} | {cells[0]} | {cells[1]} |", flush=True)

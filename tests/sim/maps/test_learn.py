@@ -114,6 +114,15 @@ def test_drives_that_may_not_be_retired_stay(folder: Path, tmp_path: Path) -> No
     assert "4" not in learn(folder, 1, is_ours=partial(is_signed_with, key_file=tmp_path / "other")).retired
 
 
+def test_a_drive_that_was_recorded_beside_the_road_is_named_and_not_searched(tmp_path: Path) -> None:
+    for number in range(3):
+        build(tmp_path / f"{number}", Driven(0, east_m=15.0 * (number == 2), made_s=MADE_S + number))
+    learned = learn(tmp_path)
+    assert learned.choice.retired == {2: "15 m from where two or more other drives were"}
+    (tmp_path / "2" / "keep").touch()
+    assert not learn(tmp_path).choice.retired
+
+
 def test_a_stretch_that_is_no_longer_there_is_no_layer_where_a_new_one_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
