@@ -106,8 +106,9 @@ class PlaceRecognizer:
         missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
         match = self.matcher.push(raw, near, missed, distance_m, course_rad)
         if match is None:
-            first = self.matcher.first
-            self.state = "off the map" if first.has_lines else "searching" if first.is_scanning else "warming up"
+            first, is_matched = self.matcher.first, distance_m is not None or not self.matcher.needs_odometer
+            off_the_map = is_matched and first.has_lines
+            self.state = "off the map" if off_the_map else "searching" if first.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
