@@ -104,7 +104,7 @@ def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network,
 
     Cameras that look opposite ways are believed after a longer way than this module's street has.
     """
-    street = replace(STREET, seed=8, length_m=480.0)
+    street = replace(STREET, seed=8, length_m=360.0)
     rear = record(replace(street, view="rear"), tmp_path / "long_rear")
     build_map([rear], tmp_path / "long.map", DescriptorConfig(), SamplingConfig(), network=network)
     long_map = open_map(tmp_path / "long.map")
