@@ -12,7 +12,9 @@ from collections import deque
 from dataclasses import dataclass
 
 SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
-LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports are believed to span
+LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports of a velocity are believed to span
+LONGEST_GAP_OF_SPEED_NS = 5_000_000_000
+"""The same of a speed, which is the distance to sample by alone: an autopilot that reboots is silent for 2.7 s."""
 STANDING_MPS = 0.1  # a standing EKF still reports 0.04 m/s (recorded Rover 4.6.3)
 MAX_SPEED_MPS = 350.0  # a speed beyond it is damage, or not a number
 LEAST_SILENT_MPS = 2.0
@@ -62,9 +64,9 @@ class Displacement:
 class _Integral:
     """A rate with one or more components, integrated over time; the last KEPT reports can be looked up."""
 
-    def __init__(self, valid_ns: int) -> None:
-        """valid_ns: how long the newest rate holds beyond its stamp."""
-        self._valid_ns = valid_ns
+    def __init__(self, valid_ns: int, spans_ns: int = LONGEST_GAP_NS) -> None:
+        """valid_ns: how long the newest rate holds beyond its stamp. spans_ns: the longest silence between two."""
+        self._valid_ns, self._spans_ns = valid_ns, spans_ns
         self._stamps_ns: list[int] = []
         self._totals: list[tuple[float, ...]] = []
         self._rate: tuple[float, ...] = ()
@@ -88,7 +90,7 @@ class _Integral:
         """A rate at a time after the newest; after a gap that is too long the integral goes on from where it was."""
         total = self.total or (0.0,) * len(rate)
         gap_ns = stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
-        if 0 < gap_ns <= LONGEST_GAP_NS:
+        if 0 < gap_ns <= self._spans_ns:
             total = tuple(
                 before + (new + old) / 2 * gap_ns / 1e9
                 for before, new, old in zip(total, rate, self._rate, strict=True)
@@ -148,7 +150,7 @@ class DeadReckoning:
     """Distance driven by the best source of speed that still reports, and displacement by velocity."""
 
     def __init__(self) -> None:
-        self._distance = _Integral(SPEED_VALID_NS)
+        self._distance = _Integral(SPEED_VALID_NS, LONGEST_GAP_OF_SPEED_NS)
         self._displacement = _Integral(LONGEST_GAP_NS)
         self._legs = 0
         self._unknown_m, self._is_leg_over = 0.0, True
@@ -172,7 +174,7 @@ class DeadReckoning:
             gap_ns = stamp_ns - last_ns
             if gap_ns <= 0 or (source > self._source and gap_ns < SPEED_VALID_NS):
                 return
-            self.gaps += gap_ns > LONGEST_GAP_NS
+            self.gaps += gap_ns > LONGEST_GAP_OF_SPEED_NS
         forward_mps = speed_mps if abs(speed_mps) >= STANDING_MPS else 0.0
         ahead_m = self._distance.total[0] if self._distance.total else 0.0
         self._furthest_m = max(self._furthest_m, ahead_m)

@@ -56,7 +56,6 @@ class RouteFilter:
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
-        self._disagreeing = 0  # matches since one agreed
         self._since_gps: RouteEstimate | None = None
         self._since_lost: RouteEstimate | None = None
         """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
@@ -128,7 +127,7 @@ class RouteFilter:
         track = self._track
         if track is None:
             return False
-        return not track.is_confirmed or self._disagreeing >= DISAGREE
+        return not track.is_confirmed or track.disagreeing >= DISAGREE
 
     def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
@@ -165,9 +164,8 @@ class RouteFilter:
         elif track.agrees(sighting, self._rig.sigma_across_m):
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
         else:
-            self._disagreeing += 1
+            track.disagreeing += 1
             return
-        self._disagreeing = 0
         self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
 
     def _begin(self, sighting: Sighting, stamp_ns: int) -> Track:

@@ -16,7 +16,8 @@ from edge.localization.sighting import Sighting
 class Track:
     """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match.
 
-    contradicts_reckoning: whether the first match was not where reckoning had the vehicle, as well as it knew.
+    disagreeing: matches since then. contradicts_reckoning: whether the first match was not where reckoning had the
+    vehicle, as well as it knew.
     """
 
     estimate: RouteEstimate
@@ -25,6 +26,7 @@ class Track:
     matches: int = 0
     since_m: float = 0.0
     driven_m: float = 0.0
+    disagreeing: int = 0
     contradicts_reckoning: bool = False
 
     @property
@@ -74,5 +76,5 @@ class Track:
             self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
         if sighting.regions is not None:
             self.estimate.correct_by_regions(sighting.regions)
-        self.newest, self.stamp_ns, self.since_m = sighting, stamp_ns, 0.0
+        self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches += 1

@@ -41,7 +41,6 @@ from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
 SETTLED_NS = 10_000_000_000  # after GPS is used again, nothing is left of a position of ours
-REMEMBER_NS = 1_000_000_000
 LATE_NS = 10_000_000_000  # resets that improve on the autopilot come up to so far apart
 log = logging.getLogger(__name__)
 
@@ -71,10 +70,9 @@ class PositionSender:
         self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
         self.doubted_gps = DoubtedGps(vehicle, record, send_text)
         bound = remembered and remembered.with_suffix(".bound")
-        self._remembered, self._remember_due_ns = RememberedBound(bound, gates.drift_percent), 0
-        self._was_aided = False
+        self._remembered = RememberedBound(bound, gates.drift_percent)
         self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
-        self._withheld = self._withheld_words = ""
+        self._withheld: FixWithheld | None = None
         self._recorded_ns = 0
         self._start_over()
 
@@ -160,7 +158,7 @@ class PositionSender:
         if refused is not None:
             self._withhold(fix, refused, now_ns)
             return []
-        self._withheld = self._withheld_words = ""
+        self._withheld = None
         messages = self._encode(fix, now_ns, self.message)
         if not messages:
             return []
@@ -192,17 +190,21 @@ class PositionSender:
         if self._use.is_off:
             return "the autopilot refuses positions"
         is_late = self._last_sent_ns is None or now_ns - self._last_sent_ns >= LATE_NS
-        return (self._withheld_words or "the places do not agree yet") if is_late else ""
+        if not is_late:
+            return ""
+        withheld = self._withheld
+        if withheld is None:
+            return "the places do not agree yet"
+        is_far = withheld.reason == "impossibly far" and withheld.distance_m is not None
+        return f"{withheld.reason}, {withheld.distance_m:.0f} m" if is_far else withheld.reason
 
     def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
         why = f": {self._vehicle.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
-        if refused.reason + why == self._withheld:
+        if self._withheld is not None and refused.reason + why == self._withheld.reason:
             return
-        self._withheld = self._withheld_words = refused.reason + why
-        if refused.reason == "impossibly far" and refused.distance_m is not None:
-            self._withheld_words += f", {refused.distance_m:.0f} m"
         distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
-        self._record(FixWithheld(fix.place, self._withheld, distance_m, fix.map))
+        self._withheld = FixWithheld(fix.place, refused.reason + why, distance_m, fix.map)
+        self._record(self._withheld)
 
     def _encode(self, fix: PlaceFix, now_ns: int, message: PositionMessage, *, again: bool = False) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
@@ -292,7 +294,9 @@ class PositionSender:
         self._choose_sources(works=receivers == "healthy")
         if self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
-        self._remember(report)
+        remembered_m = self._remembered.update(report, vehicle, self._estimator.bounded_m(report))
+        if remembered_m is not None:
+            self._bind(remembered_m, now_ns)
         self._use.check(now_ns)
         return messages + self._send_again(now_ns)
 
@@ -305,23 +309,6 @@ class PositionSender:
         # Whether or not the filter uses GPS: with the second set it does not.
         elif works and not self._gates.with_gps and (self._has_sources or self.sources.wanted == VISION_SET):
             self.sources.wanted = GPS_SET
-
-    def _remember(self, report: Report) -> None:
-        """Keep what bounds the autopilot's position over a restart of this program, or use what was kept."""
-        vehicle, now_ns = self._vehicle, report.now_ns
-        if self._was_aided and not vehicle.is_aided:
-            self._remembered.drop()
-        self._was_aided = vehicle.is_aided
-        if now_ns < self._remember_due_ns or not vehicle.is_aided:
-            return
-        self._remember_due_ns = now_ns + REMEMBER_NS
-        bounded_m = self._estimator.bounded_m(report)
-        if bounded_m is not None:
-            self._remembered.keep(bounded_m, vehicle, now_ns, by_fixes=vehicle.has_our_position)
-        elif (remembered := self._remembered.recall(vehicle, now_ns)) is not None:
-            remembered_m, by_fixes = remembered
-            self._bind(remembered_m, now_ns)
-            vehicle.has_our_position |= by_fixes
 
     def _send_again(self, now_ns: int) -> list[Message]:
         """A fix that was not answered, once, unless it is stale by now, the vehicle stands, or GPS is back."""

@@ -16,8 +16,10 @@ import msgspec
 from msgspec.structs import replace
 
 from edge.geodesy import east_north_of
+from edge.localization import Report
 from edge.telemetry.vehicle import Vehicle
 
+PERIOD_NS = 1_000_000_000
 LONGEST_NS = 600_000_000_000
 SAME_BOOT_NS = 2_000_000_000
 CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
@@ -51,9 +53,29 @@ class RememberedBound:
         self._path, self._drift = path, drift_percent / 100
         self._computer_boot = BOOT_ID.read_text(encoding="ascii").strip()
         self._bound: Bound | None = None
+        self._due_ns, self._was_aided = 0, False
         if path is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
                 self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
+
+    def update(self, report: Report, vehicle: Vehicle, sigma_m: float | None) -> float | None:
+        """Keep what bounds the autopilot's position, once a second; where nothing does, recall what was kept.
+
+        sigma_m: one standard deviation of it, None where nothing bounds it. Returns the kept one, None without one.
+        """
+        now_ns = report.now_ns
+        if self._was_aided and not report.is_aided:
+            self.drop()
+        self._was_aided = report.is_aided
+        if now_ns < self._due_ns or not report.is_aided:
+            return None
+        self._due_ns = now_ns + PERIOD_NS
+        if sigma_m is not None:
+            self.keep(sigma_m, vehicle, now_ns, by_fixes=vehicle.has_our_position)
+            return None
+        remembered_m, by_fixes = self.recall(vehicle, now_ns) or (None, False)
+        vehicle.has_our_position |= by_fixes
+        return remembered_m
 
     def keep(self, sigma_m: float, vehicle: Vehicle, now_ns: int, *, by_fixes: bool) -> None:
         """Replace what is remembered; not where the autopilot has no position, time or speed."""

@@ -119,6 +119,15 @@ def test_a_silence_in_which_the_vehicle_may_have_moved_is_counted() -> None:
     assert motion.distance_m(40 * 10**9) == pytest.approx(15.0)  # of the three seconds that are known
 
 
+def test_a_vehicle_goes_on_while_its_autopilot_reboots() -> None:
+    """It is silent for 2.7 s, in which a line of frames must not lose what was driven."""
+    motion = DeadReckoning()
+    for second in (0.0, 1.0, 3.7, 4.7):
+        motion.add_speed(round(second * 1e9), 5.0, source=0)
+    assert motion.gaps == 0
+    assert motion.distance_m(round(4.7e9)) == pytest.approx(5.0 * 4.7)
+
+
 def test_going_back_is_no_distance() -> None:
     """Places are not sampled again on the way back and forth, but for more than 30 m nobody remembers them."""
     motion = DeadReckoning()

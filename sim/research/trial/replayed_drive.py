@@ -137,6 +137,8 @@ class Playback:
         self._frames = deque(
             one for one in drive.link if run.from_s <= one.time_s < run.to_s and _is_autopilots(one.message)
         )
+        values = (one for one in drive.link if one.message.get_type() == "PARAM_VALUE" and _is_autopilots(one.message))
+        self._parameters = {one.message.param_id: one.data for one in values}
         self._exposures_s = deque(run.exposures_s.tolist())
         ours = (one.time_s for one in drive.link if one.message.get_srcComponent() == WE and read_position(one.message))
         self._ours_s = deque(time_s for time_s in ours if run.from_s <= time_s < run.to_s)
@@ -167,6 +169,8 @@ class Playback:
             if message.get_type() == "COMMAND_INT" and message.command == EXTERNAL_POSITION_ESTIMATE:
                 accepted = acknowledgement(message.command, mavlink.MAV_RESULT_ACCEPTED, 0, 1, WE)
                 self._answers.append((now_s + ANSWERS_S, self._codec.encode(accepted)))
+            if message.get_type() == "PARAM_REQUEST_READ" and message.param_id in self._parameters:
+                self._answers.append((now_s + ANSWERS_S, self._parameters[message.param_id]))
         while self._frames and self._frames[0].time_s <= now_s:
             self._link.send(self._frames.popleft().data)
         while self._answers and self._answers[0][0] <= now_s:
