@@ -171,8 +171,8 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
         sed -i "s|$stage|$prefix|g" "$file"
     done
     # The service cannot write here, so compile the modules now. Packages also contain files for other Python
-    # versions, which do not compile.
-    "$stage/bin/python" -m compileall -q -j 0 -s "$stage" -p "$prefix" "$stage/lib" || true
+    # versions, which do not compile, and some of which Python 3.14 warns.
+    PYTHONWARNINGS=ignore "$stage/bin/python" -m compileall -q -j 0 -s "$stage" -p "$prefix" "$stage/lib" || true
 }
 
 accepts_config() { # accepts_config ENVIRONMENT: whether its version accepts the config and the files that it names
