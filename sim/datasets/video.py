@@ -62,8 +62,10 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     if fixes:
         rows = Track(str(path), fixes).rows(str(path), names, stamps_ns)
     else:
-        tried = "mapillary_tools and ExifTool" if _has_exiftool() else "mapillary_tools (ExifTool is not installed)"
-        log.warning("%s: no positions in it by %s; used without, unless --positions names a track", path.name, tried)
+        more = "" if _has_exiftool() else "; ExifTool, which knows more dashcams, is not installed"
+        log.warning(
+            "%s: no positions are found in it%s; used without, unless --positions names a track", path.name, more
+        )
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
     return Traverse(
         name=path.stem,

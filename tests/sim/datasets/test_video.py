@@ -149,7 +149,7 @@ def test_a_gopro_without_a_fix_has_no_positions_and_says_so(
     gopro(tmp_path / "indoors.MP4", degrees_at, fix=0)
     assert np.isnan(north_m(tmp_path / "indoors.MP4", degrees_at)).all()
     assert "GPS is too noisy" in caplog.text
-    assert "indoors.MP4: no positions in it by mapillary_tools" in caplog.text
+    assert "indoors.MP4: no positions are found in it" in caplog.text
 
 
 def nmea(text: str) -> str:
