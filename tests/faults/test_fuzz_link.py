@@ -170,8 +170,8 @@ class Stranger:
             if self._socket is None:
                 stream = self._kind == "tcpin"
                 self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM if stream else socket.SOCK_DGRAM)
-                self._socket.connect(("127.0.0.1", self._port))
                 self._socket.setblocking(False)
+                self._socket.connect_ex(("127.0.0.1", self._port))  # waits for nobody, where the queue is full
             self._socket.send(data)
         except BlockingIOError:  # its buffer is full
             pass
