@@ -264,6 +264,28 @@ def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:
     assert "name a config file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("section", "values", "words"),
+    [
+        ("camera", {"kind": "usb"}, "[camera] kind: unknown camera 'usb'; use one of v4l2, oak, stream, feed, sim"),
+        (
+            "telemetry",
+            {"connection": "udp://127.0.0.1:14550"},
+            "[telemetry] connection: 'udp://127.0.0.1:14550' is not",
+        ),
+    ],
+)
+def test_offline_finds_what_a_run_would_end_with(
+    write_config: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+    section: str,
+    values: dict[str, str],
+    words: str,
+) -> None:
+    assert main(["doctor", "--offline", str(write_config(**{section: values}))]) == 78
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
 def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     """The port and the camera of this config are not there, and only the links' own words are checked."""
     config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
