@@ -27,6 +27,7 @@ def street(make_street: Callable[..., Path]) -> tuple[Path, ReferenceMap]:
 def config(folder: Path, minutes: float = 30.0, journal: str = "events.jsonl") -> Config:
     return Config(
         descriptor=DescriptorConfig(keep_statistics_min=minutes),
+        sampling=SamplingConfig(by="frames"),
         sequence=SequenceConfig(length=8),
         acceptance=AcceptanceConfig(window_m=10.0),
         telemetry=TelemetryConfig(journal=str(folder / journal) if journal else ""),

@@ -33,6 +33,7 @@ from edge.telemetry.acknowledgements import MOVED_NS
 from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
+from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.position_use import PositionUse
 from edge.telemetry.remembered_bound import RememberedBound
@@ -294,7 +295,9 @@ class PositionSender:
         self._choose_sources(works=receivers == "healthy")
         if self.sources.wanted is not None:
             messages += self.sources.due(now_ns)
-        remembered_m = self._remembered.update(report, vehicle, self._estimator.bounded_m(report))
+        runs_away = not vehicle.is_aided and velocity_aid(vehicle, self.set_without_gps) is not None
+        bounded_m = self._estimator.bounded_m(report)
+        remembered_m = self._remembered.update(report, vehicle, bounded_m, runs_away=runs_away)
         if remembered_m is not None:
             self._bind(remembered_m, now_ns)
         self._use.check(now_ns)

@@ -53,20 +53,20 @@ class RememberedBound:
         self._path, self._drift = path, drift_percent / 100
         self._computer_boot = BOOT_ID.read_text(encoding="ascii").strip()
         self._bound: Bound | None = None
-        self._due_ns, self._was_aided = 0, False
+        self._due_ns = 0
         if path is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
                 self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
 
-    def update(self, report: Report, vehicle: Vehicle, sigma_m: float | None) -> float | None:
+    def update(self, report: Report, vehicle: Vehicle, sigma_m: float | None, *, runs_away: bool) -> float | None:
         """Keep what bounds the autopilot's position, once a second; where nothing does, recall what was kept.
 
-        sigma_m: one standard deviation of it, None where nothing bounds it. Returns the kept one, None without one.
+        sigma_m: one standard deviation of it, None where nothing bounds it. runs_away: nothing measures its velocity,
+        as far as that is known. Returns the kept one, None without one.
         """
         now_ns = report.now_ns
-        if self._was_aided and not report.is_aided:
+        if runs_away:
             self.drop()
-        self._was_aided = report.is_aided
         if now_ns < self._due_ns or not report.is_aided:
             return None
         self._due_ns = now_ns + PERIOD_NS
@@ -91,9 +91,9 @@ class RememberedBound:
 
     def drop(self) -> None:
         """Nothing measures the velocity any more: the autopilot's position runs away from what is remembered."""
-        self._bound = None
-        if self._path is not None:
+        if self._bound is not None and self._path is not None:
             self._path.unlink(missing_ok=True)
+        self._bound = None
 
     def recall(self, vehicle: Vehicle, now_ns: int) -> tuple[float, bool] | None:
         """The standard deviation now, and whether it rests on positions of ours.

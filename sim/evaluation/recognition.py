@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,7 @@ from edge.journal.records import FrameUsed
 from edge.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
 from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
-from sim.evaluation.replay import replay
+from sim.evaluation.replay import config_for_feed, replay
 
 Value = str | int | float
 DRAWN_PLACES = 4000
@@ -55,7 +54,7 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     network: instead of the one that the config names.
     """
     feed = preprocessed_feed(feed, config.camera)
-    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
+    config = config_for_feed(config, feed)
     recognizer = open_recognizer(config, network=network, map_set=maps)
     search, places = recognizer.matcher.first.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
     used: list[FrameUsed] = []

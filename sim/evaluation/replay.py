@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,9 @@ from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
-from sim.traverse import traverse
+from sim.traverse import driven_m, traverse
+
+log = logging.getLogger(__name__)
 
 CHECK_BYTES = 64 << 20
 
@@ -106,6 +109,16 @@ def with_options(config: Config, length: int | None, confidence_min: float | Non
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
+def config_for_feed(config: Config, feed: Feed) -> Config:
+    """The config with the view of the feed's camera; frames by time where nothing says how far they are apart."""
+    camera, sampling = msgspec.structs.replace(config.camera, view=feed.header.view), config.sampling
+    if sampling.by == "distance" and driven_m(feed) is None:
+        words = "no distances or positions in it: a frame every %g s; they must be as far apart as the map's places"
+        log.warning(f"%s: {words}", feed.path, sampling.interval_s)
+        sampling = msgspec.structs.replace(sampling, by="time")
+    return msgspec.structs.replace(config, camera=camera, sampling=sampling)
+
+
 def run(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command; network: in place of the one that its config names."""
     feed = read_feed(args.feed, feed_options(args))
@@ -115,14 +128,12 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     else:
         config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_min)
     feed = preprocessed_feed(feed, config.camera)
-    sampling = sampling_from(args, config.sampling)
-    # The feed knows where its camera looked.
-    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=feed.header.view))
+    config = config_for_feed(msgspec.structs.replace(config, sampling=sampling_from(args, config.sampling)), feed)
     network = Network.load(args.model) if args.model else network
     recognizer = open_recognizer(config, network=network, map_set=maps)
     for excluded in recognizer.map_set.excluded:
         excluded.log()
-    lines = replay(recognizer, feed, sampling)
+    lines = replay(recognizer, feed, config.sampling)
     if args.output:
         with args.output.open("w", encoding="utf-8") as stream:
             _write(lines, stream, feed, every=args.all)

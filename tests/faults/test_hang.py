@@ -190,8 +190,8 @@ def test_one_place_feeds_the_watchdog() -> None:
     """And only the loop has it do so."""
     edge = Path(__file__).parents[2] / "edge"
     texts = {file.name: file.read_text(encoding="utf-8") for file in edge.rglob("*.py")}
-    assert [name for name, text in texts.items() if re.search(r"notify\(.*WATCHDOG", text)] == ["service.py"]
-    assert [name for name, text in texts.items() if re.search(r"_supervision\.publish\(", text)] == ["daemon.py"]
+    assert [name for name, text in texts.items() if re.search(r"notify\(.*WATCHDOG", text)] == ["health.py"]
+    assert [name for name, text in texts.items() if re.search(r"monitor\.feed_watchdog\(", text)] == ["daemon.py"]
 
 
 def test_a_process_that_is_stopped(write_config: Callable[..., Path], start: Callable[..., Any]) -> None:

@@ -41,7 +41,7 @@ def street(make_street: Callable[..., Path]) -> ReferenceMap:
 
 @pytest.fixture
 def recognizer(street: ReferenceMap, network: Network) -> PlaceRecognizer:
-    config = Config(sequence=SequenceConfig(length=LENGTH))
+    config = Config(sampling=SamplingConfig(by="frames"), sequence=SequenceConfig(length=LENGTH))
     return open_recognizer(config, network=network, map_set=MapSet.of(street))
 
 

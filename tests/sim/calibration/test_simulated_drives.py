@@ -104,7 +104,7 @@ def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network,
 
     Cameras that look opposite ways are believed after a longer way than this module's street has.
     """
-    street = replace(STREET, seed=8, length_m=360.0)
+    street = replace(STREET, seed=8, length_m=480.0)
     rear = record(replace(street, view="rear"), tmp_path / "long_rear")
     build_map([rear], tmp_path / "long.map", DescriptorConfig(), SamplingConfig(), network=network)
     long_map = open_map(tmp_path / "long.map")
@@ -129,7 +129,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     in_sigmas: list[float] = []
     began: tuple[float, float] | None = None
     for item in traverse(dusk, CONFIG.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns)
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, distance_m=item.distance_m)
         lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
         assert lat_deg is not None and lon_deg is not None
         began = began or (lat_deg, lon_deg)
