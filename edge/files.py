@@ -13,6 +13,7 @@ import glob
 import os
 import shutil
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from itertools import count
@@ -53,6 +54,27 @@ def flush_to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+class Behind:
+    """One task at a time in a thread of its own: a disk that hangs must not hold up what drives the vehicle."""
+
+    def __init__(self) -> None:
+        self._thread: threading.Thread | None = None
+
+    def start(self, task: Callable[[], object]) -> bool:
+        """Begin a task, which handles its own errors; False while the last one has not ended: this one is left out."""
+        if self._thread is not None and self._thread.is_alive():
+            return False
+        self._thread = threading.Thread(target=task, name="files", daemon=True)
+        self._thread.start()
+        return True
+
+    def wait(self, seconds: float = 2.0) -> bool:
+        """Whether the last task has ended, after so long at most."""
+        if self._thread is not None:
+            self._thread.join(timeout=seconds)
+        return self._thread is None or not self._thread.is_alive()
 
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)

@@ -11,6 +11,7 @@ import hashlib
 import logging
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import RunningStatistics
 from edge.errors import reason
-from edge.files import replacing
+from edge.files import Behind, replacing
 from edge.recognizer import PlaceRecognizer
 
 MOST_OTHER_BYTES = 4096
@@ -115,13 +116,21 @@ class StateFile:
             raise ValueError(f"{age_s / 60:.0f} minutes old; the light may have changed")
         return KeptState(stored.count, mean, deviation, age_s)
 
-    def write(self, kept: KeptState, now: Moment) -> None:
-        """Replace the file; where the disk refuses it, that is logged once, and the next run starts without it."""
+    def encoded(self, kept: KeptState, now: Moment) -> bytes:
+        """The content of the file."""
         statistics = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
         body = msgspec.msgpack.encode(_Stored(self._key, now, self._shape, kept.count, statistics))
+        return hashlib.sha256(body).digest() + body
+
+    def write(self, kept: KeptState, now: Moment) -> None:
+        """Replace the file by what is kept at a moment; see `put`."""
+        self.put(self.encoded(kept, now))
+
+    def put(self, data: bytes) -> None:
+        """Replace the file; where the disk refuses it, that is logged once, and the next run starts without it."""
         try:
             with replacing(self._path) as stream:
-                stream.write(hashlib.sha256(body).digest() + body)
+                stream.write(data)
             self._logged = False
         except OSError as error:
             if not self._logged:
@@ -145,7 +154,7 @@ class WarmStart:
         """Read what the last run has kept, and start the recognizer with it."""
         self._recognizer = recognizer
         self._file: StateFile | None = None
-        self._written_ns = 0
+        self._written_ns, self._behind = 0, Behind()
         map_set = recognizer.map_set
         descriptor, header, model = config.descriptor, map_set.headers[0], map_set.headers[0].model
         minutes = descriptor.keep_statistics_min
@@ -164,13 +173,19 @@ class WarmStart:
     def keep_if_due(self, now_ns: int) -> None:
         """Write the file, once a minute."""
         if now_ns - self._written_ns >= WRITTEN_EACH_S * 1e9:
-            if self._written_ns:
-                self.keep()
+            kept = self._kept() if self._written_ns else None
+            if self._file is not None and kept is not None:
+                self._behind.start(partial(self._file.put, self._file.encoded(kept, Moment.now())))
             self._written_ns = now_ns
 
     def keep(self) -> None:
-        """Write the file, unless there are too few frames to be worth it."""
+        """Write the file before the program ends, unless there are too few frames to be worth it."""
+        kept = self._kept()
+        if self._file is not None and kept is not None and self._behind.wait():
+            self._file.write(kept, Moment.now())
+
+    def _kept(self) -> KeptState | None:
         statistics = self._recognizer.matcher.first.statistics
-        if self._file is None or statistics is None or statistics.count < FEWEST:
-            return
-        self._file.write(KeptState(statistics.count, statistics.mean, statistics.deviation), Moment.now())
+        if statistics is None or statistics.count < FEWEST:
+            return None
+        return KeptState(statistics.count, statistics.mean, statistics.deviation)

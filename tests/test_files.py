@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from edge.files import replacing
+from edge.files import Behind, replacing
 
 
 def test_the_new_content_is_in_place_only_after_the_block(tmp_path: Path) -> None:
@@ -33,3 +35,15 @@ def test_an_exception_in_the_block_leaves_the_old_file_and_nothing_else(tmp_path
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "none" / "state") as stream:
         stream.write(b"x")
+
+
+def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path) -> None:
+    """A pipe that nobody reads stands for the disk: it cannot even be opened."""
+    os.mkfifo(tmp_path / "pipe")
+    behind, write = Behind(), partial((tmp_path / "pipe").write_bytes, b"new")
+    assert behind.start(write)
+    assert not behind.start(write), "one at a time"
+    assert not behind.wait(0.01)
+    assert (tmp_path / "pipe").read_bytes() == b"new"
+    assert behind.wait() and behind.start(partial((tmp_path / "file").write_bytes, b"next")) and behind.wait()
+    assert (tmp_path / "file").read_bytes() == b"next"

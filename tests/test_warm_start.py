@@ -16,6 +16,7 @@ from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence_matcher import MAP_COUNTS_AS
 from edge.warm_start import COUNTS_AS_MOST, WarmStart
+from tests.files_written import wait_for_files
 
 
 @pytest.fixture(scope="module")
@@ -98,4 +99,5 @@ def test_a_first_minute_is_not_worth_a_write(
     state = tmp_path / "events.state"
     for at_s, there in ((100, False), (130, False), (161, True)):
         memory.keep_if_due(at_s * 1_000_000_000)
+        wait_for_files()
         assert state.exists() is there

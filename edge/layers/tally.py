@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import threading
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import MapError, reason
-from edge.files import replacing
+from edge.files import Behind, replacing
 from edge.reference_map import MapHeader, MapSet
 
 TALLIES, SUFFIX = ".drives", ".json"
@@ -75,8 +75,8 @@ class DriveTally:
         self._tally = Tally(began_unix_s, {}, {})
         self._last: dict[str, tuple[int, float]] = {}  # row and odometer of the newest frame by map
         self._written_ns = 0
-        self._writer = threading.Thread(target=self._delete_oldest, name="tally", daemon=True)
-        self._writer.start()
+        self._behind = Behind()
+        self._behind.start(self._delete_oldest)
 
     def count(
         self,
@@ -100,15 +100,12 @@ class DriveTally:
                 between = range(ends[0] // STRETCH_PLACES + 1, ends[1] // STRETCH_PLACES)
                 _add(self._tally.passed, key, context, between)
             self._last[key] = row, driven_m
-        if now_ns - self._written_ns >= WRITTEN_EACH_NS and not self._writer.is_alive():
+        if now_ns - self._written_ns >= WRITTEN_EACH_NS and self._behind.start(partial(self._write, self._encoded())):
             self._written_ns = now_ns
-            self._writer = threading.Thread(target=self._write, args=(self._encoded(),), name="tally", daemon=True)
-            self._writer.start()
 
     def close(self) -> None:
         """Write what is left."""
-        self._writer.join(timeout=2.0)  # a disk that hangs must not keep the program from ending
-        if self._tally.recognized and not self._writer.is_alive():
+        if self._behind.wait() and self._tally.recognized:
             self._write(self._encoded())
 
     def _encoded(self) -> bytes:

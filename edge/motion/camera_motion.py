@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.errors import reason
-from edge.files import replacing
+from edge.files import Behind, replacing
 from edge.journal.records import MotionMeasured, Record
 from edge.motion.ground import GroundView, Step, measure
 
@@ -99,7 +99,7 @@ class CameraMotion:
         motion, camera, journal = config.motion, config.camera, config.telemetry.journal
         self._config = motion
         self._sign = 1.0 if camera.view == "front" else -1.0
-        self._record, self._recorded_ns, self._saved_ns = record, 0, 0
+        self._record, self._recorded_ns, self._saved_ns, self._behind = record, 0, 0, Behind()
         self._path = Path(journal).with_suffix(".height") if journal else None
         self.height = self._read(f"{camera.source} {camera.view} {camera.preprocessing} {motion}")
         self._gps_m = self._heights = 0.0  # since the last comparison
@@ -198,8 +198,12 @@ class CameraMotion:
         self._gps_m = self._heights = 0.0
         if self._path is not None and self.height.height_m and stamp_ns - self._saved_ns >= SAVED_NS:
             self._saved_ns = stamp_ns
-            try:
-                with replacing(self._path) as stream:
-                    stream.write(msgspec.json.encode(self.height))
-            except OSError as error:
-                log.warning("%s: cannot save the camera's height: %s", self._path, error.strerror)
+            self._behind.start(partial(_save, self._path, msgspec.json.encode(self.height)))
+
+
+def _save(path: Path, data: bytes) -> None:
+    try:
+        with replacing(path) as stream:
+            stream.write(data)
+    except OSError as error:
+        log.warning("%s: cannot save the camera's height: %s", path, error.strerror)

@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+from functools import partial
 from pathlib import Path
 
 import msgspec
 from msgspec.structs import replace
 
+from edge.files import Behind
 from edge.geodesy import east_north_of
 from edge.localization import Report
 from edge.telemetry.vehicle import Vehicle
@@ -53,7 +55,7 @@ class RememberedBound:
         self._path, self._drift = path, drift_percent / 100
         self._computer_boot = BOOT_ID.read_text(encoding="ascii").strip()
         self._bound: Bound | None = None
-        self._due_ns = 0
+        self._due_ns, self._behind = 0, Behind()
         if path is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, UnicodeDecodeError):
                 self._bound = msgspec.json.decode(path.read_bytes(), type=Bound)
@@ -65,11 +67,13 @@ class RememberedBound:
         as far as that is known. Returns the kept one, None without one.
         """
         now_ns = report.now_ns
-        if runs_away:
+        is_due = now_ns >= self._due_ns
+        if runs_away and (is_due or self._bound is not None):
             self.drop()
-        if now_ns < self._due_ns or not report.is_aided:
+        if is_due:
+            self._due_ns = now_ns + PERIOD_NS
+        if not (is_due and report.is_aided):
             return None
-        self._due_ns = now_ns + PERIOD_NS
         if sigma_m is not None:
             self.keep(sigma_m, vehicle, now_ns, by_fixes=vehicle.has_our_position)
             return None
@@ -84,16 +88,13 @@ class RememberedBound:
             return
         bound = self._bound = replace(bound, by_fixes=by_fixes)
         if self._path is not None:
-            new = self._path.with_name(f"{self._path.name}.new")
-            with contextlib.suppress(OSError):  # a full disk costs the memory, not the flight
-                new.write_bytes(msgspec.json.encode(bound))
-                new.replace(self._path)
+            self._behind.start(partial(_replace, self._path, msgspec.json.encode(bound)))
 
     def drop(self) -> None:
         """Nothing measures the velocity any more: the autopilot's position runs away from what is remembered."""
-        if self._bound is not None and self._path is not None:
-            self._path.unlink(missing_ok=True)
         self._bound = None
+        if self._path is not None:
+            self._behind.start(partial(_delete, self._path))
 
     def recall(self, vehicle: Vehicle, now_ns: int) -> tuple[float, bool] | None:
         """The standard deviation now, and whether it rests on positions of ours.
@@ -128,3 +129,15 @@ class RememberedBound:
         booted_ns = now_ns - round(boot_s * 1e9)
         own = position.lat_deg, position.lon_deg
         return Bound(self._computer_boot, vehicle.system_id, booted_ns, now_ns, sigma_m, speed_mps, *own)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    new = path.with_name(f"{path.name}.new")
+    with contextlib.suppress(OSError):  # a full disk costs the memory, not the flight
+        new.write_bytes(data)
+        new.replace(path)
+
+
+def _delete(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from edge.config import CameraConfig, Config, MotionConfig, TelemetryConfig
 from edge.journal.records import MotionMeasured, Record
 from edge.motion import CameraMotion, CameraSpeed
 from edge.motion.camera_motion import WINDOW_M, WINDOWS, LearnedHeight
+from tests.files_written import wait_for_files
 from tests.motion.road import HEIGHT, WIDTH, picture
 
 STEP_NS, STEP_M, MPS = 100_000_000, 0.7, 7.0
@@ -51,6 +52,7 @@ def test_the_height_is_learned_from_gps_and_kept(tmp_path: Path) -> None:
     drive(motion, 12, first_ns=10**6 * STEP_NS)
     speed = motion.speed
     assert speed is not None and speed.speed_mps == pytest.approx(MPS, abs=3 * speed.sigma_mps)
+    wait_for_files()
     again = CameraMotion(config(tmp_path))
     assert again.height == motion.height
     assert CameraMotion(config(tmp_path, "rear")).height.height_m is None, "another camera has another height"

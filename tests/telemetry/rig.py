@@ -16,6 +16,7 @@ from sim.journal import R, records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
+from tests.files_written import wait_for_files
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
@@ -103,6 +104,7 @@ class Rig:
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
+        wait_for_files()
         self.unplug()
         self.connection.poll()
         self.open_port()

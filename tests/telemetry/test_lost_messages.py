@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim.vehicle.autopilot import SILENT
+from tests.files_written import wait_for_files
 from tests.telemetry.rig import OpenRig, Rig
 
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
@@ -179,6 +181,16 @@ def test_a_restarted_daemon_remembers_the_bound_of_an_autopilot_that_did_not_reb
     # 8 m/s for some 5 s, half as much again, of which 5 % may be an error.
     assert after_m is not None and before_m < after_m < before_m + 5
     assert lost_gps.connection.send_position(lost_gps.fix())
+
+
+def test_a_disk_that_hangs_under_the_bound_stops_nothing(lost_gps: Rig) -> None:
+    wait_for_files()
+    hung = lost_gps.port.with_name("events.bound.new")
+    os.mkfifo(hung)
+    lost_gps.run(5.0)
+    assert lost_gps.connection.state == "up" and lost_gps.connection.uncertainty_m is not None
+    hung.read_bytes()
+    wait_for_files()
 
 
 @pytest.mark.parametrize("silent_s", [6.0, 60.0])
