@@ -61,20 +61,32 @@ class Behind:
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
+        self._next: Callable[[], object] | None = None
+        self._lock = threading.Lock()
 
-    def start(self, task: Callable[[], object]) -> bool:
-        """Begin a task, which handles its own errors; False while the last one has not ended: this one is left out."""
-        if self._thread is not None and self._thread.is_alive():
-            return False
-        self._thread = threading.Thread(target=task, name="files", daemon=True)
-        self._thread.start()
-        return True
+    def start(self, task: Callable[[], object]) -> None:
+        """Run a task, which handles its own errors, after the one that runs; of those that wait, only the newest."""
+        with self._lock:
+            self._next = task
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="files", daemon=True)
+                self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                task, self._next = self._next, None
+                if task is None:
+                    self._thread = None
+                    return
+            task()
 
     def wait(self, seconds: float = 2.0) -> bool:
-        """Whether the last task has ended, after so long at most."""
-        if self._thread is not None:
-            self._thread.join(timeout=seconds)
-        return self._thread is None or not self._thread.is_alive()
+        """Whether all tasks have ended, after so long at most."""
+        thread = self._thread
+        if thread is not None:
+            thread.join(timeout=seconds)
+        return thread is None or not thread.is_alive()
 
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)

@@ -40,10 +40,13 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
 def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path) -> None:
     """A pipe that nobody reads stands for the disk: it cannot even be opened."""
     os.mkfifo(tmp_path / "pipe")
-    behind, write = Behind(), partial((tmp_path / "pipe").write_bytes, b"new")
-    assert behind.start(write)
-    assert not behind.start(write), "one at a time"
-    assert not behind.wait(0.01)
+    behind, file = Behind(), tmp_path / "file"
+    behind.start(partial((tmp_path / "pipe").write_bytes, b"new"))
+    assert not behind.wait(0.1), "it has begun"
+    behind.start(partial(file.write_bytes, b"older"))
+    behind.start(partial(file.write_bytes, b"newest"))
+    assert not behind.wait(0.01) and not file.exists()
     assert (tmp_path / "pipe").read_bytes() == b"new"
-    assert behind.wait() and behind.start(partial((tmp_path / "file").write_bytes, b"next")) and behind.wait()
-    assert (tmp_path / "file").read_bytes() == b"next"
+    assert behind.wait() and file.read_bytes() == b"newest"
+    behind.start(file.unlink)
+    assert behind.wait() and not file.exists()

@@ -100,8 +100,9 @@ class DriveTally:
                 between = range(ends[0] // STRETCH_PLACES + 1, ends[1] // STRETCH_PLACES)
                 _add(self._tally.passed, key, context, between)
             self._last[key] = row, driven_m
-        if now_ns - self._written_ns >= WRITTEN_EACH_NS and self._behind.start(partial(self._write, self._encoded())):
+        if now_ns - self._written_ns >= WRITTEN_EACH_NS:
             self._written_ns = now_ns
+            self._behind.start(partial(self._write, self._encoded()))
 
     def close(self) -> None:
         """Write what is left."""

@@ -67,13 +67,11 @@ class RememberedBound:
         as far as that is known. Returns the kept one, None without one.
         """
         now_ns = report.now_ns
-        is_due = now_ns >= self._due_ns
-        if runs_away and (is_due or self._bound is not None):
+        if runs_away and self._bound is not None:
             self.drop()
-        if is_due:
-            self._due_ns = now_ns + PERIOD_NS
-        if not (is_due and report.is_aided):
+        if now_ns < self._due_ns or not report.is_aided:
             return None
+        self._due_ns = now_ns + PERIOD_NS
         if sigma_m is not None:
             self.keep(sigma_m, vehicle, now_ns, by_fixes=vehicle.has_our_position)
             return None
