@@ -27,13 +27,24 @@ CONFIG = Path("etc/lookback/lookback.toml")
 UNIT = Path("etc/systemd/system/lookback.service")
 
 
-def run(script: Path, *arguments: str | Path, systemd: int = 252) -> subprocess.CompletedProcess[str]:
+# Notes each process that compileall starts: forked by itself, or by the server that forks for it from Python 3.14 on.
+NOTES_COMPILERS = """import os, sys
+if {"compileall", "--multiprocessing-fork"} & set(sys.orig_argv) or "multiprocessing.forkserver" in str(sys.orig_argv):
+    os.register_at_fork(after_in_child=lambda: open(os.environ["COMPILERS"], "a").write(f"{os.getpid()}\\n"))
+"""
+
+
+def run(
+    script: Path, *arguments: str | Path, systemd: int = 252, compilers: Path = Path(os.devnull)
+) -> subprocess.CompletedProcess[str]:
     """Run a script on a system whose systemd has this version; below a folder it asks for nothing else of it."""
     with tempfile.TemporaryDirectory() as programs:
         systemctl = Path(programs, "systemctl")
         systemctl.write_text(f'#!/bin/sh\n[ "$*" = --version ] && echo "systemd {systemd} ({systemd}.1-1)"\n')
         systemctl.chmod(0o755)
+        Path(programs, "sitecustomize.py").write_text(NOTES_COMPILERS)
         environment = {**os.environ, "PIP_NO_DEPS": "1", "PATH": f"{programs}:{os.environ['PATH']}"}
+        environment |= {"PYTHONPATH": programs, "COMPILERS": str(compilers)}
         command = [str(script), *map(str, arguments)]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
@@ -52,15 +63,21 @@ def wheel(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def root(wheel: Path, make_once: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A system with Lookback installed once; no test leaves it changed."""
+def installed(wheel: Path, make_once: Callable[..., Path]) -> Path:
+    """Lookback installed once below `root`, and `compilers`: the processes that compiled it."""
 
     def first(folder: Path) -> None:
-        said = install(folder, "--wheel", str(wheel))
-        assert "with the extras page, and starts at boot" in said
+        arguments = ("--root", folder / "root", "--wheel", wheel, "--python", sys.executable)
+        result = run(INSTALL, *arguments, compilers=folder / "compilers")
+        assert "with the extras page, and starts at boot" in result.stdout, result.stderr
 
-    installed = make_once("installed", first)
-    return shutil.copytree(installed, tmp_path_factory.mktemp("system") / "root", symlinks=True)
+    return make_once("installed", first)
+
+
+@pytest.fixture(scope="module")
+def root(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system with Lookback installed; no test leaves it changed."""
+    return shutil.copytree(installed / "root", tmp_path_factory.mktemp("system") / "root", symlinks=True)
 
 
 def install(root: Path, *source: str, script: Path = INSTALL) -> str:
@@ -103,6 +120,11 @@ def test_the_environment_is_at_home_in_opt(root: Path) -> None:
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == edge.__version__
     assert list((venv / "lib").rglob("edge/__pycache__/daemon.*.pyc"))
+
+
+def test_every_core_compiles(installed: Path) -> None:
+    """On a board the modules compile for minutes by one process."""
+    assert len(set((installed / "compilers").read_text().split())) >= min(2, os.cpu_count() or 1)
 
 
 def test_the_unit_starts_what_was_installed(root: Path) -> None:
