@@ -32,8 +32,7 @@ from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
-from edge.sequence import PlaceMatch
-from edge.sequence.place_search import Near
+from edge.sequence import Near, PlaceMatch, Travel
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
 ROS2_OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
@@ -170,11 +169,13 @@ class Daemon:
         if self._distance_gaps != self._autopilot.vehicle.distance_gaps:
             self._distance_gaps = self._autopilot.vehicle.distance_gaps
             self._recognizer.restart_odometer()
-        where, course_rad = self._search_area(), self._turn_around.course_rad
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, where, missed, distance_m, course_rad)
+        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
         if self._recognizer.was_carried:
             self._estimator.reset()
         return None if match is not None and match.accepted and not self._is_verified(match) else match
+
+    def _travel(self, distance_m: float | None, missed: int) -> Travel:
+        return Travel(distance_m, missed, self._search_area(), self._turn_around.course_rad)
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
@@ -240,8 +241,7 @@ class Daemon:
         """Describe a frame of the second camera, which votes on the place if it may; timed as the others are."""
         self.parts.times.start()
         raw = self._recognizer.describe(frame.image)
-        where, course_rad = self._search_area(), self._turn_around.course_rad
-        self._recognizer.observe_second(raw, where, missed, distance_m, course_rad)
+        self._recognizer.observe_second(raw, self._travel(distance_m, missed))
         return raw
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:

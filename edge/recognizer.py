@@ -21,9 +21,8 @@ from edge.config import Config
 from edge.descriptor.network import Head, Network, cut_regions
 from edge.descriptor.open_network import open_network
 from edge.reference_map import MapSet, MapSoFar, ModelKey, open_map_set
-from edge.sequence import CostView, PlaceMatch
+from edge.sequence import NOTHING_KNOWN, CostView, PlaceMatch, Travel
 from edge.sequence.evidence import HoldOff
-from edge.sequence.place_search import Near
 from edge.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
 
 STOOD_NS = 3_000_000_000
@@ -81,32 +80,24 @@ class PlaceRecognizer:
         """The maps that are searched."""
         return self.matcher.map_set
 
-    def observe(
-        self,
-        image: NDArray[np.uint8],
-        stamp_ns: int,
-        near: Near | None = None,
-        missed: int = 0,
-        distance_m: float | None = None,
-        course_rad: float | None = None,
-    ) -> PlaceMatch | None:
+    def observe(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
-        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off. near, missed,
-        distance_m, course_rad: see `SequenceMatcher.push`.
+        stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off.
         """
         raw = self.describe(image)
-        frame = _UsedFrame(raw, stamp_ns, distance_m)
+        frame = _UsedFrame(raw, stamp_ns, travel.distance_m)
         self.was_carried = False
         if self._stands_still(frame):
             self.state = "standing"
             return None
         self.was_carried = self._is_carried(frame)
         self._reset_after_gap(frame)
-        missed, self._last, self._unmoved = missed + self._unmoved, frame, 0
-        match = self.matcher.push(raw, near, missed, distance_m, course_rad)
+        travel = replace(travel, missed=travel.missed + self._unmoved)
+        self._last, self._unmoved = frame, 0
+        match = self.matcher.push(raw, travel)
         if match is None:
-            first, is_matched = self.matcher.first, distance_m is not None or not self.matcher.needs_odometer
+            first, is_matched = self.matcher.first, travel.distance_m is not None or not self.matcher.needs_odometer
             off_the_map = is_matched and first.has_lines
             self.state = "off the map" if off_the_map else "searching" if first.is_scanning else "warming up"
             return None
@@ -115,19 +106,12 @@ class PlaceRecognizer:
             return match
         return replace(match, event=True, category=self._head.categories(raw)[0] if self._head else "")
 
-    def observe_second(
-        self,
-        raw: NDArray[np.float32],
-        near: Near | None,
-        missed: int,
-        distance_m: float,
-        course_rad: float | None = None,
-    ) -> PlaceMatch | None:
+    def observe_second(self, raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
         """Let a frame of the second camera vote on the place, by its raw descriptor; see `SequenceMatcher.push_second`.
 
         Not while the vehicle stands, since the lines of both cameras wait then, nor without [mapping] recognize.
         """
-        return None if self.state == "standing" else self.matcher.push_second(raw, near, missed, distance_m, course_rad)
+        return None if self.state == "standing" else self.matcher.push_second(raw, travel)
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""

@@ -25,9 +25,9 @@ from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.reference_map import Drives, MapSet
-from edge.sequence import PlaceMatch
+from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
 from edge.sequence.parallax import parallax_of
-from edge.sequence.place_search import Near, PlaceSearch
+from edge.sequence.place_search import PlaceSearch
 
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
@@ -108,25 +108,22 @@ class CameraMatcher:
     def push(
         self,
         raw: NDArray[np.float32],
-        near: Near | None,
+        travel: Travel,
         step: float,
         usual: float,
         *,
         is_measured: bool,
-        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
-        near, course_rad: see `SequenceMatcher.push`. step: places that are as far apart as was driven since the last
-        frame; usual: the same from one frame to the next. is_measured: whether the odometer is known.
+        step: places that are as far apart as was driven since the last frame; usual: the same from one frame to the
+        next. is_measured: whether the odometer is known.
         """
         if self.ends_sequence(step, usual):
             self.reset()
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
-        match = self.search.push(
-            change, self._normalizer.rows, near, step=step, is_measured=is_measured, course_rad=course_rad
-        )
+        match = self.search.push(change, self._normalizer.rows, travel, step=step, is_measured=is_measured)
         self._stopwatch("search")
         return match
 
@@ -201,22 +198,9 @@ class SequenceMatcher:
     def _positions_m(self, drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._drives.positions_m(drives, along_m)
 
-    def push(
-        self,
-        raw: NDArray[np.float32],
-        near: Near | None = None,
-        missed: int = 0,
-        distance_m: float | None = None,
-        course_rad: float | None = None,
-    ) -> PlaceMatch | None:
-        """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
-
-        near: where the vehicle may be, which only maps too large to be searched whole make use of. missed: places that
-        were passed since the last frame without one. distance_m: the odometer, None where it is not known.
-        course_rad: that the vehicle moves on, clockwise from north, None where it is not known. Of places whose road
-        leads another way, no line is searched.
-        """
-        odometer_m = distance_m if self._drives.is_metric else None
+    def push(self, raw: NDArray[np.float32], travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
+        """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned."""
+        odometer_m = travel.distance_m if self._drives.is_metric else None
         if odometer_m is not None:
             self._unmeasured = None
         elif self._unmeasured is not None:
@@ -224,11 +208,11 @@ class SequenceMatcher:
         if odometer_m is None and self.needs_odometer:
             self.best = None
             return None
-        step, usual = self._steps.next(odometer_m, missed, self._drives.spacing_m), self._usual_step
+        step, usual = self._steps.next(odometer_m, travel.missed, self._drives.spacing_m), self._usual_step
         if self.first.ends_sequence(step, usual):
             self.reset()
         measured = odometer_m is not None
-        match = self.best = self.first.push(raw, near, step, usual, is_measured=measured, course_rad=course_rad)
+        match = self.best = self.first.push(raw, travel, step, usual, is_measured=measured)
         some_excluded = self.first.search.part is not None and self.first.search.part.excludes
         self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         vote = PlaceVote.of(match, self._drives) if match else None
@@ -258,31 +242,24 @@ class SequenceMatcher:
         """How far frames and places are apart, in words."""
         return spell_spacing(self._config.sampling, self._drives.spacing_m if self._drives.is_metric else None)
 
-    def push_second(
-        self,
-        raw: NDArray[np.float32],
-        near: Near | None,
-        missed: int,
-        distance_m: float,
-        course_rad: float | None = None,
-    ) -> PlaceMatch | None:
+    def push_second(self, raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
         """Match a frame of the second camera, one of SECOND_EVERY, and let it vote.
 
         The belief follows with the first camera's next frame. Returns the best line of the second camera; None where
-        there is none. Arguments: as of `push`.
+        there is none, or the distance driven is not known.
         """
-        if self._second is None:
+        if self._second is None or travel.distance_m is None:
             return None
-        self._passed += 1 + missed
+        self._passed += 1 + travel.missed
         if self._passed < SECOND_EVERY:
             return None
         step, usual = self._passed * self._usual_step, SECOND_EVERY * self._usual_step
         self._passed = 0
         measured = self._drives.is_metric
-        match = self._second.push(raw, near, step, usual, is_measured=measured, course_rad=course_rad)
+        match = self._second.push(raw, travel, step, usual, is_measured=measured)
         vote = self._vote_of_second(match) if match is not None else None
         if vote is not None:
-            self._consensus.add(vote, distance_m)
+            self._consensus.add(vote, travel.distance_m)
         self._stopwatch("belief")
         return match
 

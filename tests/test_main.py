@@ -114,7 +114,7 @@ def test_a_map_of_another_model_or_other_regions(
         builder.finish()
     printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
     assert "made with model other-network (ffffffffffff, fc6)" in printed
-    assert "name the map's in [descriptor] model or --model" in printed
+    assert printed.rstrip().endswith("; name the map's by --model or in [descriptor] model")
 
 
 def test_a_model_that_is_none(

@@ -26,7 +26,7 @@ from edge.localization.place_fix import match_position
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Travel
 from sim.maps.command import build_map
 
 LENGTH = 8
@@ -130,7 +130,7 @@ def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_wit
         drive(one, frames[:20])
     halt(recognizer, frames[19], 3)
     found = recognizer.observe(frames[23], 23 * FRAME_NS)
-    assert found == expected.observe(frames[23], 23 * FRAME_NS, missed=3)
+    assert found == expected.observe(frames[23], 23 * FRAME_NS, Travel(missed=3))
 
 
 def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
@@ -138,10 +138,10 @@ def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
 ) -> None:
     recognizer = recognizer_of(network, street_map)
     for index in range(20):
-        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
-    recognizer.observe(frames[19], 20 * FRAME_NS, distance_m=38.1)
+        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
+    recognizer.observe(frames[19], 20 * FRAME_NS, Travel(38.1))
     assert recognizer.state == "standing"
-    recognizer.observe(frames[19], 21 * FRAME_NS, distance_m=40.0)
+    recognizer.observe(frames[19], 21 * FRAME_NS, Travel(40.0))
     assert recognizer.state != "standing"
 
 
@@ -151,15 +151,15 @@ def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was
 ) -> None:
     recognizer = recognizer_of(network, street_map)
     for index in range(20):
-        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     after_m = None if moved_m is None else 38.0 + moved_m
-    found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, distance_m=after_m)
+    found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, Travel(after_m))
     assert (found is not None) == is_kept
     again = recognizer_of(network, street_map)
     for index in range(20):
-        again.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+        again.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     again.restart_odometer()
-    assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, distance_m=40.0) is None
+    assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, Travel(40.0)) is None
 
 
 @pytest.mark.parametrize(("shown", "is_carried"), [(26, False), (48, True)])
@@ -169,12 +169,12 @@ def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
     """After a halt of 10 s it shows the next place, or one that is 44 m further."""
     recognizer = recognizer_of(network, street_map)
     for index in range(26):
-        recognizer.observe(frames[index], index * FRAME_NS, distance_m=2.0 * index)
+        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     later_ns = 25 * FRAME_NS + 10_000_000_000
-    match = recognizer.observe(frames[shown], later_ns, distance_m=52.0)
+    match = recognizer.observe(frames[shown], later_ns, Travel(52.0))
     assert recognizer.was_carried == is_carried
     assert (match is None) == is_carried, "no line has frames of both sides"
-    recognizer.observe(frames[shown + 1], later_ns + FRAME_NS, distance_m=54.0)
+    recognizer.observe(frames[shown + 1], later_ns + FRAME_NS, Travel(54.0))
     assert not recognizer.was_carried
 
 
@@ -185,9 +185,9 @@ def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
     """The camera shows nothing for some places, which the vehicle passes at its usual pace, after a halt or without."""
     recognizer, period_ns = recognizer_of(network, street_map), 250_000_000
     for index in range(26):
-        recognizer.observe(frames[index], index * period_ns, distance_m=2.0 * index)
+        recognizer.observe(frames[index], index * period_ns, Travel(2.0 * index))
     now, missed = 25 + further, further - 1
-    recognizer.observe(frames[now], now * period_ns + halt_ns, missed=missed, distance_m=2.0 * now)
+    recognizer.observe(frames[now], now * period_ns + halt_ns, Travel(2.0 * now, missed=missed))
     assert recognizer.was_carried == is_carried
 
 
@@ -214,7 +214,9 @@ def test_places_passed_unseen_leave_room_in_the_line(
     recognizer = recognizer_of(network, street_map)
     drive(recognizer, frames[:20])
     rows = range(23, 23 + LENGTH)
-    matches = [recognizer.observe(frames[row], row * FRAME_NS, missed=3 if row == rows[0] else 0) for row in rows]
+    matches = [
+        recognizer.observe(frames[row], row * FRAME_NS, Travel(missed=3 if row == rows[0] else 0)) for row in rows
+    ]
     assert [match.place for match in matches if match] == pytest.approx(list(rows), abs=1)
 
 
@@ -232,7 +234,7 @@ def test_lost_frames_are_the_same_to_a_search_that_begins_anew(
         )
         recognizer = recognizer_of(network, street_map, config)
         drive(recognizer, frames[:12])
-        answers.append(recognizer.observe(frames[14], 14 * FRAME_NS, missed=2))
+        answers.append(recognizer.observe(frames[14], 14 * FRAME_NS, Travel(missed=2)))
     assert all(answer and abs(answer.place - 14) <= 1 for answer in answers)
 
 
@@ -241,7 +243,7 @@ def test_when_too_much_was_missed_a_sequence_begins_anew(
 ) -> None:
     recognizer = recognizer_of(network, street_map)
     drive(recognizer, frames[:20])
-    assert recognizer.observe(frames[30], 30 * FRAME_NS, missed=LENGTH // 2 + 1) is None
+    assert recognizer.observe(frames[30], 30 * FRAME_NS, Travel(missed=LENGTH // 2 + 1)) is None
     assert recognizer.state == "warming up"
 
 

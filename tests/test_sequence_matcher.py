@@ -13,7 +13,7 @@ from edge.config import CameraConfig, Config, MappingConfig, RigConfig, Sampling
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.builder import Place
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Travel
 from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
@@ -75,8 +75,8 @@ def drive(road: Road, maps: MapSet, *, recognize: bool, signal: float, second: f
     for frame, place in enumerate(road.places):
         driven_m = SPACING_M * frame
         if recognize:
-            matcher.push_second(road.seen(place, "rear", signal=second), None, 0, driven_m)
-        answers.append(matcher.push(road.seen(place, "front", signal=signal), distance_m=driven_m))
+            matcher.push_second(road.seen(place, "rear", signal=second), Travel(driven_m))
+        answers.append(matcher.push(road.seen(place, "front", signal=signal), Travel(driven_m)))
     return answers
 
 
@@ -123,8 +123,8 @@ def test_half_a_sequence_that_was_missed_begins_the_second_cameras_anew(
     found = []
     for frame, place in enumerate(road.places):
         lost = missed if frame == 60 else 0
-        found.append(matcher.push_second(road.seen(place, "rear", signal=1.0), None, lost, SPACING_M * frame))
-        matcher.push(road.seen(place, "front", signal=1.0), distance_m=SPACING_M * frame)
+        found.append(matcher.push_second(road.seen(place, "rear", signal=1.0), Travel(SPACING_M * frame, missed=lost)))
+        matcher.push(road.seen(place, "front", signal=1.0), Travel(SPACING_M * frame))
     assert found[58] is not None
     assert (found[60] is None) == begins_anew
     assert matcher.best is not None
@@ -140,7 +140,7 @@ def test_a_hole_of_over_half_a_sequence_begins_a_new_one(
     for frame, place in enumerate(road.places[:60]):
         hole = frame == 50
         driven_m += 26 * SPACING_M if hole else SPACING_M
-        match = matcher.push(road.seen(place, "front", signal=1.0), missed=missed * hole, distance_m=driven_m)
+        match = matcher.push(road.seen(place, "front", signal=1.0), Travel(driven_m, missed=missed * hole))
         assert (match is None) == (frame < 15 or hole or frame > 50)
 
 
@@ -152,7 +152,7 @@ def test_frames_before_the_odometer_is_known_are_in_no_line(road: Road, maps: Ma
     def first_answers(unknown: range) -> list[int]:
         matcher, answered = SequenceMatcher(maps, Config()), []
         for frame, raw in enumerate(seen[:70]):
-            match = matcher.push(raw, distance_m=None if frame in unknown else SPACING_M * frame)
+            match = matcher.push(raw, Travel(None if frame in unknown else SPACING_M * frame))
             answered += [frame] if match is not None else []
         return answered
 
@@ -163,5 +163,5 @@ def test_frames_before_the_odometer_is_known_are_in_no_line(road: Road, maps: Ma
 
     matcher, of_odometer = SequenceMatcher(maps, Config()), slopes_around_diagonal(MEASURED_SLOPE_RAD, MEASURED_SLOPES)
     for frame, raw in enumerate(seen[:40]):
-        match = matcher.push(raw, distance_m=None if frame < 3 else SPACING_M * frame)
+        match = matcher.push(raw, Travel(None if frame < 3 else SPACING_M * frame))
         assert match is None or np.isclose(match.slope, of_odometer).any()

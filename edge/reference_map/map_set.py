@@ -273,7 +273,7 @@ def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str
     if made.model.sha256 != model.sha256 or made.model.tap != model.tap:
         return (
             f"{one.path}: made with model {made.model}, but the model here is {model};"
-            " name the map's in [descriptor] model or --model, or build the map again"
+            " name the map's by --model or in [descriptor] model"
         )
     if ours.kind == "whole":
         ours = msgspec.structs.replace(ours, width=made.regions.width)

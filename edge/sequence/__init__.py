@@ -12,6 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.geodesy import apart_m
+
 Direction = Literal["forward", "reverse"]
 Order = Literal["same", "swapped"]
 Alignment = tuple[Direction, Order]
@@ -106,3 +108,35 @@ class CostView:
     window: NDArray[np.int32]
     window_start: int
     cost_one: int
+
+
+@dataclass(frozen=True)
+class Near:
+    """Where the vehicle may be: degrees, and how many meters the position may be wrong."""
+
+    lat_deg: float
+    lon_deg: float
+    radius_m: float
+
+    def holds(self, other: Near, radius_m: float) -> bool:
+        """Whether all that lies within `radius_m` of the other position lies within this circle."""
+        away_m = apart_m(self.lat_deg, self.lon_deg, np.array([other.lat_deg]), np.array([other.lon_deg]))
+        return bool(away_m[0] + radius_m <= self.radius_m)
+
+
+@dataclass(frozen=True)
+class Travel:
+    """What is known of the vehicle at a frame, beside its picture.
+
+    distance_m: the odometer, None where it is not known. missed: places that were passed since the last frame without
+    one. near: where the vehicle may be; only maps too large to be searched whole make use of it. course_rad: that it
+    moves on, clockwise from north, None where not known. Of places whose road leads another way, no line is searched.
+    """
+
+    distance_m: float | None = None
+    missed: int = 0
+    near: Near | None = None
+    course_rad: float | None = None
+
+
+NOTHING_KNOWN = Travel()

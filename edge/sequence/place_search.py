@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -20,9 +19,8 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
-from edge.geodesy import apart_m
 from edge.reference_map import COST_ONE, Drives, MapSet, Ranges
-from edge.sequence import CostView, Direction, PlaceMatch
+from edge.sequence import NOTHING_KNOWN, CostView, Direction, Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
 
@@ -55,20 +53,6 @@ def with_measured_slopes(config: Config) -> Config:
     """The slopes to search where the distance between places is measured."""
     limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
     return replace(config, sequence=replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES))
-
-
-@dataclass(frozen=True)
-class Near:
-    """Where the vehicle may be: degrees, and how many meters the position may be wrong."""
-
-    lat_deg: float
-    lon_deg: float
-    radius_m: float
-
-    def holds(self, other: Near, radius_m: float) -> bool:
-        """Whether all that lies within `radius_m` of the other position lies within this circle."""
-        away_m = apart_m(self.lat_deg, self.lon_deg, np.array([other.lat_deg]), np.array([other.lon_deg]))
-        return bool(away_m[0] + radius_m <= self.radius_m)
 
 
 def is_regular(map_set: MapSet, frames: int) -> bool:
@@ -150,27 +134,26 @@ class PlaceSearch:
         self,
         change: NormalizedRows,
         ring: Ring,
-        near: Near | None,
+        travel: Travel = NOTHING_KNOWN,
         *,
         step: float = 1.0,
         is_measured: bool = False,
-        course_rad: float | None = None,
     ) -> PlaceMatch | None:
         """The best match now; None while there are too few rows, or the maps are still being scanned.
 
         step: places that are as far apart as was driven since the last row. is_measured: whether that was measured, so
-        that lines are hardly inclined. course_rad: see `SequenceMatcher.push`.
+        that lines are hardly inclined.
         """
         self._measure(is_measured)
-        self._is_position_known = near is not None
-        if not self._is_whole and near is not None:
-            self._look_around(near)
+        self._is_position_known = travel.near is not None
+        if not self._is_whole and travel.near is not None:
+            self._look_around(travel.near)
         self._drive(step)
         if self.part is not None:
-            self.part.head(course_rad)
+            self.part.head(travel.course_rad)
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._span, self._lanes, course_rad)
+            found = self._scan.step(ring(), self._span, self._lanes, travel.course_rad)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found

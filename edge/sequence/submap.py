@@ -243,7 +243,7 @@ class GlobalSearch:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
         span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`. course_rad: see
-        `PlaceSearch.push`.
+        `Travel`.
         """
         if len(ring) < self._config.sequence.length:
             return None

@@ -13,6 +13,7 @@ from edge.config import Config, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.recognizer import open_recognizer
 from edge.reference_map import open_map_set
+from edge.sequence import Travel
 
 SIZE_PX = (640, 480)
 LENGTH = 40
@@ -49,7 +50,7 @@ def run_frames(
     for frame in range(LENGTH + frames):
         picture = smooth_picture(rng, SIZE_PX)
         laps.begin()
-        recognizer.observe(picture, frame * 200_000_000, distance_m=frame * config.sampling.spacing_m)
+        recognizer.observe(picture, frame * 200_000_000, Travel(frame * config.sampling.spacing_m))
         laps.lap("answer")
         if frame >= LENGTH:
             yield laps.frames[-1]

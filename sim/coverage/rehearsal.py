@@ -30,7 +30,7 @@ from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed import View
 from edge.reference_map import Drives, MapSet
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.coverage.passes import Pass, road_between_m
 
@@ -117,7 +117,7 @@ class Rehearsal:
             elif before >= 0:
                 for raw in self._unmapped(round(gap_m / self.spacing_m), noise):
                     driven_m += self.spacing_m
-                    matcher.push(raw, distance_m=driven_m)
+                    matcher.push(raw, Travel(driven_m))
             found.append(self._pass(segment, matcher, noise, rng, driven_m))
             driven_m, before = driven_m + float(np.ptp(found[-1].along_m)), segment
         return found
@@ -203,7 +203,7 @@ class Rehearsal:
         along_m = np.array([self._drives.along_m(int(row)) for row in self._rows(segment)])
         believed = np.zeros(len(along_m), dtype=bool)
         for at, raw in enumerate(chain.from_iterable(self._frames(segment, noise, rng))):
-            match = matcher.push(raw, distance_m=driven_m + abs(float(along_m[at] - along_m[0])))
+            match = matcher.push(raw, Travel(driven_m + abs(float(along_m[at] - along_m[0]))))
             believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
         return Pass(segment, along_m, believed)
 

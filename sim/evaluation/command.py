@@ -12,13 +12,9 @@ from edge.errors import ConfigError
 from edge.extras import install_command
 from edge.feed import read_feed
 from edge.reference_map import open_map_set
-from sim.evaluation.metrics import TOLERANCE_M, precision_recall
+from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
 from sim.evaluation.replay import config_for_map
-
-OFFSET_SHARE = 0.5
-"""Share of the tolerance by which half of the believed places may lie ahead of the vehicle, or behind it, without a
-warning. Beyond it, the curve says more of the camera's offset than of the places."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

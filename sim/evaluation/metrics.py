@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 TOLERANCE_M = 40.0
 """The paper's, for a road (section IV-B)."""
+OFFSET_SHARE = 0.5
+"""Share of the tolerance by which half of the places found may lie ahead of where they are expected, or behind it,
+without a warning. Beyond it, the curve says more of the camera's offset than of the places."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,17 @@ class Answers:
     def take(self, queries: NDArray[np.intp]) -> Answers:
         """The answers to these queries, which may repeat (a bootstrap's resample)."""
         return Answers(self.confidence[queries], self.correct[queries], self.has_truth[queries])
+
+
+def answers_within(confidence: Floats, error: Floats, on_map: Flags, radius: float) -> Answers:
+    """Answers by a radius beyond the tolerance that `on_map` is known by; all (Q,), in one unit.
+
+    Where the map has no place within the tolerance, an answer within the radius is neither right nor wrong: it does not
+    count.
+    """
+    right = error <= radius
+    counts = np.flatnonzero(on_map | ~right)
+    return Answers(confidence, right & on_map, on_map).take(counts)
 
 
 @dataclass(frozen=True)

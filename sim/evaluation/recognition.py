@@ -16,7 +16,7 @@ from edge.geodesy import east_north
 from edge.journal.records import FrameUsed
 from edge.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
-from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.evaluation.replay import config_for_feed, replay
 
 Value = str | int | float
@@ -74,7 +74,7 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
 class Judged:
     """A recording's frames with a known position, of which `rows` are the indices among all used frames.
 
-    believed (Q,) bool; error_m (Q,), NaN where no place was matched. within_twice: the answers by twice the tolerance.
+    believed (Q,) bool; error_m (Q,), NaN where no place was matched. within_twice: see `answers_within`.
     ahead_m: of the median believed place, from the vehicle in the direction of travel; NaN if there is none.
     truth_m, found_m (Q, 2), places_m (P, 2): meters east and north of one origin, places those with a position.
     """
@@ -138,14 +138,11 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
     believed = seen.believed[rows]
     heading_rad = np.radians(np.array([one.heading_deg for one in used], dtype=float))
     ahead_m = np.einsum("nd,nd->n", found_m - truth_m, np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]))
-    answers, within_twice = (
-        Answers(confidence, on_map & (error_m <= within_m), on_map) for within_m in (tolerance_m, 2 * tolerance_m)
-    )
     return Judged(
         feed.path.name,
         rows,
-        answers,
-        within_twice,
+        Answers(confidence, on_map & (error_m <= tolerance_m), on_map),
+        answers_within(confidence, error_m, on_map, 2 * tolerance_m),
         believed,
         error_m,
         float(np.median(ahead_m[believed])) if believed.any() else float("nan"),

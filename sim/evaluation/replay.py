@@ -22,6 +22,7 @@ from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
+from edge.sequence import Travel
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from sim.traverse import driven_m, traverse
 
@@ -61,9 +62,7 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
         pass
     route = Route(recognizer.map_set)
     for item in traverse(feed, sampling):
-        match = recognizer.observe(
-            item.frame.image, item.frame.stamp_ns, missed=item.missed, distance_m=item.distance_m
-        )
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
         if match is not None and match.accepted:
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence.length)
             if _exclude_damaged(recognizer, checksums, behind):

@@ -12,6 +12,7 @@ from edge.descriptor.normalize import RunningStatistics
 from edge.reference_map import MapSet, ModelKey, open_map
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
+from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import KeptState, Moment, StateFile, StateKey
 from sim.maps.shrinking import shrink_to
@@ -44,7 +45,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     config = Config(descriptor=descriptor, sequence=SequenceConfig(length=LENGTH))
     matcher = SequenceMatcher(MapSet.of(reference_map), config)
     noisy = raw + rng.normal(0, 1.0, raw.shape).astype(np.float32)
-    matches = [matcher.push(one, distance_m=2.0 * row) for row, one in enumerate(noisy)]
+    matches = [matcher.push(one, Travel(2.0 * row)) for row, one in enumerate(noisy)]
     found = [match.place_index for match in matches[LENGTH:] if match is not None]
     assert len(found) == PLACES - LENGTH
     assert np.abs(np.array(found) - np.arange(LENGTH, PLACES)).max() <= 1

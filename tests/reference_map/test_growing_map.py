@@ -15,6 +15,7 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.map_agreement import as_uncertain
 from edge.reference_map import COST_ONE, GrowingMap, MapBuilder, MapSet, ModelKey, Place, RegionsKey, Route, open_map
+from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 
 DIMENSIONS, SPACING_M = 256, 2.0
@@ -104,9 +105,7 @@ def test_what_is_recognized_while_the_map_grows_is_what_the_whole_map_gives(tmp_
     whole_matcher = SequenceMatcher(old.with_newest(growing.first(300)), CONFIG)
     places = []
     for frame, query in enumerate(queries):
-        one, another = (
-            matcher.push(query, distance_m=frame * SPACING_M) for matcher in (growing_matcher, whole_matcher)
-        )
+        one, another = (matcher.push(query, Travel(frame * SPACING_M)) for matcher in (growing_matcher, whole_matcher))
         if frame % 8 == 0:
             growing_matcher.grow(old.with_newest(growing.first(100 + frame)))
         if frame >= 2 * LENGTH:

@@ -24,9 +24,9 @@ from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
-from edge.sequence import PlaceMatch
+from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes
-from edge.sequence.place_search import Near, PlaceSearch
+from edge.sequence.place_search import PlaceSearch
 from edge.sequence.submap import GlobalSearch
 from sim.maps.tiles import split_map
 
@@ -111,7 +111,7 @@ class Drive:
     def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), near)
+        match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
         self.search.follow(match.place_index if match and is_unique(match) else None)
         return match
 

@@ -12,6 +12,7 @@ from edge.config import AcceptanceConfig, Config
 from edge.localization.consensus import FEWER_LINES
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
+from edge.sequence import Travel
 from edge.sequence.evidence import Roads
 from edge.sequence_matcher import SequenceMatcher
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
@@ -74,7 +75,7 @@ def test_a_match_against_the_course_is_neither_the_best_nor_the_one_that_it_is_h
         for course_rad in (None, SOUTH, NORTH):
             matcher = SequenceMatcher(maps, config)
             matches = [
-                matcher.push(raw + rng.normal(scale=0.3, size=raw.shape), distance_m=2.0 * frame, course_rad=course_rad)
+                matcher.push(raw + rng.normal(scale=0.3, size=raw.shape), Travel(2.0 * frame, course_rad=course_rad))
                 for frame, raw in enumerate(homeward)
             ]
             part, last = matcher.first.search.part, matches[-1]

@@ -113,7 +113,7 @@ def test_a_search_uses_the_lane_where_distance_is_measured(raw: NDArray[np.float
         def push(number: int) -> PlaceMatch | None:
             newest = NormalizedRows(rows[number][np.newaxis])
             ring = rows[max(0, number - LENGTH + 1) : number + 1]
-            return search.push(newest, lambda: ring, None, is_measured=is_measured)
+            return search.push(newest, lambda: ring, is_measured=is_measured)
 
         return [push(number) for number in range(len(rows))][-1]
 

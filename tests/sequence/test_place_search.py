@@ -15,8 +15,8 @@ from edge.descriptor import NormalizedRows
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
-from edge.sequence import PlaceMatch
-from edge.sequence.place_search import Near, PlaceSearch, is_regular
+from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence.place_search import PlaceSearch, is_regular
 from edge.sequence.submap import SLICE_SHARE
 
 PLACES, LENGTH, LIMIT = 6000, 10, 800
@@ -72,7 +72,7 @@ class Drive:
     def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), near)
+        match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
         self.search.follow(match.place_index if match and is_unique(match) else None)
         return match
 

@@ -10,6 +10,7 @@ from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.feed.sampling import Steps
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
+from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
@@ -52,7 +53,7 @@ def test_places_are_right_whatever_the_spacing(
         found = []
         for here_m in at_m.tolist():
             raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape).astype(np.float32)
-            match = matcher.push(raw, distance_m=odometer * here_m)
+            match = matcher.push(raw, Travel(odometer * here_m))
             found.append(np.nan if match is None or not match.accepted else map_m * match.place_index - here_m)
     assert match is not None
     assert match.step == pytest.approx(odometer * frame_m / map_m, rel=0.15 if irregular else 0.01)
@@ -101,5 +102,5 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
             lacks.append(matcher.lacks_odometer)
         assert lacks == [False] * (config.sequence.length - 1) + [True]
         assert matcher.spacing == "a frame every 0.5 s, and the map has a place every 4 m"
-        matcher.push(road[0], distance_m=0.0)
+        matcher.push(road[0], Travel(0.0))
         assert not matcher.lacks_odometer

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
-from edge.sequence import PlaceMatch
-from edge.sequence.place_search import Near, PlaceSearch
+from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence.place_search import PlaceSearch
 from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race, wall_ns
 from sim.research.bench.rows import Row, Section, Target
@@ -46,7 +46,7 @@ class Drive:
         near = Near(*match_position(self._place), RADIUS_M) if self._known else None
         change = NormalizedRows(self._ring[-1][np.newaxis])
         self._place += 1
-        return self.search.push(change, lambda: np.stack(self._ring), near)
+        return self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
 
     def _look(self) -> NDArray[np.float32]:
         index = self.map_set.index

@@ -19,6 +19,7 @@ from edge.mapping.place_log import create_log
 from edge.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
 from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.reference_map import Place, RegionsKey, open_map_set
+from edge.sequence import Travel
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.bench.frames import smooth_picture
 from sim.bench.simulated_map import write_simulated_map
@@ -55,9 +56,9 @@ class TwoCameras:
         """One frame of each camera, of alternating pictures."""
         ahead, back = pictures[2 * frame : 2 * frame + 2]
         self._driven_m += SPACING_M
-        self.recognizer.observe(ahead, frame * 200_000_000, distance_m=self._driven_m)
+        self.recognizer.observe(ahead, frame * 200_000_000, Travel(self._driven_m))
         raw = self.recognizer.describe(back)
-        self.recognizer.observe_second(raw, None, 0, self._driven_m)
+        self.recognizer.observe_second(raw, Travel(self._driven_m))
         self.live.add(raw, back, _position(self.live.status.places), self._driven_m)
         newest = self.live.newly_searchable(self._driven_m)
         if newest is not None:
@@ -113,7 +114,7 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     pictures = [smooth_picture(rng, SIZE_PX) for _ in range(2 * (LENGTH + frames))]
 
     def one_camera(frame: int) -> None:
-        alone.observe(pictures[2 * frame], frame * 200_000_000, distance_m=frame * SPACING_M)
+        alone.observe(pictures[2 * frame], frame * 200_000_000, Travel(frame * SPACING_M))
 
     maps_name = "two cameras, one that recognizes and one that maps"
     both_name = "two cameras that recognize, one of which maps"

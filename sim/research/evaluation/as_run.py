@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig, SequenceConfig
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import NAN, Place
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Travel
 from edge.sequence.search import NO_LINE
 from edge.sequence_matcher import SequenceMatcher
 from sim.research.evaluation.matching import CANDIDATES, Matches, gathered, lowest
@@ -65,7 +65,7 @@ def match_as_run(
         ):
             if frame in starts:
                 matcher.reset()
-            believed = matcher.push(raw[frame], missed=missed, distance_m=None if np.isnan(distance_m) else distance_m)
+            believed = matcher.push(raw[frame], Travel(None if np.isnan(distance_m) else distance_m, missed=missed))
             match = believed if answer == "belief" else matcher.best
             found.append(_found(matcher, match, answer))
     return gathered(found)

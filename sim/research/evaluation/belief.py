@@ -23,14 +23,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig
+from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, cut_regions
 from edge.localization.region_lines import lag_places
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import Place
-from edge.sequence import Direction
+from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.camera import open_renderer
@@ -40,6 +40,7 @@ from sim.world.scenario import LightName, Scenario
 LIGHTS: tuple[LightName, ...] = ("night", "dusk", "day", "snow")
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 SPACING_M = 2.0
+DEFAULT_SAMPLING = SamplingConfig(spacing_m=SPACING_M)
 TOLERANCE_M = 40.0
 HOME_LEFT_M = 3.5  # of the map's drive is the lane home
 FIRST_FRAME = 16  # the first that can have an answer
@@ -71,12 +72,13 @@ class Beliefs:
     lag_m: Floats
 
 
-def described(scenario: Scenario, network: Network, cache: Path) -> Described:
-    """Render a drive at each SPACING_M and describe it, unless `cache` has it."""
-    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
+def described(scenario: Scenario, network: Network, cache: Path, spacing_m: float = SPACING_M) -> Described:
+    """Render a drive at each spacing_m and describe it, unless `cache` has it."""
+    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}"
+    name += ".npz" if spacing_m == SPACING_M else f"_{spacing_m:g}m.npz"
     if not (cache / name).exists():
         drive = scenario.drive()
-        times_s = times_by_distance(drive, SPACING_M)
+        times_s = times_by_distance(drive, spacing_m)
         renderer = open_renderer(scenario, drive)
         images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
         raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.size)) for image in images])
@@ -102,18 +104,23 @@ def believe(
     road: Described,
     query: Described,
     cut: Cut,
-    odometer_scale: float = 1.0,
+    odometer_scale: float | None = 1.0,
     *,
     rear: Described | None = None,
     rig: RigConfig | None = None,
+    sampling: SamplingConfig = DEFAULT_SAMPLING,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
-    rear: the same drive as a rear camera saw it, which recognizes as well.
+    odometer_scale: what it reads for each meter, None without one. rear: the same drive as a rear camera saw it, which
+    recognizes as well.
     """
-    mapping = MappingConfig(folder="maps", recognize=rear is not None, camera=CameraConfig(view="rear"))
+    mapping = MappingConfig()
+    if rear is not None:
+        mapping = MappingConfig(folder="maps", recognize=True, camera=CameraConfig(view="rear"))
     # Without a rig there is no lane, but any parallax, so that it is measured.
-    config, rows = Config(rig=rig or RigConfig(parallax=1.0), mapping=mapping), np.arange(len(road.raw))
+    config = Config(rig=rig or RigConfig(parallax=1.0), mapping=mapping, sampling=sampling)
+    rows = np.arange(len(road.raw))
     drives = [
         MappedDrive(
             road.raw[start:end].astype(np.float32),
@@ -128,10 +135,10 @@ def believe(
     with temporary_map(drives, model, config.descriptor) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
-            distance_m = float(driven_m) * odometer_scale
+            travel = Travel(None if odometer_scale is None else float(driven_m) * odometer_scale)
             if rear is not None:
-                matcher.push_second(rear.raw[frame].astype(np.float32), None, 0, distance_m)
-            match = matcher.push(raw, distance_m=distance_m)
+                matcher.push_second(rear.raw[frame].astype(np.float32), travel)
+            match = matcher.push(raw, travel)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.parallax is not None:
@@ -179,7 +186,7 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
         for enter, leave in zip(edges[::2], edges[1::2], strict=True)
     ]
     answers = [
-        _answers(confidence, np.abs(place_m - true_m) <= TOLERANCE_M, on_map)
+        _answers(confidence, np.abs(place_m - true_m), on_map)
         for confidence, place_m in (
             (beliefs.confidence, beliefs.along_m),
             (beliefs.uniqueness, beliefs.match_m),
@@ -188,9 +195,10 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
     return Judged(answers[0], answers[1], first_m)
 
 
-def _answers(confidence: Floats, right: NDArray[np.bool_], on_map: NDArray[np.bool_]) -> Answers:
-    counts = (on_map | ~right) & (np.arange(len(right)) >= FIRST_FRAME)
-    return Answers(np.where(confidence > 0, confidence, np.nan)[counts], right[counts], on_map[counts])
+def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> Answers:
+    counted = slice(FIRST_FRAME, None)
+    answered = np.where(confidence > 0, confidence, np.nan)
+    return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from edge.layers import DriveTally
 from edge.reference_map import ModelKey, Retired, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
-from edge.sequence import Direction
+from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.maps.learning import learn
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
@@ -89,7 +89,7 @@ def drive_over(
     image = np.full((16, 16, 3), GRAY[light], np.uint8)
     right, believed, first_m = [], [], float("inf")
     for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
-        match = matcher.push(raw, distance_m=driven_m, course_rad=course_rad if frame >= FIRST_COURSE else None)
+        match = matcher.push(raw, Travel(driven_m, course_rad=course_rad if frame >= FIRST_COURSE else None))
         is_believed = match is not None and match.accepted
         off_m = float("inf")
         if match is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, SamplingConfig, SequenceConfig
 from edge.errors import ConfigError
 from edge.recognizer import model_key
-from sim.evaluation.metrics import Answers
+from sim.evaluation.metrics import Answers, answers_within
 from sim.research.evaluation.as_run import config_of, match_as_run
 from sim.research.evaluation.bootstrap import Resampling
 from sim.research.evaluation.descriptions import Descriptions, Raw
@@ -62,6 +62,11 @@ class Outcome:
     def error_of_best(self) -> NDArray[np.float64]:
         """(Q,) true distance of each answer, inf where there is none."""
         return errors_of(self.matches.place[:, np.newaxis], self.errors)[:, 0]
+
+    def within_twice(self) -> Answers:
+        """The same answers by twice the tolerance."""
+        answers, error = self.answers, self.error_of_best()[self.judged]
+        return answers_within(answers.confidence, error, answers.has_truth, 2 * self.pair.tolerance)
 
     @property
     def threshold(self) -> float:

@@ -136,7 +136,7 @@ def about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
 
 
 def _print_overview(section: Section) -> None:
-    """The first table, on the terminal."""
+    """The first table, on the terminal, and what it warns of."""
     table = section.tables[0]
     width = max(len(str(row[0])) for row in table.rows)
     for index, pair in enumerate(table.columns[1:], 1):
@@ -144,6 +144,8 @@ def _print_overview(section: Section) -> None:
         for row in table.rows:
             if not np.isnan(float(str(row[index]))):
                 print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
+    if table.note:
+        print(table.note, file=sys.stderr)
 
 
 def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:

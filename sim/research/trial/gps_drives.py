@@ -24,7 +24,7 @@ from edge.recognizer import model_key
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim import ORIGIN_ALT_M, geodetic
 from sim.research.trial.gps_histories import Array, History
@@ -132,7 +132,8 @@ def place(
     for row, (at_s, at_m, driven_m) in enumerate(zip(time_s, route_m, odometer_m, strict=True)):
         if sampler.is_place(round(at_s * 1e9), float(driven_m)):
             raw = library[scenario].raw(float(at_m))
-            frames.append(PlacedFrame(row, matcher.push(raw, None, sampler.missed, float(driven_m)), sampler.missed))
+            match = matcher.push(raw, Travel(float(driven_m), sampler.missed))
+            frames.append(PlacedFrame(row, match, sampler.missed))
     return PlacedDrive(f"{scenario.seed} {scenario.light}", time_s, true_m, Route(maps), tuple(frames))
 
 

@@ -26,6 +26,7 @@ from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
+from edge.sequence import Travel
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
 from sim.calibration.threshold import DEFAULT
@@ -129,7 +130,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     in_sigmas: list[float] = []
     began: tuple[float, float] | None = None
     for item in traverse(dusk, CONFIG.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, distance_m=item.distance_m)
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m))
         lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
         assert lat_deg is not None and lon_deg is not None
         began = began or (lat_deg, lon_deg)

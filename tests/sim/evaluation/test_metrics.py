@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.evaluation.metrics import Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, max_f1_of_correct, recall_of_best, scores
 
 
@@ -127,3 +127,15 @@ def test_precision_and_recall_at_a_threshold_count_unanswered_queries_as_missed(
     assert at_threshold(answers, 0.5) == (3 / 4, 3 / 5)
     precision, recall = at_threshold(answers, 1.0)
     assert np.isnan(precision) and recall == 0.0
+
+
+def test_a_frame_a_little_beyond_the_tolerance_is_right_within_twice_of_it_also_beyond_the_maps_end() -> None:
+    """The last two are off the map: 0.4 m beyond the tolerance, and far away."""
+    error_m = np.array([3.0, 40.4, 12.0, 40.4, 300.0])
+    on_map = np.array([True, True, True, False, False])
+    confidence = np.array([0.6, 0.7, 0.9, 0.99, 0.5])
+    strict = Answers(confidence, on_map & (error_m <= 40.0), on_map)
+    assert recall_at_precision(precision_recall(strict), 1.0) == 0.0
+    assert recall_at_precision(precision_recall(answers_within(confidence, error_m, on_map, 80.0)), 1.0) == 1.0
+    surest = np.array([0.6, 0.7, 0.9, 0.99, 0.95])
+    assert recall_at_precision(precision_recall(answers_within(surest, error_m, on_map, 80.0)), 1.0) == 0.0

@@ -13,7 +13,7 @@ from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from sim.evaluation.golden import replay_on_new_map
-from sim.research.evaluation.comparison import lags, median_ahead
+from sim.research.evaluation.comparison import lags, median_ahead, offset_warnings
 from sim.research.evaluation.matching import judge
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan, load_plan
@@ -96,10 +96,16 @@ def test_the_offset_is_measured_on_another_drive_and_moves_what_is_right(tmp_pat
     runner = runner_on(tmp_path, [pair], "rear", "front", "before")
     plain = runner.run(pair, "SeqSLAM/causal")
     assert not plain.answers.correct.any() and lags(plain) == [np.inf]
+    wide = msgspec.structs.replace(pair, tolerance=20.0)
+    cut_off = runner_on(tmp_path, [wide], "rear", "front")
+    (warning,) = offset_warnings(cut_off, {("p", "SeqSLAM/causal"): cut_off.run(wide, "SeqSLAM/causal")})
+    assert "a median of 16 ahead, where 0 is expected, near the tolerance of 20" in warning
     for changes in ({"ahead": 16.0}, {"calibration": "before"}):
         outcome = runner.run(msgspec.structs.replace(pair, **changes), "SeqSLAM/causal")
         assert abs(outcome.ahead - 16.0) < 0.5 and outcome.answers.correct.mean() > 0.9
         assert abs(median_ahead(outcome) - 16.0) < 0.5
+        assert not offset_warnings(runner, {("p", "SeqSLAM/causal"): outcome})
+        assert outcome.within_twice().correct.sum() >= outcome.answers.correct.sum()
         assert 8 <= lags(outcome)[0] <= 15  # the first whole sequence, and the frames that it takes to be unique
         assert (outcome.matches.place - outcome.places_of_vehicle())[outcome.judged[outcome.answers.correct]].max() == 8
 
