@@ -30,6 +30,7 @@ from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS, Limits
 from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.map_verification import MapVerification
+from edge.motion import PassedLine
 from edge.opened_parts import OpenedParts
 from edge.page import map_view
 from edge.sequence import Near, PlaceMatch, Travel
@@ -133,6 +134,18 @@ class Daemon:
         if speed is not None and use == "send":
             self._autopilot.send_velocity(speed)
 
+    def _compare_motion(self, match: PlaceMatch | None) -> None:
+        """Compare the distance that the camera measures with that between the places which it recognizes."""
+        motion = self.parts.motion
+        if motion is None:
+            return
+        line = None if match is None else self._estimator.line_of(match)
+        if match is None or line is None:
+            motion.height.use_frame(None)
+            return
+        along_m = line.along_m if match.direction == "forward" else -line.along_m
+        motion.height.use_frame(PassedLine(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
+
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self.parts.times.start()
@@ -142,6 +155,7 @@ class Daemon:
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
         self._estimate(frame.stamp_ns, match, displacement, missed)
+        self._compare_motion(match)
         self._map_frame(frame, distance_m, missed)
         self._publish_frame(frame, match, missed)
         self._warn_without_odometer()
@@ -324,14 +338,15 @@ class Daemon:
             return
         for odometry in ros2.odometry():
             self._autopilot.vehicle.use_odometry(*odometry)
-        ros2.publish_state(health.state, health.why, self._autopilot.status())
+        ros2.publish_state(health.state, health.why, self._autopilot.status)
         fix = self._estimator.position_at_exposure()
         if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self.parts.pictures.fault:
             return
         ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
         report = replace(self._autopilot.report(), gps="not healthy")
         displacement = self._autopilot.vehicle.displacement(fix.stamp_ns)
-        if self._estimator.refusal(fix, limits, ros2.published_ns, report, displacement) is None:
+        asked = fix, limits, ros2.published_ns, report, displacement
+        if self._estimator.refusal(*asked, to_autopilot=False) is None:
             ros2.publish_position(fix)
 
     def _show_maps(self) -> None:

@@ -22,8 +22,8 @@ from edge.journal.journal import newest_state
 from edge.map_agreement import disagreements
 from edge.mission import plan_way_home
 from edge.motion import CameraMotion
-from edge.motion.camera_motion import WINDOW_M, WINDOWS
 from edge.motion.ground import FARTHEST, GroundView
+from edge.motion.height import WINDOW_M, WINDOWS
 from edge.recognizer import open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.place_records import spell_accuracy
@@ -161,7 +161,7 @@ def check_motion(examined: Examined) -> Iterator[Found]:
     words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead"
     yield good(words) if view.ground_share >= LEAST_GROUND else note(words, "tilt the camera down, or crop less")
     if height.height_m:
-        yield good(f"the camera is {height.height_m:.2f} m above the ground, within {height.share:.1%}")
+        yield good(f"the camera was {height.height_m:.2f} m above the ground; {WINDOW_M:g} m with GPS check it")
     else:
         yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
 

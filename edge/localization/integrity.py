@@ -86,16 +86,17 @@ class Limits:
 class Integrity:
     """The observations so far, and the decision on each fix."""
 
-    def __init__(self, gates: GatesConfig) -> None:
+    def __init__(self, gates: GatesConfig, claims: Claims | None = None) -> None:
+        """claims: those of another one, whose evidence both share; what was asked of each, it alone remembers."""
         self._gates = gates
-        self._claims = Claims(gates)
+        self.claims = claims or Claims(gates)
         self._published_wrong = 1.0
         self.protection_level: ProtectionLevel | None = None
         """Of the newest fix; None where its place is not certain enough to be published."""
 
     def contradict_nothing(self) -> None:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
-        self._claims.contradict_nothing()
+        self.claims.contradict_nothing()
 
     @property
     def bound_wrong(self) -> float:
@@ -112,7 +113,7 @@ class Integrity:
             sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
             likelihood = likelihood_of(distance_m, sigma_m, situation.bound_wrong)
             is_shift = situation.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
-        return self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
+        return self.claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
 
     def refusal(self, fix: PlaceFix, situation: Situation, limits: Limits) -> Refusal | None:
         """Why the fix may not be published, the first of `refusals.RULES` that holds; None if it may."""
@@ -142,7 +143,7 @@ class Integrity:
         distance_m = _distance_m(now, fix) if now.uncertainty_m is not None else None
         is_bounded = distance_m is not None
         yield "impossibly far", distance_m is not None and distance_m > gates.max_move_m
-        place_wrong = self._claims.wrong(claim)
+        place_wrong = self.claims.wrong(claim)
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that
         # is not known says nothing against a place, and nothing for it.
         likelihood = claim.likelihood if is_bounded else min(claim.likelihood, 1 / SPREAD_M)
@@ -159,7 +160,7 @@ class Integrity:
         All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
         one of its observations on: then that before it bounds the position.
         """
-        reckoned, stretches = situation.reckoned, self._claims.stretches(claim.observations)
+        reckoned, stretches = situation.reckoned, self.claims.stretches(claim.observations)
         newest, count = next(one for one in stretches if claim.observations[-1] in one), len(stretches)
         alike = 2 * UNNOTICED.most_m / SPREAD_M
         shifted = MAP_SHIFTED

@@ -17,7 +17,7 @@ from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import BOUND_WRONG, Integrity, Limits, Situation
-from edge.localization.place_fix import frame_used, untracked_fix
+from edge.localization.place_fix import LineMiddle, frame_used, line_middle, untracked_fix
 from edge.localization.protection_level import ProtectionLevel
 from edge.localization.refusals import Refusal
 from edge.localization.report import Report
@@ -39,6 +39,7 @@ class PositionEstimator:
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
         self._integrity = Integrity(gates)
+        self._for_others = Integrity(gates, self._integrity.claims)
         self._bound: Bound | None = None  # of the autopilot's position
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self._by_gps: Anchor | None = None  # where GPS had the vehicle last
@@ -177,13 +178,15 @@ class PositionEstimator:
         last_sent_ns: int | None,
         report: Report,
         displacement: Displacement | None,
+        *,
+        to_autopilot: bool = True,
     ) -> Refusal | None:
         """Why a position may not be published now; None if it may.
 
         last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
         """
         situation = self._situation(fix, displacement, self._gps.believed(report), last_sent_ns)
-        return self._integrity.refusal(fix, situation, limits)
+        return (self._integrity if to_autopilot else self._for_others).refusal(fix, situation, limits)
 
     @property
     def protection_level(self) -> ProtectionLevel | None:
@@ -221,6 +224,12 @@ class PositionEstimator:
             return None
         drift = max(self._drift, fix.velocity_error)
         return self._by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))
+
+    def line_of(self, match: PlaceMatch) -> LineMiddle | None:
+        """Where the line of a believed match lies along the map's drive; None where it says nothing of that."""
+        assert self._route is not None
+        is_sure = match.accepted and match.uniqueness >= 1
+        return line_middle(match, self._route, self._config.sequence.length) if is_sure else None
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:
         """An event: with the position of the vehicle if it is followed, else with the place's own."""

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
-from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.errors import reason
-from edge.files import Behind, replacing
 from edge.journal.records import MotionMeasured, Record
 from edge.motion.ground import GroundView, Step, measure
+from edge.motion.height import CameraHeight, read_height
 
 LEAST_NS, LONGEST_NS = 60_000_000, 500_000_000
 """Between two pictures that are compared: of 30 a second one in two, which halves what they cost; and after the latter
@@ -25,11 +21,6 @@ little of the ground is still to be seen, at 10 m/s and 1.4 m."""
 MOUNTED_RAD, RESTS_RAD = math.radians(2.0), math.radians(0.6)
 """Standard deviations of the pitch: of a camera that was mounted by hand, and of a car around where it rests."""
 RESTS_S = 2.0  # how soon it is back where it rests
-WINDOW_M, WINDOWS, WINDOWS_MOST = 20.0, 5, 25
-"""Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. How many make the
-height known, and how many are remembered: 500 m, so that another mount is learned in half of that."""
-LEAST_SHARE, KNOWN_SHARE = 0.005, 0.05
-"""Standard deviations of the height, as shares of it: GPS has no better velocity; and the most that is of use."""
 STRONGEST_MPS2, LEAST_M = 10.0, 0.5
 """No vehicle changes its speed faster by much, whose camera is at least so high: after a loss, one in five motions that
 were found was that of something else, and none twice."""
@@ -38,15 +29,14 @@ STILL = 0.3
 and not where it was found to stand after nothing was seen."""
 LEARNT_MPS = 2.0
 """Slower, the velocity of GPS is wrong by too large a share."""
-RECORDED_NS, SAVED_NS = 1_000_000_000, 60_000_000_000
-"""Between records in the journal, and between writes of the file."""
-log = logging.getLogger(__name__)
+RECORDED_NS = 1_000_000_000  # between records in the journal
 
 
 class CameraSpeed(NamedTuple):
     """Of the vehicle at `stamp_ns`, the middle between two exposures: ahead, and turning to the right.
 
-    sigma_mps, turn_sigma_radps: one standard deviation.
+    sigma_mps, turn_sigma_radps: one standard deviation. scale_share: that of the camera's height, which is in sigma_mps
+    as well, as a share of the speed: all speeds have the same error by it.
     """
 
     stamp_ns: int
@@ -54,55 +44,24 @@ class CameraSpeed(NamedTuple):
     sigma_mps: float
     turn_radps: float
     turn_sigma_radps: float
-
-
-class LearnedHeight(msgspec.Struct, frozen=True):
-    """Of the camera above the ground, from comparisons with GPS; and its pitch, down from the horizon.
-
-    camera: what it holds for. heights_m: by the newest comparisons.
-    """
-
-    camera: str
-    pitch_rad: float
-    heights_m: tuple[float, ...] = ()
-
-    @property
-    def height_m(self) -> float | None:
-        """None until it is known well enough."""
-        return _median_and_share(self.heights_m)[0] if self.share <= KNOWN_SHARE else None
-
-    @property
-    def share(self) -> float:
-        """One standard deviation, as a share of the height, infinite before there are WINDOWS comparisons."""
-        return _median_and_share(self.heights_m)[1] if len(self.heights_m) >= WINDOWS else math.inf
-
-    def with_window(self, height_m: float, pitch_rad: float) -> LearnedHeight:
-        """With one more comparison."""
-        heights_m = (*self.heights_m, height_m)[-WINDOWS_MOST:]
-        pitch_rad = self.pitch_rad + (pitch_rad - self.pitch_rad) / len(heights_m)
-        return LearnedHeight(self.camera, pitch_rad, heights_m)
-
-
-@lru_cache(2)  # each picture asks for them, and they change every 20 m
-def _median_and_share(heights_m: tuple[float, ...]) -> tuple[float, float]:
-    """The error of a median by the median distance from it: 1.48 and 1.25 are those of normal errors."""
-    middle_m = float(np.median(heights_m))
-    spread = 1.48 * float(np.median(np.abs(np.array(heights_m) - middle_m))) / middle_m
-    return middle_m, math.hypot(LEAST_SHARE, 1.25 * spread / math.sqrt(len(heights_m)))
+    scale_share: float
 
 
 class CameraMotion:
     """The motion of one vehicle, from each of its camera's pictures in turn."""
 
     def __init__(self, config: Config, record: Callable[[Record], object] = lambda record: None) -> None:
-        """Read the height that an earlier run learned. record: writes a record (`Journal.write`)."""
+        """Read the height that earlier drives have shown. record: writes a record (`Journal.write`)."""
         motion, camera, journal = config.motion, config.camera, config.telemetry.journal
         self._config = motion
         self._sign = 1.0 if camera.view == "front" else -1.0
-        self._record, self._recorded_ns, self._saved_ns, self._behind = record, 0, 0, Behind()
-        self._path = Path(journal).with_suffix(".height") if journal else None
-        self.height = self._read(f"{camera.source} {camera.view} {camera.preprocessing} {motion}")
-        self._gps_m = self._heights = 0.0  # since the last comparison
+        self._record, self._recorded_ns = record, 0
+        path = Path(journal).with_suffix(".height") if journal else None
+        key, pitch_rad = (
+            f"{camera.source} {camera.view} {camera.preprocessing} {motion}",
+            math.radians(motion.pitch_deg),
+        )
+        self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence.length, path)
         self._view: GroundView | None = None
         self._seen: tuple[NDArray[np.uint8], int] | None = None
         self._step: Step | None = None
@@ -110,17 +69,6 @@ class CameraMotion:
         self.speed: CameraSpeed | None = None
         """The newest, None where it could not be measured."""
         self._begin_anew("no picture yet")
-
-    def _read(self, camera: str) -> LearnedHeight:
-        unknown = LearnedHeight(camera, math.radians(self._config.pitch_deg))
-        if self._path is None or not self._path.exists():
-            return unknown
-        try:
-            kept = msgspec.json.decode(self._path.read_bytes(), type=LearnedHeight)
-        except (OSError, ValueError) as error:
-            log.warning("%s: ignored, the camera's height is learned again: %s", self._path, reason(error))
-            return unknown
-        return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else unknown
 
     def _begin_anew(self, why: str) -> None:
         self.why, self._step = why, None
@@ -166,9 +114,8 @@ class CameraMotion:
         return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
     def _use(self, step: Step, stamp_ns: int, gps_mps: float | None) -> None:
-        before, since_s = self._step, (stamp_ns - self._stepped_ns) / 1e9
-        height_m = self.height.height_m
-        jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * (height_m or LEAST_M)
+        before, since_s, high_m = self._step, (stamp_ns - self._stepped_ns) / 1e9, self.height.height_m or LEAST_M
+        jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * high_m
         has_jumped = jump_mps > STRONGEST_MPS2 * since_s
         if has_jumped and abs(step.ahead_per_s) < STILL:
             self._begin_anew("nothing moves: it stands, or sees no road")
@@ -178,32 +125,15 @@ class CameraMotion:
         if has_jumped:
             self.why = "the ground has not moved alike twice in a row"
             return
+        self.height.drive(self._sign * step.ahead_per_s, stamp_ns)
         if gps_mps is not None and gps_mps >= LEARNT_MPS:
-            self._learn(gps_mps * step.elapsed_s, abs(step.ahead), step.pitch_rad, stamp_ns)
+            self.height.compare(gps_mps * step.elapsed_s, abs(step.ahead), step.pitch_rad, stamp_ns)
+        height_m, share = self.height.height_m, self.height.share
         self.why = "" if height_m else "the height of the camera is not learned yet"
         if height_m:
             per_s = height_m / step.elapsed_s
-            sigma_mps = math.hypot(step.ahead_sigma, self.height.share * step.ahead) * per_s
+            sigma_mps = math.hypot(step.ahead_sigma, share * step.ahead) * per_s
             turn_radps, turn_sigma_radps = step.turn_rad / step.elapsed_s, step.turn_sigma / step.elapsed_s
             middle_ns = stamp_ns - round(step.elapsed_s * 1e9 / 2)
             speed_mps = self._sign * step.ahead_per_s * height_m
-            self.speed = CameraSpeed(middle_ns, speed_mps, sigma_mps, turn_radps, turn_sigma_radps)
-
-    def _learn(self, gps_m: float, heights: float, pitch_rad: float, stamp_ns: int) -> None:
-        """Compare what was driven by GPS with the same in heights, over WINDOW_M; and keep it, once a minute."""
-        self._gps_m, self._heights = self._gps_m + gps_m, self._heights + heights
-        if self._gps_m < WINDOW_M:
-            return
-        self.height = self.height.with_window(self._gps_m / max(self._heights, 1e-9), pitch_rad)
-        self._gps_m = self._heights = 0.0
-        if self._path is not None and self.height.height_m and stamp_ns - self._saved_ns >= SAVED_NS:
-            self._saved_ns = stamp_ns
-            self._behind.start(partial(_save, self._path, msgspec.json.encode(self.height)))
-
-
-def _save(path: Path, data: bytes) -> None:
-    try:
-        with replacing(path) as stream:
-            stream.write(data)
-    except OSError as error:
-        log.warning("%s: cannot save the camera's height: %s", path, error.strerror)
+            self.speed = CameraSpeed(middle_ns, speed_mps, sigma_mps, turn_radps, turn_sigma_radps, share)

@@ -131,14 +131,14 @@ class Ros2:
         values = header, status, fix.lat_deg, fix.lon_deg, math.nan, covariance, COVARIANCE_KNOWN
         self._write("fix", self._types["sensor_msgs/NavSatFix"](*values))
 
-    def publish_state(self, state: str, why: str, link: object) -> None:
-        """The daemon's state, once a second; link: a record of what is known of the autopilot, None where it is not."""
+    def publish_state(self, state: str, why: str, link: Callable[[], object]) -> None:
+        """The daemon's state, once a second; link: makes a record of what is known of the autopilot."""
         now_ns = self._clock_ns()
         if now_ns < self._state_due_ns:
             return
         self._state_due_ns = now_ns + STATE_NS
         pair = self._types["diagnostic_msgs/KeyValue"]
-        pairs = [pair(key, str(value)) for key, value in vars(link).items() if value not in (None, "")]
+        pairs = [pair(key, str(value)) for key, value in vars(link()).items() if value not in (None, "")]
         words = f"{state}: {why}" if why else state
         kind = self._types["diagnostic_msgs/DiagnosticStatus"]
         status = kind(LEVELS.get(state, OK), f"{self._config.namespace}: places", words, "lookback", pairs)

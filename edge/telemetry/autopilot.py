@@ -310,8 +310,7 @@ class AutopilotConnection:
     def send_velocity(self, speed: CameraSpeed) -> None:
         """Send the autopilot what the camera measured, if nothing speaks against it."""
         if self.state == "up" and self.velocity.is_on:
-            wrong = self._estimator.own_velocity_error
-            self._send(self.velocity.send(speed, self._velocity_aid, wrong, self._clock_ns()))
+            self._send(self.velocity.send(speed, self._velocity_aid, self._clock_ns()))
 
     def _warn_without_velocity_aid(self, now_ns: int) -> None:
         """Once in a session, where none is known."""

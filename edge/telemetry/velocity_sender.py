@@ -24,9 +24,9 @@ SILENT_NS = 1_000_000_000
 MOST_SHARE, LEAST_MPS = 0.2, 0.5
 """One standard deviation, as a share of the speed, or in m/s where that is more: a speed that is less certain is not
 sent. By headlights 95 % of the errors are within 5 %."""
-MOST_WRONG = 0.1
-"""Share by which places say that the autopilot's velocity is wrong, from which on the camera's is not sent. On eight
-simulated drives it was at most 0.09; with a camera's height that is 10 % too large 0.14 (median)."""
+MOST_SCALE = 0.05
+"""One standard deviation of what all speeds are wrong by alike: GPS of this drive or places must have shown the
+camera's height, since a filter cannot average it out."""
 
 
 class VelocitySender:
@@ -42,9 +42,9 @@ class VelocitySender:
         """Whether nothing was sent lately, though the autopilot should have it from here alone."""
         return self.is_on and (self._sent_ns is None or now_ns - self._sent_ns > SILENT_NS)
 
-    def send(self, speed: CameraSpeed, aid: str | None, wrong: float, now_ns: int) -> list[Message]:
-        """The message for this firmware. aid: see `velocity_aid`. wrong: share of its velocity, by the places."""
-        why = self._refusal(speed, aid, wrong, now_ns)
+    def send(self, speed: CameraSpeed, aid: str | None, now_ns: int) -> list[Message]:
+        """The message for this firmware. aid: see `velocity_aid`."""
+        why = self._refusal(speed, aid, now_ns)
         if why != self._why:
             self._why = why
             self._record(VelocityChanged(is_sent=not why, why=why))
@@ -54,7 +54,7 @@ class VelocitySender:
         encode = encoders.body_odometry if self._vehicle.autopilot == PX4 else encoders.position_delta
         return [encode(speed)]
 
-    def _refusal(self, speed: CameraSpeed, aid: str | None, wrong: float, now_ns: int) -> str:
+    def _refusal(self, speed: CameraSpeed, aid: str | None, now_ns: int) -> str:
         if self._vehicle.autopilot not in (ARDUPILOT, PX4) or self._vehicle.is_doubled:
             return "no autopilot that uses it"
         if aid != VISION:
@@ -63,4 +63,4 @@ class VelocitySender:
             return "too old"
         if speed.sigma_mps > max(MOST_SHARE * abs(speed.speed_mps), LEAST_MPS):
             return "too uncertain"
-        return "the places contradict it" if abs(wrong) > MOST_WRONG else ""
+        return "the camera's height is not known well enough" if speed.scale_share > MOST_SCALE else ""

@@ -50,10 +50,12 @@ class TrialCamera:
         *,
         latency_s: tuple[float, float] = LATENCY_S,
         hole_rate: float = HOLE_RATE,
-        is_rendered: bool = False,
+        shown_m: Callable[[float], float] | None = None,
     ) -> None:
-        """late_frames: by how many frames pictures are older than their stamps. is_rendered: they show the road."""
-        self._is_rendered = is_rendered
+        """late_frames: by how many frames pictures are older than their stamps. shown_m: the arc length
+        of the road that a picture shows, at that of the camera; None: they show none.
+        """
+        self._shown_m = shown_m
         self._latency_s, self._hole_rate = latency_s, hole_rate
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
@@ -98,8 +100,9 @@ class TrialCamera:
         self.network.seen = arrived[2]
         # Only so that it is not blank, and frozen only where the view is.
         picture = np.random.default_rng(arrived[3]).integers(0, 255, (32, 32, 3), np.uint8)
-        if self._is_rendered:
-            picture = self.network.library[arrived[2].scenario].picture(*arrived[2][1:])
+        if self._shown_m is not None:
+            scenario, route_m, *aside = arrived[2]
+            picture = self.network.library[scenario].picture(self._shown_m(route_m), *aside)
         return Frame(picture, arrived[1], self._delivered)
 
     def close(self) -> None:

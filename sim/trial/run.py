@@ -33,7 +33,7 @@ from edge.config import (
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.motion import CameraMotion
-from edge.motion.camera_motion import WINDOWS_MOST
+from edge.motion.height import WINDOWS_MOST
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place
@@ -106,8 +106,8 @@ def _run_daemon(
 ) -> None:
     config = _settings(draft, link, map_path, folder)
     if draft.height is not None:
-        learned = CameraMotion(config).height
-        height = msgspec.structs.replace(learned, heights_m=(CAMERA_HIGH_M * draft.height,) * WINDOWS_MOST)
+        heights_m = (CAMERA_HIGH_M * draft.height,) * WINDOWS_MOST
+        height = msgspec.structs.replace(CameraMotion(config).height.kept, heights_m=heights_m)
         (folder / JOURNAL).with_suffix(".height").write_bytes(msgspec.json.encode(height))
     mapping = simulation.rear if draft.maps_live else None
     for until_s in (draft.killed_s, math.inf):

@@ -55,9 +55,8 @@ class Simulation:
         self.now_ns = 1_000_000_000_000
         self._draft = draft
         late = round(draft.late_s / FRAME_S)
-        self._front = TrialCamera(
-            lambda: self.now_ns, np.random.default_rng([seed, 9]), late, is_rendered=draft.motion != "off"
-        )
+        shown_m = None if draft.motion == "off" else draft.shown_m
+        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
         self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
         """The camera that maps, where the course has one."""
         self._gps_errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))

@@ -112,8 +112,15 @@ def test_a_pose_is_in_meters_east_and_north_of_the_datum(ros2: Ros2, robot: Robo
 
 def test_the_state_is_a_diagnostic_once_a_second(ros2: Ros2, robot: Robot) -> None:
     robot.listen("diagnostics", "diagnostic_msgs/DiagnosticArray")
+    asked: list[LinkStatus] = []
+
+    def link() -> LinkStatus:
+        asked.append(LinkStatus("up", "udp:x", "report"))
+        return asked[-1]
+
     for _ in range(3):
-        ros2.publish_state("off the map", "not recognized for 20 m", LinkStatus("up", "udp:x", "report"))
+        ros2.publish_state("off the map", "not recognized for 20 m", link)
+    assert len(asked) == 1
     (status,) = decoded(robot.heard("diagnostics"), "diagnostic_msgs/DiagnosticArray").status
     assert (status.level, status.message) == (1, "off the map: not recognized for 20 m")
     assert {("state", "up"), ("gps", "unknown")} <= {(one.key, one.value) for one in status.values}

@@ -35,6 +35,9 @@ SEEN_S = 25.0
 """With GPS, in which about 200 m are driven: enough to learn the camera's height."""
 
 
+EARLY_S = 3.0  # in which hardly 7 m are driven
+
+
 @course("J", "px4-camera{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
 def _px4_camera(draft: Draft, value: str) -> None:
     """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that."""
@@ -48,23 +51,31 @@ def _px4_camera(draft: Draft, value: str) -> None:
     draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
-@course("J", "px4-camera-sent{}", "", "-stop", "-turn-off", "-scale-10")
+@course("J", "px4-camera-sent{}", "", "-stop", "-turn-off", "-early")
 def _px4_camera_sent(draft: Draft, value: str) -> None:
-    """As px4-camera, and PX4 fuses the velocity that the camera measures; or one that is 10 % too large."""
-    COURSES[f"px4-camera{value if value != '-scale-10' else ''}"].lay(draft)
+    """As px4-camera, and PX4 fuses the velocity that the camera measures; early: GPS is lost at once, and by an earlier
+    drive the camera is higher by a tenth than it is."""
+    COURSES[f"px4-camera{value if value != '-early' else ''}"].lay(draft)
     heading_deg = 0.5 * draft.rng.choice((-1.0, 1.0))
     draft.errors = replace(draft.errors, source="camera", heading_deg=heading_deg, wander_mps=ROVER_WANDER_MPS)
     draft.emit, draft.motion = "auto", "send"
-    if value == "-scale-10":
-        draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+    if value == "-early":
+        draft.gps_at = lambda time_s: GpsReport() if time_s < EARLY_S else NO_FIX
         draft.height = 1.1
 
 
-@course("J", "rover-camera-sent{}", "", "-scale-10")
+@course("J", "rover-camera-sent{}", "", "-scale-10", "-slips")
 def _rover_camera_sent(draft: Draft, value: str) -> None:
-    """ArduPilot Rover without wheel encoders steers itself home by the camera's velocity and our positions."""
-    COURSES[f"px4-camera-sent{value}"].lay(draft)
+    """ArduPilot Rover without wheel encoders steers itself home by the camera's velocity and our positions; scale-10:
+    its camera is lower by a tenth than on an earlier drive, slips: from the middle of the way on."""
+    COURSES["px4-camera-sent"].lay(draft)
     draft.firmware, draft.steers = "ardupilot", True
+    if value == "-scale-10":
+        draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+        draft.height = 1.1
+    elif value == "-slips":
+        slips_m = 0.5 * draft.length_m
+        draft.shown_m = lambda route_m: route_m * (1.1 if route_m < slips_m else 1.0)
 
 
 @course("H", "px4-aided{}", "", "-43003")

@@ -1,0 +1,229 @@
+"""How high the camera is above the ground: the scale of what it measures, with its uncertainty, kept between drives.
+
+Three things show it, weighed by their variances: GPS while it is good, over WINDOW_M at a time; places that are
+recognized, which the map has as far apart as the camera must have moved; and earlier drives, right to EARLIER_SHARE,
+since a camera may have been mounted anew. Places are compared by the distances along one drive of the map, and never by
+positions, which are made with the odometer.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from edge.errors import reason
+from edge.files import Behind, replacing
+
+EARLIER_SHARE = 0.1
+"""One standard deviation, as a share: another mount, tires or load. So much is sent to no autopilot (MOST_SCALE)."""
+WINDOW_M, WINDOW_SHARE, WINDOWS, WINDOWS_MOST = 20.0, 0.02, 2, 25
+"""Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. What one is off by at
+least (0.5 to 1.1 % on simulated roads); how many make a height known, and how many are used: 500 m."""
+LEAST_SHARE, KNOWN_SHARE = 0.01, 0.15
+"""Standard deviations: the least that is reached (simulated roads: 1 % too low); and the most that is of use, as an
+odometer."""
+LINE_M, MAP_SHARE, APART_M = 4.5, 0.01, 60.0
+"""Standard deviation of where the line of a match lies along the map's drive, the same for all within APART_M, and that
+of the drive's own length, measured with GPS."""
+CONTRADICTS = 2.0
+"""Standard deviations that places may differ from what GPS said before: it is as uncertain as that asks for, since the
+mount may have slipped. A tenth is found to three quarters within 250 m, and to 2 % within 350."""
+STRETCHED = 0.25  # the most that the height may be wrong by before two places are not of one drive
+SPANNED_NS = 2_000_000_000
+"""After so long without a motion, how far it drove is not known; 0.3 m too far at braking of 1 m/s^2 until then."""
+SAVED_NS = 60_000_000_000  # between writes of the file
+log = logging.getLogger(__name__)
+
+
+class Measured(NamedTuple):
+    """A height in meters, and its standard deviation as a share of it."""
+
+    height_m: float
+    share: float
+
+
+class PassedLine(NamedTuple):
+    """The line of a match: so many frames ago it was `along_m` along a drive of the map, the way the vehicle goes."""
+
+    drive: str
+    along_m: float
+    back: float
+
+
+class KeptHeight(msgspec.Struct, frozen=True):
+    """The file: what it holds for, the camera's pitch down from the horizon, and the newest comparisons with GPS."""
+
+    camera: str
+    pitch_rad: float
+    heights_m: tuple[float, ...] = ()
+
+
+class CameraHeight:
+    """The height of one camera, by what has been compared so far."""
+
+    def __init__(self, kept: KeptHeight, frames: int, path: Path | None = None) -> None:
+        """kept: by earlier drives. frames: of the line of a match. path: of the file."""
+        self.kept, self.pitch_rad = kept, kept.pitch_rad
+        self._path, self._behind, self._saved_ns = path, Behind(), 0
+        earlier = _by_windows(kept.heights_m)
+        self._earlier = earlier and Measured(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
+        self._gps, self._places = _ByGps(), _ByPlaces(frames)
+        self._combine()
+
+    @property
+    def height_m(self) -> float | None:
+        """None until it is known well enough."""
+        return self._best.height_m if self._best is not None and self._best.share <= KNOWN_SHARE else None
+
+    @property
+    def share(self) -> float:
+        """One standard deviation, as a share of the height; infinite where nothing is known."""
+        return math.inf if self._best is None else self._best.share
+
+    def _combine(self) -> None:
+        gps, places = self._gps.measured, self._places.measured
+        if len(self._gps.windows_m) < WINDOWS and self._earlier is None:
+            gps = None
+        if gps is not None and places is not None:
+            agrees = abs(places.height_m / gps.height_m - 1) / CONTRADICTS
+            gps = Measured(gps.height_m, max(gps.share, math.sqrt(max(0.0, agrees**2 - places.share**2))))
+        known = [one for one in (self._earlier, gps, places) if one is not None]
+        weights = [one.share**-2 for one in known]
+        mean_m = sum(w * one.height_m for w, one in zip(weights, known, strict=True)) / sum(weights) if known else 0.0
+        self._best = Measured(mean_m, math.hypot(LEAST_SHARE, sum(weights) ** -0.5)) if known else None
+
+    def drive(self, heights_per_s: float, now_ns: int) -> None:
+        """It moves ahead so fast now, in heights a second."""
+        self._places.drive(heights_per_s, now_ns)
+
+    def compare(self, gps_m: float, heights: float, pitch_rad: float, now_ns: int) -> None:
+        """A step was so many meters long by GPS, and so many heights by the camera of this pitch."""
+        window_m = self._gps.add(gps_m, heights)
+        if window_m is None:
+            return
+        self._places.begin()  # they tell whether it still holds from here on
+        self._combine()
+        heights_m = (*self.kept.heights_m, window_m)[-WINDOWS_MOST:]
+        self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
+        self.kept = KeptHeight(self.kept.camera, self.pitch_rad, heights_m)
+        if self._path is not None and len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
+            self._saved_ns = now_ns
+            self._behind.start(partial(_save, self._path, msgspec.json.encode(self.kept)))
+
+    def use_frame(self, line: PassedLine | None) -> None:
+        """A frame was used, of which lines are made; line: that of its match, None where none is believed."""
+        self._places.use_frame(line)
+        self._combine()
+
+
+class _ByGps:
+    """Comparisons with GPS on this drive."""
+
+    def __init__(self) -> None:
+        self.windows_m: tuple[float, ...] = ()
+        self._meters = self._heights = 0.0  # since the last one
+
+    def add(self, meters: float, heights: float) -> float | None:
+        """A step; the height by the window that it completes."""
+        self._meters, self._heights = self._meters + meters, self._heights + heights
+        if self._meters < WINDOW_M:
+            return None
+        window_m = self._meters / max(self._heights, 1e-9)
+        self.windows_m = (*self.windows_m, window_m)[-WINDOWS_MOST:]
+        self._meters = self._heights = 0.0
+        return window_m
+
+    @property
+    def measured(self) -> Measured | None:
+        """By the newest of them."""
+        return _by_windows(self.windows_m)
+
+
+class _ByPlaces:
+    """Lines along one drive of the map, one after another: a straight line through meters against heights driven."""
+
+    def __init__(self, frames: int) -> None:
+        self._driven, self._rate = 0.0, (0.0, 0)  # ahead in heights; a second, and when
+        self._frames: deque[float] = deque(maxlen=frames)
+        self.begin()
+
+    def begin(self) -> None:
+        """Only what lies ahead counts."""
+        self._since, self._drive, self._first = self._driven, "", 0.0
+        self._last = 0.0, 0.0
+        self._sums = np.zeros(5)  # of 1, x, y, x x and x y
+
+    def drive(self, heights_per_s: float, now_ns: int) -> None:
+        """It moves ahead so fast now."""
+        (before_per_s, before_ns), self._rate = self._rate, (heights_per_s, now_ns)
+        if now_ns - before_ns > SPANNED_NS:
+            self._frames.clear()
+            self.begin()
+        else:
+            self._driven += (before_per_s + heights_per_s) / 2 * (now_ns - before_ns) / 1e9
+
+    def use_frame(self, line: PassedLine | None) -> None:
+        """A frame was used here."""
+        self._frames.append(self._driven)
+        at = -1.0 if line is None else len(self._frames) - 1 - line.back
+        heights = float(np.interp(at, range(len(self._frames)), self._frames))
+        if line is None or at < 0 or heights < self._since:
+            return
+        on, on_m = heights - self._last[0], line.along_m - self._last[1]
+        known = self.measured
+        off_m = 0.0 if known is None else abs(on_m - on * known.height_m)
+        if line.drive != self._drive or off_m > 2 * LINE_M + STRETCHED * abs(on_m):
+            self.begin()
+            self._since, self._drive, self._first = heights, line.drive, line.along_m
+        self._last = heights, line.along_m
+        x, y = heights - self._since, line.along_m - self._first
+        self._sums += 1, x, y, x * x, x * y
+
+    @property
+    def measured(self) -> Measured | None:
+        """The slope, with as many independent lines as there are stretches of APART_M; None where it says nothing."""
+        count, x, y, xx, xy = self._sums
+        spread = xx / count - (x / count) ** 2 if count else 0.0
+        height_m = (xy / count - x * y / count**2) / spread if spread > 0 else 0.0
+        independent = 1 + (self._last[1] - self._first) / APART_M if count else 0.0
+        if not (height_m > 0 and independent > 1):
+            return None
+        share = LINE_M / (height_m * math.sqrt(spread * independent))
+        return Measured(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
+
+
+def read_height(path: Path | None, camera: str, pitch_rad: float) -> KeptHeight:
+    """What is kept for this camera; else nothing, with the pitch of its configuration."""
+    nothing = KeptHeight(camera, pitch_rad)
+    if path is None or not path.exists():
+        return nothing
+    try:
+        kept = msgspec.json.decode(path.read_bytes(), type=KeptHeight)
+    except (OSError, ValueError) as error:
+        log.warning("%s: ignored, the camera's height is learned again: %s", path, reason(error))
+        return nothing
+    return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else nothing
+
+
+def _by_windows(heights_m: tuple[float, ...]) -> Measured | None:
+    """The median, and its error by the median distance from it: 1.48 and 1.25 are those of normal errors."""
+    if not heights_m:
+        return None
+    middle_m = float(np.median(heights_m))
+    spread = 1.48 * float(np.median(np.abs(np.array(heights_m) - middle_m))) / middle_m
+    return Measured(middle_m, 1.25 * max(WINDOW_SHARE, spread) / math.sqrt(len(heights_m)))
+
+
+def _save(path: Path, data: bytes) -> None:
+    try:
+        with replacing(path) as stream:
+            stream.write(data)
+    except OSError as error:
+        log.warning("%s: cannot save the camera's height: %s", path, error.strerror)
