@@ -11,7 +11,7 @@ A further layout is a module and a line in `KINDS`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -128,6 +128,9 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "positions", 25.0, "camera", "positions"),
     }
 )
+OWN = frozenset({"geotagged", "pictures", "video-log", "video", "rosbag"})
+"""Recordings of one's own, which do not say where the camera looked."""
+ASSUMED_FRONT = "the camera is assumed to look ahead; --view rear, if it looked back"
 
 
 def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> Traverse:
@@ -149,4 +152,7 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise FeedError(f"{kind}: needs the package {package}: {install_command('import')}") from None
+    if kind in OWN and options.view is None and traverse.view == "front":
+        notes = f"{traverse.notes}; {ASSUMED_FRONT}" if traverse.notes else ASSUMED_FRONT
+        traverse = replace(traverse, notes=notes)
     return traverse

@@ -164,7 +164,7 @@ def _reason(tried: Tried, row: int) -> str:
         why = f"not on the mapped road: no place of the map within {tried.tolerance_m:g} m"
     elif state == "off the map":
         least = tried.config.acceptance.confidence_min
-        why = f"off the map: confidence below {least:g}{', and the picture is dark' if is_dark else ''}"
+        why = f"not believed: confidence below {least:g}{', and the picture is dark' if is_dark else ''}"
     else:
         why = state
     return why

@@ -49,6 +49,12 @@ def test_usual_names_are_understood_and_shown(
     printed = capsys.readouterr().out
     for text in ("4 of 64 x 48 pixels, 0.5 a second; front camera", "33 m", "UTC", "0.jpg to 6.jpg", "Lng is the lon"):
         assert text in printed, printed
+    assert "assumed to look ahead; --view rear" in printed
+
+
+def test_a_view_that_is_stated_is_not_called_assumed(drive: Path, tmp_path: Path) -> None:
+    assert main(["import", str(drive), "-o", str(tmp_path / "feed"), "--view", "front"]) == 0
+    assert "assumed" not in read_feed(tmp_path / "feed").header.notes
 
 
 @pytest.mark.parametrize(
