@@ -69,7 +69,7 @@ class OpenedParts:
             self.record = self.journal.write
         self.estimator = PositionEstimator(config)
         settings = config.telemetry, clock_ns, self.record, config.gates, config.home
-        link = AutopilotConnection(*settings, estimator=self.estimator, sends_velocity=config.motion.use == "send")
+        link = AutopilotConnection(*settings, estimator=self.estimator, motion=config.motion.use)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)
@@ -113,7 +113,8 @@ class OpenedParts:
                 self._await_speed()
             frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
         self.pictures = PictureCheck(self.device, config.gates.min_speed_mps)
-        self.motion = CameraMotion(config, self.record) if config.motion.use != "off" else None
+        turned = self.autopilot.vehicle.turned_rad
+        self.motion = CameraMotion(config, self.record, turned) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
         self.recorder: Recorder | None = None
         if config.recording.folder:

@@ -61,7 +61,7 @@ class Displacement:
         return self.unknown_since(before) / math.sqrt(3)
 
 
-class _Integral:
+class Integral:
     """A rate with one or more components, integrated over time; the last KEPT reports can be looked up."""
 
     def __init__(self, valid_ns: int, spans_ns: int = LONGEST_GAP_NS) -> None:
@@ -150,8 +150,8 @@ class DeadReckoning:
     """Distance driven by the best source of speed that still reports, and displacement by velocity."""
 
     def __init__(self) -> None:
-        self._distance = _Integral(SPEED_VALID_NS, LONGEST_GAP_OF_SPEED_NS)
-        self._displacement = _Integral(LONGEST_GAP_NS)
+        self._distance = Integral(SPEED_VALID_NS, LONGEST_GAP_OF_SPEED_NS)
+        self._displacement = Integral(LONGEST_GAP_NS)
         self._legs = 0
         self._unknown_m, self._is_leg_over = 0.0, True
         self._doubt = _Doubt()

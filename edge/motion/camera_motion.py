@@ -50,12 +50,20 @@ class CameraSpeed(NamedTuple):
 class CameraMotion:
     """The motion of one vehicle, from each of its camera's pictures in turn."""
 
-    def __init__(self, config: Config, record: Callable[[Record], object] = lambda record: None) -> None:
-        """Read the height that earlier drives have shown. record: writes a record (`Journal.write`)."""
+    def __init__(
+        self,
+        config: Config,
+        record: Callable[[Record], object] = lambda record: None,
+        turned_rad: Callable[[int, int], tuple[float, float] | None] = lambda since_ns, until_ns: None,
+    ) -> None:
+        """Read the height that earlier drives have shown. record: writes a record (`Journal.write`).
+
+        turned_rad: by how much the vehicle has turned between two moments (`Vehicle.turned_rad`).
+        """
         motion, camera, journal = config.motion, config.camera, config.telemetry.journal
         self._config = motion
         self._sign = 1.0 if camera.view == "front" else -1.0
-        self._record, self._recorded_ns = record, 0
+        self._record, self._recorded_ns, self._turned_rad = record, 0, turned_rad
         path = Path(journal).with_suffix(".height") if journal else None
         key, pitch_rad = (
             f"{camera.source} {camera.view} {camera.preprocessing} {motion}",
@@ -93,7 +101,10 @@ class CameraMotion:
             self._begin_anew("no picture shortly before")
         else:
             elapsed_s = (stamp_ns - before[1]) / 1e9
-            step = measure(self._view, before[0], now[0], elapsed_s, self._step, self._pitch_after(elapsed_s))
+            body = self._turned_rad(before[1], stamp_ns)
+            turned = None if body is None else (body[1], -self._sign * body[0])
+            pitch = self._pitch_after(elapsed_s)
+            step = measure(self._view, before[0], now[0], elapsed_s, self._step, pitch, turned)
             if isinstance(step, str):
                 self.why = step
                 if stamp_ns - self._stepped_ns > LONGEST_NS:

@@ -36,13 +36,15 @@ SEARCHED = np.arange(-0.6, 2.41, 0.12)
 SHARE, FEWEST_OF_SIDE = 0.5, 5
 """Of the tracks that the motion must explain, and tracks left and right; with fewer, the ground may be another part."""
 LEAST_PX = 0.15  # standard deviation of the best tracks
-TOGETHER = np.array([1.2, 1.0, 2.0, 1.0, 1.0])
+TOGETHER = np.array([1.0, 1.0, 2.0, 1.0, 1.0])
 """By how much more each part of the motion is uncertain than if each track erred by itself: with these, the errors on
 simulated roads are as large as they say."""
 SIDEWAYS, SLIDES = 0.01, 0.03
 """Standard deviations of the motion to the right: in heights (rolling by 0.5 degrees), and of the motion ahead."""
 TURNS_RADPS = 0.35  # standard deviation of the turn within a second: 20 degrees, as at a crossing
 NODS_RAD = math.radians(0.2)  # of the change of pitch between two pictures, of a car on a road
+BY_GYRO_RAD = math.radians(0.1)
+"""Of both, where an autopilot's gyroscopes measure them: a picture that is 20 ms late if a car pitches by 5 deg/s."""
 ALIKE, MORE_ALIKE = 0.6, 0.15
 """Correlation of the pictures, moved as was found, from which the motion counts; or by how much it must be more than if
 nothing had moved. Lines along the road and reflections do not seem to move: on real streets, in pictures half a second
@@ -148,30 +150,37 @@ def measure(
     elapsed_s: float,
     last: Step | None,
     pitch: tuple[float, float],
+    turned: tuple[float, float] | None = None,
 ) -> Step | str:
     """The motion between two pictures, as `GroundView.contrast` gives them; else why it cannot be seen.
 
     last: the step before, None where none is known. pitch: of the camera in radians, and its standard deviation.
+    turned: by gyroscopes, in radians to the right and further down, None where none measure it.
     """
     share = elapsed_s / last.elapsed_s if last else 0.0
     ahead = last.ahead * share if last else _search(view, before, now, pitch[0])
-    start = np.array([ahead, 0.0, last.turn_rad * share if last else 0.0, 0.0, pitch[0]])
+    guessed = (last.turn_rad * share if last else 0.0, 0.0) if turned is None else turned
+    start = np.array([ahead, 0.0, *guessed, pitch[0]])
     tracks = _track(view, before, now, view.in_pixels(ground_motion(start)), is_known=last is not None)
     if tracks is None:
         return "too few corners of the ground to be tracked"
     corners, tracked = map(view.rays, tracks)
     corners = corners @ np.linalg.inv(ground_motion(start)).T
     sideways = math.hypot(SIDEWAYS, SLIDES * ahead)
-    sigmas = np.array([1.0, sideways, TURNS_RADPS * elapsed_s, NODS_RAD, pitch[1]])
-    step = _solve(view.focal_px, corners / corners[:, 2:], tracked[:, :2], start, sigmas, elapsed_s)
-    if isinstance(step, str):
-        return step
-    found = view.in_pixels(ground_motion(np.array([step.ahead, 0.0, step.turn_rad, 0.0, step.pitch_rad])))
-    used = view.mask > 0
-    alike = _likeness(cv2.warpPerspective(before, found, now.shape[::-1], borderValue=128), now, used)
+    turns = (TURNS_RADPS * elapsed_s, NODS_RAD) if turned is None else (BY_GYRO_RAD, BY_GYRO_RAD)
+    known, sigmas = start * (1, 1, turned is not None, 1, 1), np.array([1.0, sideways, *turns, pitch[1]])
+    solved = _solve(view.focal_px, corners / corners[:, 2:], tracked[:, :2], start, known, sigmas)
+    if isinstance(solved, str):
+        return solved
+    motion, covariance = solved
+    moved, used = view.in_pixels(ground_motion(motion)), view.mask > 0
+    alike = _likeness(cv2.warpPerspective(before, moved, now.shape[::-1], borderValue=128), now, used)
     if alike < ALIKE and alike - _likeness(before, now, used) < MORE_ALIKE:
         return "the ground does not look as if it had moved"
-    return step
+    ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
+    pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
+    values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
+    return Step(elapsed_s, *map(float, values))
 
 
 def _likeness(one: NDArray[Any], other: NDArray[Any], used: NDArray[np.bool_]) -> float:
@@ -219,12 +228,12 @@ def _solve(
     corners: NDArray[np.float64],
     tracked: NDArray[np.float64],
     start: NDArray[np.float64],
+    known: NDArray[np.float64],
     sigmas: NDArray[np.float64],
-    elapsed_s: float,
-) -> Step | str:
-    """The motion of most tracks, from rays (N, 3) to (N, 2), by robust least squares from what half of them agree on.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | str:
+    """The motion (5,) of most tracks, and its covariance, by robust least squares from what half of them agree on.
 
-    sigmas (5,): standard deviations of `start`, of whose turn nothing is known.
+    The tracks lead from rays (N, 3) to (N, 2). known, sigmas (5,): of the motion beforehand, and standard deviations.
     """
 
     def residual_px(motion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -232,7 +241,7 @@ def _solve(
 
     first_px = residual_px(start)
     slopes = np.stack([(first_px - residual_px(start + STEP * unit)) / STEP for unit in np.eye(5)], axis=-1)
-    motion, known = start.copy(), start * (1, 1, 0, 1, 1)
+    motion = start.copy()
     motion[0] = known[0] = start[0] + float(np.median(first_px[:, 1] / slopes[:, 1, 0]))
     scale_px = 1.0
     for _ in range(ROUNDS):
@@ -250,8 +259,4 @@ def _solve(
     sides = on_right, int(agreeing.sum()) - on_right
     if sum(sides) < max(FEWEST, SHARE * len(off_px)) or min(sides) < FEWEST_OF_SIDE:
         return "the ground does not move as one"
-    covariance = np.linalg.inv(information)
-    ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
-    pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
-    values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
-    return Step(elapsed_s, *map(float, values))
+    return motion, np.linalg.inv(information)

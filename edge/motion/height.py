@@ -23,7 +23,7 @@ from edge.files import Behind, replacing
 
 EARLIER_SHARE = 0.1
 """One standard deviation, as a share: another mount, tires or load. So much is sent to no autopilot (MOST_SCALE)."""
-WINDOW_M, WINDOW_SHARE, WINDOWS, WINDOWS_MOST = 20.0, 0.02, 2, 25
+WINDOW_M, WINDOW_SHARE, WINDOWS, WINDOWS_MOST = 20.0, 0.015, 2, 25
 """Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. What one is off by at
 least (0.5 to 1.1 % on simulated roads); how many make a height known, and how many are used: 500 m."""
 LEAST_SHARE, KNOWN_SHARE = 0.01, 0.15

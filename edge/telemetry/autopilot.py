@@ -51,11 +51,12 @@ class AutopilotConnection:
         home: HomeConfig = HomeConfig(),  # noqa: B008
         estimator: PositionEstimator | None = None,
         *,
-        sends_velocity: bool = False,
+        motion: str = "off",
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
 
         estimator: decides on each position, and reads what bounds the autopilot's own; None: one without maps.
+        motion: [motion] use.
         """
         self._clock_ns = clock_ns
         self._record = record
@@ -64,7 +65,7 @@ class AutopilotConnection:
         self.vehicle = Vehicle(config.system_id)
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
-        self.protocol = LinkProtocol(config, self.vehicle)
+        self.protocol = LinkProtocol(config, self.vehicle, asks_attitude=motion != "off")
         self._texts = StatusTexts()
         self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
         self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
@@ -75,7 +76,7 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), self.vehicle, clock_ns, record)
             for number, link in enumerate(config.links, start=1)
         ]
-        self.velocity = VelocitySender(self.vehicle, record, is_on=sends_velocity and config.emit != "report")
+        self.velocity = VelocitySender(self.vehicle, record, is_on=motion == "send" and config.emit != "report")
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._session = 0

@@ -7,7 +7,7 @@ requests. Streams are requested one by one, since an acknowledgement does not sa
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -38,6 +38,7 @@ STREAMS_HZ = {
 
 ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these.
 """
+ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
 TEXT_NS = 500_000_000
 PLACE_NS = 5_000_000_000
 QUEUE_LINES = 8
@@ -62,8 +63,9 @@ FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is kno
 class StreamRequests:
     """Requests the streams of one session, one at a time: each once, and again while it is silent."""
 
-    def __init__(self) -> None:
-        self._back_offs = {message_id: BackOff(AGAIN_NS, AGAIN_LAST_NS) for message_id in STREAMS_HZ}
+    def __init__(self, streams_hz: Mapping[int, float] = STREAMS_HZ) -> None:
+        self._streams_hz = streams_hz
+        self._back_offs = {message_id: BackOff(AGAIN_NS, AGAIN_LAST_NS) for message_id in streams_hz}
         self._requested: set[int] = set()
         self._refusals: Counter[int] = Counter()
         self._asked: tuple[int, int] | None = None  # which message, and when
@@ -77,7 +79,7 @@ class StreamRequests:
                 self._asked = message_id, now_ns
                 self._requested.add(message_id)
                 back_off.failed(now_ns)
-                return [encoders.stream_request(system_id, message_id, STREAMS_HZ[message_id])]
+                return [encoders.stream_request(system_id, message_id, self._streams_hz[message_id])]
         return []
 
     def _is_due(self, message_id: int, back_off: BackOff, heard_ns: int | None, now_ns: int) -> bool:
@@ -128,11 +130,12 @@ class ParameterRequests:
 class LinkProtocol:
     """Which messages are due on the autopilot's link."""
 
-    def __init__(self, config: TelemetryConfig, vehicle: Vehicle) -> None:
+    def __init__(self, config: TelemetryConfig, vehicle: Vehicle, *, asks_attitude: bool = False) -> None:
+        self._streams_hz = STREAMS_HZ | ({mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {})
         self._origin = Origin(*config.origin) if config.origin else None
         self._vehicle = vehicle
         self._due_ns = dict.fromkeys(("heartbeat", "timesync", "version", "origin"), 0)
-        self._streams, self.parameters = StreamRequests(), ParameterRequests()
+        self._streams, self.parameters = StreamRequests(self._streams_hz), ParameterRequests()
         self._moves = config.emit != "report"
         self._origin_requested = False
 
@@ -143,7 +146,7 @@ class LinkProtocol:
     def new_session(self) -> None:
         """The autopilot is another one, or has rebooted: request everything."""
         self._due_ns.update(version=0, origin=0)
-        self._streams = StreamRequests()
+        self._streams = StreamRequests(self._streams_hz)
         # What aids the velocity, and whether positions are used, matters only where some are sent.
         autopilot = self._vehicle.autopilot or 0
         names = *AID_PARAMETERS.get(autopilot, ()), *stream_check.PARAMETERS.get(autopilot, ())

@@ -72,6 +72,7 @@ class Vehicle(VehicleMotion):
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._read_global_position,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._read_local_position,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._read_attitude,
             mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: self._read_wheels,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: lambda hud, now_ns: self._add_speed(now_ns, hud.groundspeed, source=4),
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
@@ -245,6 +246,11 @@ class Vehicle(VehicleMotion):
         self._add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
         if self._position is None or stamp_ns - self._position.stamp_ns > POSITIONS_APART_S * 1e9:
             self._add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
+
+    def _read_attitude(self, message: Message, now_ns: int) -> None:
+        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
+        if stamp_ns is not None:
+            self._turn(stamp_ns, message.pitchspeed, message.yawspeed)
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.

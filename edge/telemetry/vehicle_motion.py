@@ -9,11 +9,14 @@ import math
 
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.localization import DeadReckoning, Displacement
+from edge.localization.dead_reckoning import Integral
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds."""
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
+RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
+"""Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
 WHEELS, ODOMETRY, CAMERA = 3, 5, 6  # ranks of speeds, after those of the autopilot
 POSITIONS_APART_S = 0.5
 ALIKE_MPS, ALIKE = 0.5, 0.1
@@ -26,6 +29,7 @@ class VehicleMotion:
 
     def __init__(self) -> None:
         self._motion = DeadReckoning()
+        self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
         self._reported_ns = 0
@@ -67,6 +71,21 @@ class VehicleMotion:
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
         east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
         self._motion.add_velocity(stamp_ns, east_mps, north_mps)
+
+    def _turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
+        """The body turns so fast by the autopilot's gyroscopes."""
+        last_ns = self._turned.last_ns
+        if not max(abs(nose_up_radps), abs(right_radps)) <= MOST_RADPS or (last_ns is not None and stamp_ns <= last_ns):
+            return
+        if last_ns is None or stamp_ns - last_ns > RATES_APART_NS:
+            self._turned.begin(stamp_ns, (0.0, 0.0), nose_up_radps, right_radps)
+        else:
+            self._turned.add(stamp_ns, nose_up_radps, right_radps)
+
+    def turned_rad(self, since_ns: int, until_ns: int) -> tuple[float, float] | None:
+        """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
+        before, after = self._turned.at(since_ns), self._turned.at(until_ns)
+        return None if before is None or after is None else (after[0] - before[0], after[1] - before[1])
 
     @property
     def distance_gaps(self) -> int:

@@ -21,6 +21,7 @@ from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message, VisionP
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME
 from edge.telemetry.link import Link
 from sim import Pose
+from sim.vehicle.attitude import AttitudeEstimate
 from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
 from sim.vehicle.estimator import Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES, parameters_of
@@ -103,6 +104,7 @@ class SimulatedAutopilot:
         self.timesync_off_s = 0.0
         """By how much its answers to TIMESYNC are ahead of the clock that its messages are stamped with."""
         self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
+        self._attitude = AttitudeEstimate(self._errors.seed)
         self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
         self.inputs.is_aided_by_camera = self._errors.source == "camera"
         self._boot()
@@ -153,6 +155,7 @@ class SimulatedAutopilot:
             self.gps = False
         self._report = self._gps_at(now_s) if self.gps else NO_FIX
         self.estimate.update(self._pose, now_s, self._report.position(self._pose) if self._uses_gps else None)
+        self._attitude.update(self._pose, now_s)
         if self._uses_gps:
             self._gps_lost_s = now_s
             self._origin_m = self._origin_m or (0.0, 0.0)
@@ -296,6 +299,8 @@ class SimulatedAutopilot:
             north_m=self.estimate.north_m,
             sigma_m=self.estimate.sigma_m,
             heading_deg=self.estimate.heading_deg,
+            tilt_deg=self._attitude.tilt_deg,
+            rates_dps=self._attitude.rates_dps,
             origin_m=self._origin_m,
             velocity_mps=self.estimate.velocity_mps,
             driven_m=self.estimate.driven_m if self._errors.source == "wheels" else None,

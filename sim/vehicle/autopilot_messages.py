@@ -27,7 +27,8 @@ class Snapshot:
     """The state of the autopilot at one moment.
 
     pose: the truth, for GPS only. uses_gps: whether the filter fuses it. east_m, north_m, sigma_m, heading_deg: the
-    filter's estimate in the simulation's frame. origin_m: the filter's local origin there, None while it has none.
+    filter's estimate in the simulation's frame. tilt_deg: its roll and pitch; rates_dps: of those and of the heading.
+    origin_m: the filter's local origin there, None while it has none.
     velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders, None where it has none.
     aided: whether anything measures its velocity. base_mode: flags of MAV_MODE_FLAG.
     """
@@ -41,6 +42,8 @@ class Snapshot:
     north_m: float
     sigma_m: float
     heading_deg: float
+    tilt_deg: tuple[float, float]
+    rates_dps: tuple[float, float, float]
     origin_m: tuple[float, float] | None
     velocity_mps: tuple[float, float]
     driven_m: float | None
@@ -102,6 +105,11 @@ def _local_position(state: Snapshot) -> Message:
     return mavlink.MAVLink_local_position_ned_message(
         state.boot_ms, state.north_m - origin_north_m, state.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
     )
+
+
+def _attitude(state: Snapshot) -> Message:
+    angles_deg = *state.tilt_deg, math.remainder(state.heading_deg, 360.0)
+    return mavlink.MAVLink_attitude_message(state.boot_ms, *map(math.radians, (*angles_deg, *state.rates_dps)))
 
 
 def _vfr_hud(state: Snapshot) -> Message:
@@ -208,6 +216,7 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: _gps2_raw,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import msgspec
@@ -77,6 +78,22 @@ def test_the_stamp_is_the_middle_between_two_exposures_and_the_speed_honest() ->
 def test_a_rear_camera_drives_ahead_where_the_road_goes_away() -> None:
     speeds = drive(known(CameraMotion(config(view="rear"))), 4, step_m=-STEP_M)
     assert speeds[3] is not None and speeds[3].speed_mps == pytest.approx(MPS, rel=0.03)
+
+
+@pytest.mark.parametrize(("view", "sign"), [("front", 1.0), ("rear", -1.0)])
+def test_what_lifts_the_nose_lowers_the_view_of_a_rear_camera(view: str, sign: float) -> None:
+    dive_rad, asked = math.radians(1.0), []
+
+    def turned_rad(since_ns: int, until_ns: int) -> tuple[float, float]:
+        asked.append((since_ns, until_ns))
+        return (-sign * dive_rad if len(asked) == 3 else 0.0), 0.0
+
+    motion = known(CameraMotion(config(view=view), turned_rad=turned_rad))
+    for step in range(4):
+        pitch_rad = dive_rad if step == 3 else 0.0
+        speed = motion.follow(picture(20.0 + sign * STEP_M * step, pitch_rad=pitch_rad), (1 + step) * STEP_NS, None)
+    assert asked[2] == (3 * STEP_NS, 4 * STEP_NS)
+    assert speed is not None and speed.speed_mps == pytest.approx(MPS, rel=0.02)
 
 
 def test_it_is_silent_at_the_first_picture_without_light_and_measures_again_with_the_second_that_has_it() -> None:

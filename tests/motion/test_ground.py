@@ -41,6 +41,18 @@ def test_a_nose_that_dives_between_the_pictures_is_no_motion() -> None:
     assert found.pitch_rad == pytest.approx(dive_rad, abs=3 * found.pitch_sigma)
 
 
+def test_gyroscopes_tell_a_dive_from_motion() -> None:
+    dive_rad = math.radians(1.0)
+    view, before, now = GroundView(FOV_DEG, WIDTH, HEIGHT, 0.0), picture(5.0), picture(5.7, pitch_rad=dive_rad, seed=1)
+    found = [
+        measure(view, view.contrast(before), view.contrast(now), 0.1, None, (0.0, math.radians(0.5)), turned)
+        for turned in (None, (0.0, dive_rad))
+    ]
+    off_rad = [abs(one.pitch_rad - dive_rad) for one in found if isinstance(one, Step)]
+    assert off_rad[1] < math.radians(0.2) < off_rad[0]
+    assert isinstance(found[1], Step) and found[1].ahead == pytest.approx(0.5, abs=0.007)
+
+
 def test_a_camera_that_looks_straight_down() -> None:
     pitch_rad = math.radians(90)
     found = step(picture(5.0, pitch_rad=pitch_rad), picture(5.4, pitch_rad=pitch_rad), pitch_rad)

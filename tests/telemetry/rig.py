@@ -63,7 +63,7 @@ class Rig:
         config: Any = None,
         home: HomeConfig = HomeConfig(),  # noqa: B008  # frozen
         *,
-        sends_velocity: bool = False,
+        motion: str = "off",
         **autopilot: Any,
     ) -> None:
         self.now_ns = START_NS
@@ -82,7 +82,7 @@ class Rig:
             **(config or {}),
         }
         self._config, self._gates, self._home = TelemetryConfig(**options), gates, home
-        self._sends_velocity = sends_velocity
+        self._motion = motion
         self.connect()
 
     def connect(self) -> None:
@@ -95,7 +95,7 @@ class Rig:
             self._gates,
             self._home,
             self.estimator,
-            sends_velocity=self._sends_velocity,
+            motion=self._motion,
         )
 
     def judge_gps(self, verdict: GpsVerdict) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -86,3 +88,22 @@ def test_the_camera_counts_not_where_the_autopilot_measures_its_speed() -> None:
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
         vehicle.use_speed(tenth * S // 10 + 1, 3.0)
     assert vehicle.speed_mps(4 * S) == pytest.approx(10.0)
+
+
+def test_how_far_the_body_turned_between_two_pictures_but_not_over_a_silence() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+
+    def turn(first: int, end: int, up_radps: float = 0.2, right_radps: float = -0.5) -> None:
+        for ms in range(first, end, 20):
+            message = mavlink.MAVLink_attitude_message(ms, 0.0, 0.0, 3.1, 0.0, up_radps, right_radps)
+            vehicle.handle(speaker.say(message), ms * S // 1000)
+
+    turn(1000, 1400)
+    assert vehicle.turned_rad(11 * S // 10, 12 * S // 10) == pytest.approx((0.02, -0.05))
+    turn(1800, 2000)
+    assert vehicle.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075)), "as it turned last"
+    assert vehicle.turned_rad(13 * S // 10, 19 * S // 10) is None
+    assert vehicle.turned_rad(19 * S // 10, 22 * S // 10) is None
+    turn(2000, 2020, math.nan, 1e9)
+    assert vehicle.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075))

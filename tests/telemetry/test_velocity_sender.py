@@ -30,7 +30,8 @@ def speed(now_ns: int, mps: float = SPEED_MPS, sigma_mps: float = 0.2, scale_sha
 def flying(folder: Path, firmware: str, *, is_on: bool = True, emit: str = "auto") -> Rig:
     """At 8 m/s; GPS is lost after 6 s."""
     fails_s = START_NS / 1e9 + 6
-    return Rig(folder, emit, LENIENT, sends_velocity=is_on, firmware=firmware, errors=RUNS_AWAY, gps_fails_s=fails_s)
+    motion = "send" if is_on else "odometer"
+    return Rig(folder, emit, LENIENT, motion=motion, firmware=firmware, errors=RUNS_AWAY, gps_fails_s=fails_s)
 
 
 def see(rig: Rig, seconds: float, mps: float = SPEED_MPS) -> None:
@@ -49,6 +50,15 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
     assert rig.connection.vehicle.is_aided
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
+
+
+@pytest.mark.parametrize("motion", ["report", "off"])
+def test_the_attitude_is_requested_for_the_camera_alone(motion: str, tmp_path: Path) -> None:
+    rig = Rig(tmp_path, "report", LENIENT, motion=motion, firmware="ardupilot", errors=RUNS_AWAY)
+    rig.run(8.0)
+    now_ns = rig.now_ns
+    turned = rig.connection.vehicle.turned_rad(now_ns - S, now_ns)
+    assert (turned is None) == (motion == "off")
 
 
 def test_without_it_the_same_filter_runs_away(tmp_path: Path) -> None:
