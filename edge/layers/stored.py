@@ -10,7 +10,7 @@ from pathlib import Path
 
 from edge.errors import MapError
 from edge.layers.tally import Tally, key_of, source_of
-from edge.reference_map import MapHeader, Retired, is_signed, maps_in, read_header
+from edge.reference_map import LearnedFolder, MapHeader, is_signed, maps_in, read_header
 
 KEEP_FILE = "keep"
 CLOCK_SET_UNIX_S = 1_763_000_000
@@ -53,7 +53,7 @@ def stored_maps(folder: Path, tallies: Sequence[Tally]) -> list[StoredMap]:
 
     tallies: of all drives, the oldest first.
     """
-    retired, found = Retired(folder), []
+    learned, found = LearnedFolder(folder), []
     if not folder.is_dir():
         raise MapError(f"{folder}: no such folder of maps")
     by_drive = [(tally.began_unix_s, tally.maps) for tally in tallies]
@@ -66,6 +66,6 @@ def stored_maps(folder: Path, tallies: Sequence[Tally]) -> list[StoredMap]:
             used = [(sum(maps.get(key, 0) for key in keys), began_s) for began_s, maps in by_drive]
             counted = sum(frames for frames, _ in used)
             used_unix_s = max((began_s for frames, began_s in used if frames), default=0.0)
-            marks = is_signed(path), (path / KEEP_FILE).exists(), retired.holds(path)
+            marks = is_signed(path), (path / KEEP_FILE).exists(), learned.retires(path)
             found.append(StoredMap(path, header, size_bytes, made_unix_s, counted, used_unix_s, *marks))
     return found

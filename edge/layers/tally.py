@@ -97,8 +97,10 @@ class DriveTally:
         if driven_m is not None:
             if before is not None and _is_whole(maps, first + before[0], place, driven_m - before[1]):
                 ends = sorted((before[0], row))
-                between = range(ends[0] // STRETCH_PLACES + 1, ends[1] // STRETCH_PLACES)
-                _add(self._tally.passed, key, context, between)
+                between = set(range(ends[0] // STRETCH_PLACES + 1, ends[1] // STRETCH_PLACES))
+                # What is not searched is not missed.
+                gone = (range(a // STRETCH_PLACES, -(-b // STRETCH_PLACES)) for a, b in one.stale)
+                _add(self._tally.passed, key, context, sorted(between.difference(*gone)))
             self._last[key] = row, driven_m
         if now_ns - self._written_ns >= WRITTEN_EACH_NS:
             self._written_ns = now_ns

@@ -61,6 +61,6 @@ def delete_oldest(folder: Path, quota_bytes: float) -> list[Path]:
 def _layers_of_road(folder: Path) -> list[set[Path]]:
     """The maps of each stretch; none where no map of the folder can be used."""
     with contextlib.suppress(MapError):
-        maps = open_map_set(folder, with_retired=True).maps
+        maps = open_map_set(folder, as_recorded=True).maps
         return [{maps[number].path for number in one.rows} for one in stretches(maps, ROWS_APART)]
     return []

@@ -178,7 +178,8 @@ class MapView:
 
     places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
     drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none. path: of the map, or of the folder.
+    all maps (any thread may ask); b"" where there is none. path: of the map, or of the folder. stale: stretches that
+    are no longer there, as drives.
     """
 
     places: int
@@ -186,16 +187,19 @@ class MapView:
     drives: tuple[Line, ...]
     thumbnail: Callable[[int], bytes]
     path: Path
+    stale: tuple[Line, ...] = ()
 
     def as_json(self) -> bytes:
         """All but the thumbnails."""
-        return msgspec.json.encode({"places": self.places, "starts": self.starts, "drives": self.drives})
+        shown = {"places": self.places, "starts": self.starts, "drives": self.drives, "stale": self.stale}
+        return msgspec.json.encode(shown)
 
 
 def map_view(maps: MapSet) -> MapView:
     """What is shown of these maps."""
     starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
-    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, maps.path)
+    stale = tuple(_line(maps.places[start:end]) for start, end in maps.stale)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, maps.path, stale)
 
 
 def _outline(maps: MapSet) -> tuple[Line, ...]:

@@ -5,7 +5,7 @@
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order; PCA
 `self_similarity`  which drives are closed laps, and which places resemble each other
 `spatial_index`  which places a known position allows; `route` positions along the drives
-`retired`  which maps of a folder are not searched; `checksums` a piece at a time, between frames
+`learned`  which maps are not searched, what is gone, newer positions; `checksums` a piece at a time, between frames
 `gps_motion`  whether positions move as the vehicle does
 `growing_map`  the map of this drive, searched while it grows
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
@@ -15,9 +15,9 @@ from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
+from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
-from edge.reference_map.retired import Retired
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route, sigmas_m
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.spatial_index import Bounds, Ranges
@@ -33,17 +33,19 @@ __all__ = [
     "ExcludedMap",
     "GpsMotion",
     "GrowingMap",
+    "Learned",
+    "LearnedFolder",
     "MapBuilder",
     "MapHeader",
     "MapSet",
     "MapSoFar",
     "ModelKey",
+    "Newer",
     "Place",
     "Position",
     "Ranges",
     "ReferenceMap",
     "RegionsKey",
-    "Retired",
     "Rival",
     "Route",
     "is_signed",

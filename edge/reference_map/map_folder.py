@@ -19,8 +19,8 @@ from edge.errors import MapError
 from edge.extras import import_extra
 from edge.files import read_key
 from edge.reference_map.growing_map import MapSoFar
+from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
-from edge.reference_map.retired import Retired
 from edge.reference_map.store import (
     HEADER,
     MapHeader,
@@ -43,19 +43,20 @@ def open_map_set(
     require_signature_by: Path | None = None,
     every_file: bool = False,
     newest: MapSoFar | None = None,
-    with_retired: bool = False,
+    as_recorded: bool = False,
 ) -> MapSet:
-    """Open the map at a path, or the maps of a folder that are searched (see `Retired`), or all of them.
+    """Open the map at a path, or the maps of a folder that are searched, by what was learned of them (`LearnedFolder`).
 
-    newest: of this drive, searched after all others, if any.
+    newest: of this drive, searched after all others, if any. as_recorded: all maps, as if nothing had been learned.
 
     Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
-    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
-    Raises MapError, and ConfigError for the key.
+    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded,
+    and newer positions, which nobody has signed, are not used. Raises MapError, and ConfigError for the key.
     """
     folders = maps_in(path)
-    if folders and not with_retired:
-        folders = Retired(path).others(folders)
+    learned = LearnedFolder(path) if folders and not as_recorded else None
+    if learned is not None:
+        folders = learned.searched(folders)
     _allow_open_files(path, len(folders))
     projections: dict[str, NDArray[np.float32]] = {}
 
@@ -63,7 +64,7 @@ def open_map_set(
         one = open_map(folder, every_file=True) if every_file else open_unverified(folder, projections)
         if require_signature_by is not None:
             check_signature(folder, one.header, require_signature_by)
-        return one
+        return one if learned is None else learned.applied(one, with_positions=require_signature_by is None)
 
     if not folders and newest is None:
         return MapSet.of(open_one(path))

@@ -44,7 +44,7 @@ def read_places(file: Path, stored: np.dtype[np.void]) -> NDArray[np.void]:
         for name in stored.names or ():
             places[name] = records[name]
         records = places
-    _check_places(file, records)
+    check_places(file, records)
     return records
 
 
@@ -62,7 +62,7 @@ def spell_accuracy(places: NDArray[np.void]) -> str:
     return f"{'; '.join(parts)} (source: {sources})"
 
 
-def _check_places(file: Path, places: NDArray[np.void]) -> None:
+def check_places(file: Path, places: NDArray[np.void]) -> None:
     """What is known of a place must be possible, whatever its checksum says: positions are computed with it."""
     for name, most in LIMITS.items():
         _refuse(file, places, name, np.abs(places[name]) > most)  # of NaN, which is not known, this is False

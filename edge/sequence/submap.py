@@ -42,15 +42,16 @@ class RowMatcher:
         span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
+        stale: Sequence[tuple[int, int]] = (),
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. open_ends: whether lines may begin before their drive does, and
-        span, laps: see `SequenceSearch`.
+        span, laps: see `SequenceSearch`. stale: places [start, end) at which no line ends, since they are gone.
         """
         self.neighborhood = neighborhood
         self._per_frame_order = config.sequence.region_order == "frame"
-        planes, possible = _planes(segments, views, regions, config)
+        planes, possible = _planes(segments, views, regions, config, stale)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
             segments, planes, config.sequence.length, slopes, possible, span=span, open_ends=open_ends, laps=laps
@@ -122,7 +123,8 @@ class Submap(RowMatcher):
         """span: the most places that may be driven within a line, so many as frames if None."""
         segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
         regions = map_set.headers[0].regions.count
-        super().__init__(segments, views, regions, neighborhood, config, span=span, open_ends=True, laps=laps)
+        others = neighborhood, config
+        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=self._stale)
 
     def _choose(
         self, ranges: Ranges, map_set: MapSet, config: Config
@@ -131,6 +133,7 @@ class Submap(RowMatcher):
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set = map_set
+        self._stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
@@ -158,7 +161,7 @@ class Submap(RowMatcher):
             self._map_set = map_set
             return True
         segments, _, views, neighborhood = self._choose([(0, after)], map_set, config)
-        planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config)
+        planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config, self._stale)
         if tuple(planes) != self._search.planes:
             return False
         ages = range(len(ring))[::-1]
@@ -193,7 +196,11 @@ class Submap(RowMatcher):
 
 
 def _planes(
-    segments: Sequence[tuple[int, int]], views: Sequence[str], regions: int, config: Config
+    segments: Sequence[tuple[int, int]],
+    views: Sequence[str],
+    regions: int,
+    config: Config,
+    stale: Sequence[tuple[int, int]],
 ) -> tuple[list[Alignment], NDArray[np.bool_]]:
     """The directions and region orders to search in, and where (planes, N) each of them is possible."""
     sequence = config.sequence
@@ -209,6 +216,8 @@ def _planes(
             allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
             possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
     used = np.flatnonzero(possible.any(axis=1))
+    for start, end in stale:
+        possible[:, start:end] = False
     return [planes[index] for index in used], possible[used]
 
 

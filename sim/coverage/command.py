@@ -136,7 +136,8 @@ def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], perce
     print(f"{args.map}: {_basis(args)}")
     resembles = {one.stretch: one.other for one in found}
     for one in sheet.stretches:
-        print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{_alias(resembles.get(one.span))}")
+        gone = "; no longer there" if one.is_stale else ""
+        print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{gone}{_alias(resembles.get(one.span))}")
     print(gap_in_words(sheet.gap, percent))
     print(f"drift always within {args.within_m:g} m: {sheet.completed:.0%} of the drives")
 
@@ -182,7 +183,7 @@ def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float)
 def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
     drives = {"drives": one.drives, "believed_in": one.believed_in}
-    found = {"share": share, "soon": soon, "is_mean": one.is_mean, **drives}
+    found = {"share": share, "soon": soon, "is_mean": one.is_mean, "is_stale": one.is_stale, **drives}
     return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
 
 

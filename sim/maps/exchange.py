@@ -26,7 +26,7 @@ import numpy as np
 from edge.errors import MapError
 from edge.files import AtomicFolder, flush_to_disk, replacing
 from edge.layers import KEEP_FILE, TALLIES, Tally, read_tally
-from edge.reference_map import Retired, maps_in, open_map, read_header
+from edge.reference_map import LearnedFolder, maps_in, open_map, read_header
 from edge.reference_map.map_folder import SIGNATURE, check_signature
 from edge.reference_map.store import HEADER
 
@@ -71,7 +71,7 @@ def merge(folders: Sequence[Path], output: Path) -> int:
 
 def write_delta(folder: Path, since: Path | None, output: Path) -> Delta:
     """Write what `since`, a folder or an earlier delta, lacks of the drives that a folder searches. MapError."""
-    drives = {read_header(path).header_sha256: path for path in Retired(folder).others(_maps(folder))}
+    drives = {read_header(path).header_sha256: path for path in LearnedFolder(folder).searched(_maps(folder))}
     tallies = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in _tallies(folder)}
     has = _inventory_of(since) if since is not None else Inventory([], {})
     missing = [path for sha256, path in sorted(drives.items()) if sha256 not in has.drives]

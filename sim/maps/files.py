@@ -17,11 +17,10 @@ from edge.errors import MapError
 from edge.layers import KEEP_FILE, StoredMap, light_of, read_tallies, stored_maps
 from edge.map_agreement import disagreements
 from edge.mapping.completion import logs_in, map_of
-from edge.reference_map import ReferenceMap, Retired, maps_in, open_map, open_map_set
+from edge.reference_map import LearnedFolder, ReferenceMap, maps_in, open_map, open_map_set
 from edge.reference_map.place_records import spell_accuracy
 from edge.reference_map.store import HEADER, MapHeader
 from sim.maps.keys import make_key, sign_map
-from sim.maps.learning import stale_places
 from sim.maps.tiles import split_map
 
 SAMPLED_PICTURES = 16
@@ -65,12 +64,13 @@ def _info(args: argparse.Namespace) -> int:
         print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
     for excluded in maps.excluded:
         print(f"excluded  {excluded.why}")
-    retired = Retired(args.map)
+    learned = LearnedFolder(args.map)
     for path in maps_in(args.map):
-        if retired.holds(path):
+        if learned.retires(path):
             print(f"retired   {path.name}: not searched; see `map learn`")
-    for name, start, end in stale_places(args.map):
-        print(f"stale     {name}: places {start} to {end - 1} are passed, and recognized no more")
+    for name, one in zip(maps.names, maps.maps, strict=True):
+        for start, end in one.stale:
+            print(f"stale     {name}: places {start} to {end - 1} are passed, and recognized no more; not searched")
     return 0
 
 

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 
 from edge.errors import ConfigError, MapError
-from edge.reference_map import Retired
+from edge.reference_map import LearnedFolder
 from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.files import light
 from sim.maps.keys import is_signed_with
-from sim.maps.learning import LAYERS, STALE_AFTER, Learned, learn
+from sim.maps.learning import LAYERS, STALE_AFTER, Lesson, learn
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -54,24 +54,24 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _learn(args: argparse.Namespace) -> int:
-    retired = Retired(args.map)
+    folder = LearnedFolder(args.map)
     if args.undo:
         if not args.map.is_dir():
             raise MapError(f"{args.map}: no such folder of maps")
-        retired.undo()
-        print(f"{args.map}: undone; {len(retired.drives)} drives are retired")
+        folder.undo()
+        print(f"{args.map}: undone; {len(folder.newest.retired)} drives are retired")
         return 0
     for name in ("layers", "stale_after"):
         if getattr(args, name) < 1:
             raise ConfigError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not 1 or more")
-    learned = learn(
+    lesson = learn(
         args.map, args.layers, args.stale_after, lambda path: args.key is not None and is_signed_with(path, args.key)
     )
-    print("\n".join(_table(learned)))
-    if learned.retired != retired.drives and not args.dry_run:
-        retired.replace(learned.retired)
-    count, done = len(learned.choice.searched), "would be" if args.dry_run else "are"
-    print(f"{args.map}: {count} of {len(learned.drives)} drives {done} searched")
+    print("\n".join(_table(lesson)))
+    if not args.dry_run:
+        lesson.keep(folder)
+    count, done = len(lesson.choice.searched), "would be" if args.dry_run else "are"
+    print(f"{args.map}: {count} of {len(lesson.drives)} drives {done} searched")
     return 0
 
 
@@ -93,15 +93,16 @@ def _apply(args: argparse.Namespace) -> int:
     return 0
 
 
-def _table(learned: Learned) -> list[str]:
-    width = max(len(drive.path.name) for drive in learned.drives)
-    lines = [f"{'drive':{width}}  view   places  light          frames  state     why"]
-    for number, drive in enumerate(learned.drives):
-        why = {**learned.choice.searched, **learned.choice.retired}[number]
-        state = "searched" if number in learned.choice.searched else "retired"
+def _table(lesson: Lesson) -> list[str]:
+    width = max(len(drive.path.name) for drive in lesson.drives)
+    lines = [f"{'drive':{width}}  view   places  light          frames  stale  state     why"]
+    for number, drive in enumerate(lesson.drives):
+        why = {**lesson.choice.searched, **lesson.choice.retired}[number]
+        state = "searched" if number in lesson.choice.searched else "retired"
         views = "/".join(sorted({segment.view for segment in drive.header.segments}))
+        stale = sum(end - start for start, end in lesson.learned.stale.get(drive.header.header_sha256, ()))
         lines.append(
             f"{drive.path.name:{width}}  {views:5}  {drive.header.places:6}  {light(drive.path):13}"
-            f"  {drive.recognized:6}  {state:8}  {why}"
+            f"  {drive.recognized:6}  {stale:5}  {state:8}  {why}"
         )
     return lines

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.errors import MapError
 from edge.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
-from edge.reference_map import MapSet, ReferenceMap, open_map_set
+from edge.reference_map import Learned, LearnedFolder, MapSet, ReferenceMap, open_map_set
 from sim.maps.choice import Choice, choose
 from sim.maps.outvoted import outvoted
 from sim.maps.use import Use
@@ -27,18 +27,17 @@ MOST_UNPLACED = 0.05
 
 
 @dataclass(frozen=True)
-class Learned:
-    """The drives of a folder, and which are searched from now on, each with its reason."""
+class Lesson:
+    """The drives of a folder, which are searched from now on, each with its reason, and what that changes."""
 
     drives: tuple[StoredMap, ...]
     choice: Choice
+    learned: Learned
 
-    @property
-    def retired(self) -> dict[str, str]:
-        """As `Retired.replace` takes it."""
-        return {
-            self.drives[number].path.name: self.drives[number].header.header_sha256 for number in self.choice.retired
-        }
+    def keep(self, folder: LearnedFolder) -> None:
+        """Let it hold from now on, unless it does already. MapError."""
+        if self.learned != folder.newest:
+            folder.add(self.learned, {})
 
 
 def learn(
@@ -46,42 +45,50 @@ def learn(
     layers: int = LAYERS,
     stale_after: int = STALE_AFTER,
     is_ours: Callable[[Path], bool] = lambda path: False,
-) -> Learned:
+) -> Lesson:
     """What to search of a folder of maps; nothing is changed. MapError.
 
-    is_ours: whether a signed map may be retired.
+    is_ours: whether a signed map may be retired, or changed otherwise.
     """
     tallies = read_tallies(folder)
     maps, drives = _opened(folder, tallies)
     road, use = stretches(maps.maps), Use(maps.maps, tallies, stale_after)
     forced = _forced(maps.maps, drives, is_ours)
     wrong = _wrong(maps, forced)
+    stale = _stale(road, use, maps)
     road = [stretch.without(wrong) for stretch in road]
     forced.update(_new(road, use, drives, tallies, forced))
     choice = choose(road, maps.maps, use, layers, forced)
-    return Learned(tuple(drives), replace(choice, retired={**choice.retired, **wrong}))
+    choice = replace(choice, retired={**choice.retired, **wrong})
+    sha256 = [one.header_sha256 for one in maps.headers]
+    changed = [number for number, one in enumerate(drives) if not one.is_signed or is_ours(one.path)]
+    learned = Learned(
+        retired={drives[number].path.name: sha256[number] for number in sorted(choice.retired)},
+        stale={sha256[number]: stale[number] for number in changed if number in stale},
+    )
+    return Lesson(tuple(drives), choice, learned)
 
 
-def stale_places(folder: Path, stale_after: int = STALE_AFTER) -> Iterator[tuple[str, int, int]]:
-    """Map and places [start, end) of each stretch in a row that is no longer there, see `Use.is_stale`."""
-    maps, tallies = open_map_set(folder, with_retired=True), read_tallies(folder)
-    if not tallies:
-        return
-    use, found = Use(maps.maps, tallies, stale_after), set()
-    for stretch in stretches(maps.maps):
-        found |= {
-            (number, row // STRETCH_PLACES) for number, row in stretch.rows.items() if use.is_stale(stretch, number)
-        }
+def _stale(road: Sequence[Stretch], use: Use, maps: MapSet) -> dict[int, list[tuple[int, int]]]:
+    """Places [start, end) of each drive that are no longer there, see `Use.is_stale`; neighbors in one piece."""
+    found = {
+        (number, row // STRETCH_PLACES)
+        for stretch in road
+        for number, row in stretch.rows.items()
+        if use.is_stale(stretch, number)
+    }
+    pieces: dict[int, list[tuple[int, int]]] = {}
     for number, first in sorted(found):
         if (number, first - 1) not in found:
             end = next(end for end in count(first) if (number, end) not in found)
-            places = maps.headers[number].places
-            yield maps.names[number], first * STRETCH_PLACES, min(end * STRETCH_PLACES, places)
+            rows = first * STRETCH_PLACES, min(end * STRETCH_PLACES, maps.headers[number].places)
+            pieces.setdefault(number, []).append(rows)
+    return pieces
 
 
 def _opened(folder: Path, tallies: Sequence[Tally]) -> tuple[MapSet, list[StoredMap]]:
     """All maps of a folder, those that are retired included, in one order. MapError if one cannot be used."""
-    maps = open_map_set(folder, with_retired=True)
+    maps = open_map_set(folder, as_recorded=True)
     if not maps.is_folder:
         raise MapError(f"{folder}: one map; name the folder that it lies in")
     if maps.excluded:

@@ -20,7 +20,7 @@ class Use:
 
     def __init__(self, maps: Sequence[ReferenceMap], tallies: Sequence[Tally], stale_after: int) -> None:
         """tallies: the oldest first. stale_after: see `is_stale`."""
-        self._stale_after = stale_after
+        self._stale_after, self._oldest = stale_after, len(tallies) - HALF_LIFE
         numbers = {key: number for number, one in enumerate(maps) for key in keys_of(one.header, one.path)}
         self._headers = [one.header for one in maps]
         self._frames: defaultdict[tuple[int, int], defaultdict[tuple[str, bool], float]]
@@ -61,7 +61,8 @@ class Use:
         """Whether what a drive shows of a stretch is no longer there.
 
         It was recognized, and in `stale_after` runs since then, in a light in which it was, the vehicle passed the
-        stretch, and recognized places of one drive before and after it, but nothing on it.
+        stretch, and recognized places of one drive before and after it, but nothing on it. Such runs count for
+        HALF_LIFE runs: then the stretch, which was not searched meanwhile, is tried again.
         """
         seen = self._seen.get((number, stretch.rows[number] // STRETCH_PLACES), {})
         if not seen:
@@ -70,7 +71,8 @@ class Use:
         by_any = {run for place in places for run in self._seen.get(place, ())}
         missed = {run: light for place in places for run, light in self._missed.get(place, {}).items()}
         lights = set(seen.values())
-        since = (run for run, light in missed.items() if run > max(seen) and run not in by_any and light in lights)
+        first = max(max(seen) + 1, self._oldest)
+        since = (run for run, light in missed.items() if run >= first and run not in by_any and light in lights)
         return sum(1 for _ in since) >= self._stale_after
 
     def _view(self, place: tuple[int, int]) -> str:

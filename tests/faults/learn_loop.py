@@ -14,29 +14,29 @@ import sys
 import time
 from pathlib import Path
 
-from edge.reference_map import Retired, open_map_set
-from sim.maps.learning import learn
+from edge.reference_map import LearnedFolder, open_map_set
+from sim.maps.learning import Lesson, learn
 
 LONGEST_S = 0.01
 
 
-def learn_until_killed(folder: Path, drives: dict[str, str], begun: int) -> None:
+def learn_until_killed(folder: Path, lesson: Lesson, begun: int) -> None:
     while True:
-        retired = Retired(folder)
-        if retired.drives:
-            retired.undo()
+        learned = LearnedFolder(folder)
+        if learned.newest.retired:
+            learned.undo()
         else:
-            retired.replace(drives)
+            lesson.keep(learned)
         os.write(begun, b".")
 
 
 def crash(folder: Path, kills: int, seed: int) -> None:
-    rng, drives = random.Random(seed), learn(folder, layers=1).retired
+    rng, lesson = random.Random(seed), learn(folder, layers=1)
     for _ in range(kills):
         read, write = os.pipe()
         child = os.fork()
         if child == 0:
-            learn_until_killed(folder, drives, write)
+            learn_until_killed(folder, lesson, write)
         os.read(read, 1)
         time.sleep(rng.uniform(0.0, LONGEST_S))
         os.kill(child, signal.SIGKILL)

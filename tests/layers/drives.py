@@ -59,11 +59,15 @@ def picture(gray: int) -> NDArray[np.uint8]:
     return np.full((16, 16, 3), gray, np.uint8)
 
 
-def count(folder: Path, name: str, rows: Iterable[int], began_s: float, gray: int = 120) -> None:
-    """A run of a daemon with a front camera that recognized these rows of one map, and no others."""
+def count(folder: Path, name: str, rows: Iterable[int], began_s: float, gray: int = 120, detour_m: float = 0.0) -> None:
+    """A run of a daemon with a front camera that recognized these rows of one map, and no others.
+
+    detour_m: driven off the road, halfway.
+    """
     maps = open_map_set(folder)
     first = maps.index.starts[maps.names.index(name)]
     tally = DriveTally(folder, "front", began_s, f"{name}-{gray}")
     for row in rows:
-        tally.count(maps, first + row, "forward", picture(gray), row * SPACING_M, 0)
+        driven_m = row * SPACING_M + detour_m * (row >= 100)
+        tally.count(maps, first + row, "forward", picture(gray), driven_m, 0)
     tally.close()

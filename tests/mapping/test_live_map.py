@@ -23,12 +23,13 @@ from edge.mapping.place_log import OpenLog
 from edge.mapping.quota import delete_oldest
 from edge.mission import plan_way_home
 from edge.reference_map import (
+    Learned,
+    LearnedFolder,
     MapBuilder,
     MapSet,
     ModelKey,
     Place,
     RegionsKey,
-    Retired,
     open_map,
     open_map_set,
     read_header,
@@ -338,7 +339,7 @@ def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: P
     count(tmp_path, paths[3].name, [0], START_S + 99_000)
     sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path, [])}
     assert delete_oldest(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
-    Retired(tmp_path).replace({paths[3].name: read_header(paths[3]).header_sha256})
+    LearnedFolder(tmp_path).add(Learned({paths[3].name: read_header(paths[3]).header_sha256}), {})
     assert delete_oldest(tmp_path, 0.0) == [paths[3], paths[5]], "3 is retired"
     assert {path for path in tmp_path.iterdir() if (path / "map.json").exists()} == {paths[0], paths[1], own}
 

@@ -25,7 +25,7 @@ import numpy as np
 from edge.config import Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.layers import DriveTally
-from edge.reference_map import ModelKey, Retired, open_map_set
+from edge.reference_map import LearnedFolder, ModelKey, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Direction, Travel
@@ -135,7 +135,7 @@ def main_rebuilt(seeds: Sequence[int], scene: Callable[..., Described]) -> None:
             for number, (_, light, drive) in enumerate((("", "dusk", 0), *NEW)):
                 if number:
                     write_drive(folder / f"new-{number}", after("front", light, drive), "front")
-                    Retired(folder).replace(learn(folder).retired)
+                    learn(folder).keep(LearnedFolder(folder))
                 for run in range(2):
                     tally = DriveTally(folder, "front", time.time(), f"{number}-{run}")
                     results = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
@@ -184,7 +184,7 @@ def main() -> None:
             row("all eight", folder)
             for what in ("learned", "learned again"):
                 learned = learn(folder)
-                Retired(folder).replace(learned.retired)
+                learned.keep(LearnedFolder(folder))
                 names = {number: drive.path.name for number, drive in enumerate(learned.drives)}
                 for number, why in {**learned.choice.searched, **learned.choice.retired}.items():
                     print(f"    {names[number]:16} {number in learned.choice.searched!s:6} {why}")
