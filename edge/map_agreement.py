@@ -75,21 +75,30 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class _Compared:
-    """A window of one drive and where another shows the same: middle places, displacement (2,), what is explained."""
+class Compared:
+    """A window of one drive and where an earlier one shows the same: by number, the earlier one first; middle places.
+
+    apart_m: east and north (2,) from the earlier drive's place to the other's. explained_m: by accuracy and lanes.
+    """
 
     drives: tuple[int, int]
     places: tuple[int, int]
     apart_m: NDArray[np.float64]
     explained_m: float
     alike_m: float
+    is_one_view: bool
 
 
 def disagreements(maps: MapSet, most_windows: int | None = None) -> list[Disagreement]:
     """All that are found; most_windows: search about so many, evenly spread."""
+    return disagreements_of(maps, compared(maps, most_windows))
+
+
+def disagreements_of(maps: MapSet, windows: Sequence[Compared]) -> list[Disagreement]:
+    """What some windows, which were `compared`, say."""
     found = []
-    for _, compared in groupby(_compared(maps, most_windows), key=lambda one: one.drives):
-        found += [_spelled(maps, run) for run in _runs(list(compared))]
+    for _, of_pair in groupby(windows, key=lambda one: one.drives):
+        found += [_spelled(maps, run) for run in _runs(list(of_pair))]
     return found
 
 
@@ -107,16 +116,16 @@ def as_uncertain(maps: MapSet, found: Sequence[Disagreement]) -> MapSet:
     return maps.with_accuracy(sigma_m)
 
 
-def _compared(maps: MapSet, most_windows: int | None) -> Iterator[_Compared]:
-    """Sorted by the pair of drives, then by where."""
+def compared(maps: MapSet, most_windows: int | None = None) -> list[Compared]:
+    """Windows, about so many, of which another drive shows the same; by the pair of drives, then by where."""
     places = maps.places
     origin = first_known(places["lat_deg"], places["lon_deg"])
     if origin is None or len(maps.index.segments) < 2:
-        return
+        return []
     ground_m, sigma_m = east_north(places["lat_deg"], places["lon_deg"], origin), sigmas_m(places)
     every = 1 if most_windows is None else max(1, maps.index.places // STEP // most_windows)
     found = (_compare(maps, ground_m, sigma_m, *window) for window in _windows(maps, STEP * every))
-    yield from sorted((one for one in found if one is not None), key=lambda one: (one.drives, one.places))
+    return sorted((one for one in found if one is not None), key=lambda one: (one.drives, one.places))
 
 
 def _windows(maps: MapSet, step: int) -> Iterator[tuple[int, int, tuple[int, int]]]:
@@ -140,7 +149,7 @@ def _compare(
     first: int,
     drive: int,
     near: tuple[int, int],
-) -> _Compared | None:
+) -> Compared | None:
     """The window of a drive against places [start, end) of another; None where it shows nothing unique there."""
     rows = _encoded(maps, first)
     other, other_map = maps.index.segment_of(near[0]), maps.index.map_of(near[0])
@@ -172,7 +181,8 @@ def _compare(
         return None
     places = round(middle), round(there)
     explained_m = pairing.explained_m + EXPLAINED_SIGMAS * math.hypot(*sigma_m[list(places)])
-    return _Compared((other, drive), (places[1], places[0]), apart_m, explained_m, pairing.alike_m)
+    pair, is_one_view = (other, drive), pairing is ONE_VIEW
+    return Compared(pair, (places[1], places[0]), apart_m, explained_m, pairing.alike_m, is_one_view)
 
 
 def _encoded(maps: MapSet, first: int) -> NDArray[np.int8]:
@@ -189,10 +199,10 @@ def _at(ground_m: NDArray[np.float64], place: float) -> NDArray[np.float64]:
     return meters
 
 
-def _runs(compared: Sequence[_Compared]) -> Iterator[list[_Compared]]:
+def _runs(windows: Sequence[Compared]) -> Iterator[list[Compared]]:
     """Windows in a row of one pair of drives that agree with each other that the drives do not."""
-    run: list[_Compared] = []
-    for before, one in pairwise([None, *compared, None]):
+    run: list[Compared] = []
+    for before, one in pairwise([None, *windows, None]):
         if run and (one is None or before is None or np.hypot(*(one.apart_m - before.apart_m)) > before.alike_m):
             yield from _beyond(run)
             run = []
@@ -200,14 +210,14 @@ def _runs(compared: Sequence[_Compared]) -> Iterator[list[_Compared]]:
             run.append(one)
 
 
-def _beyond(run: list[_Compared]) -> Iterator[list[_Compared]]:
+def _beyond(run: list[Compared]) -> Iterator[list[Compared]]:
     if len(run) >= WINDOWS:
         for is_beyond, part in groupby(run, key=lambda one: np.hypot(*one.apart_m) > one.explained_m):
             if is_beyond:
                 yield list(part)
 
 
-def _spelled(maps: MapSet, run: Sequence[_Compared]) -> Disagreement:
+def _spelled(maps: MapSet, run: Sequence[Compared]) -> Disagreement:
     stretches = []
     for which in (0, 1):
         places = [one.places[which] for one in run]

@@ -135,11 +135,16 @@ def test_drives_in_several_maps_and_tiles_are_compared(tmp_path: Path) -> None:
     assert disagreements(open_map_set(tmp_path / "tiles"))
 
 
+def outvoted_of(folder: Path) -> dict[Path, float]:
+    maps = open_map_set(folder)
+    return outvoted(maps, disagreements(maps))
+
+
 @pytest.mark.parametrize("wrong", [Driven(north_m=15.0), Driven(east_m=-15.0), Driven(east_m=40.0, wrong_from=100)])
 def test_one_that_others_contradict_is_named(wrong: Driven, tmp_path: Path) -> None:
     for number, drive in enumerate((Driven(), wrong, Driven(east_m=2.0))):
         build(tmp_path / "maps" / str(number), [*[Driven(road=9, end=2)] * number, drive])
-    (path, apart_m), *others = outvoted(open_map_set(tmp_path / "maps")).items()
+    (path, apart_m), *others = outvoted_of(tmp_path / "maps").items()
     assert (path.name, others) == ("1", [])
     assert apart_m == pytest.approx(40.0 if wrong.wrong_from else 15.0, abs=2.1)
 
@@ -147,9 +152,9 @@ def test_one_that_others_contradict_is_named(wrong: Driven, tmp_path: Path) -> N
 def test_of_two_that_disagree_and_of_two_recordings_nobody_knows_which_is_wrong(tmp_path: Path) -> None:
     build(tmp_path / "maps" / "0", [Driven()])
     build(tmp_path / "maps" / "1", [Driven(road=9, end=2), Driven(east_m=40.0)])
-    assert outvoted(open_map_set(tmp_path / "maps")) == {}
+    assert outvoted_of(tmp_path / "maps") == {}
     build(tmp_path / "maps" / "2", [Driven(start=2)])
-    assert outvoted(open_map_set(tmp_path / "maps")) == {}, "a part of the recording that 0 is of"
+    assert outvoted_of(tmp_path / "maps") == {}, "a part of the recording that 0 is of"
 
 
 def test_a_drive_without_positions_agrees_with_everything(tmp_path: Path) -> None:

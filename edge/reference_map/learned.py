@@ -80,23 +80,21 @@ class LearnedFolder:
         """Those that are not retired; all of them if all are, since those that replaced them are gone."""
         return [path for path in map_paths if not self.retires(path)] or map_paths
 
-    def applied(self, one: ReferenceMap, *, with_positions: bool = True) -> ReferenceMap:
-        """A map of the folder with its stale places, and its newest positions. MapError for impossible ones."""
+    def applied(self, one: ReferenceMap, *, moves: bool = True) -> ReferenceMap:
+        """A map of the folder with its stale places, and, if it `moves`, its newest positions. MapError."""
         sha256, places = one.header.header_sha256, len(one.places)
         stale = tuple((a, b) for a, b in self.newest.stale.get(sha256, ()) if 0 <= a < b <= places)
-        newer = self.newest.newer.get(sha256) if with_positions else None
+        newer = self.newest.newer.get(sha256) if moves else None
         rows = None if newer is None else self._read(newer.sha256, places)
         if newer is None or rows is None:
             return replace(one, stale=stale) if stale else one
-        records = one.places.copy()
-        for name, values in zip(FIELDS, rows, strict=True):
-            records[name] = values
-        check_places(self._positions / newer.sha256, records)
-        segments = one.header.segments
-        if newer.recording:  # what it says of a position is what that recording says
-            segments = tuple(msgspec.structs.replace(segment, source=newer.recording) for segment in segments)
-        header = msgspec.structs.replace(one.header, bounds=bounds_of(records), segments=segments)
-        return replace(one, header=header, places=records, stale=stale)
+        one = with_positions(replace(one, stale=stale), rows)
+        check_places(self._positions / newer.sha256, one.places)
+        if not newer.recording:
+            return one
+        # What it says of a position is what that recording says: together they are one.
+        segments = tuple(msgspec.structs.replace(segment, source=newer.recording) for segment in one.header.segments)
+        return replace(one, header=msgspec.structs.replace(one.header, segments=segments))
 
     def add(self, learned: Learned, positions: Mapping[str, NDArray[np.float64]]) -> None:
         """Let this hold from now on. MapError if it cannot be written; then nothing has changed.
@@ -109,7 +107,7 @@ class LearnedFolder:
                 file.parent.mkdir(exist_ok=True)
                 if not file.exists():
                     with replacing(file) as stream:
-                        stream.write(encoded(rows))
+                        stream.write(_encoded(rows))
         except OSError as error:
             raise MapError(f"{self._positions}: cannot write it: {error.strerror}") from None
         self._write([*self._states, learned])
@@ -146,6 +144,18 @@ class LearnedFolder:
         self._states = kept
 
 
-def encoded(rows: NDArray[np.float64]) -> bytes:
-    """A file of positions, rows of FIELDS (3, N), by whose checksum it is named."""
+def with_positions(one: ReferenceMap, rows: NDArray[np.float64]) -> ReferenceMap:
+    """A map whose places are elsewhere, by rows of FIELDS (3, N)."""
+    records = one.places.copy()
+    for name, values in zip(FIELDS, rows, strict=True):
+        records[name] = values
+    return replace(one, header=msgspec.structs.replace(one.header, bounds=bounds_of(records)), places=records)
+
+
+def checksum(rows: NDArray[np.float64]) -> str:
+    """The name of a file of positions, rows of FIELDS (3, N)."""
+    return hashlib.sha256(_encoded(rows)).hexdigest()
+
+
+def _encoded(rows: NDArray[np.float64]) -> bytes:
     return np.ascontiguousarray(rows, "<f8").tobytes()

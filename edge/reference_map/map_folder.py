@@ -64,7 +64,7 @@ def open_map_set(
         one = open_map(folder, every_file=True) if every_file else open_unverified(folder, projections)
         if require_signature_by is not None:
             check_signature(folder, one.header, require_signature_by)
-        return one if learned is None else learned.applied(one, with_positions=require_signature_by is None)
+        return one if learned is None else learned.applied(one, moves=require_signature_by is None)
 
     if not folders and newest is None:
         return MapSet.of(open_one(path))

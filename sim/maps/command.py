@@ -19,8 +19,8 @@ from edge.geodesy import POSITION_SOURCES
 from edge.recognizer import model_key
 from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
+from sim.maps import export, layers
 from sim.maps import files as map_files
-from sim.maps import layers
 from sim.maps.shrinking import shrink_to
 from sim.traverse import TraverseFrame, driven_m, traverse
 
@@ -64,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     map_files.add_actions(actions)
     layers.add_actions(actions)
+    export.add_arguments(actions)
     fill_all(actions, {"coverage": "sim.coverage.command"})
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from edge.map_agreement import disagreements
+from edge.map_agreement import Disagreement
 from edge.reference_map import MapSet
 
 
-def outvoted(maps: MapSet, most_windows: int | None = None) -> dict[Path, float]:
+def outvoted(maps: MapSet, found: Sequence[Disagreement]) -> dict[Path, float]:
     """Maps whose positions disagree with those of two or more others that do not disagree with each other: by how much.
 
     One after another, that of most disagreements; where no map has more than those that it disagrees with, nobody knows
     which is wrong. Maps of one recording are one.
     """
     apart_m: dict[tuple[Path, Path], float] = {}
-    for one in disagreements(maps, most_windows):
+    for one in found:
         (first, *_), (second, *_) = one.stretches
         for pair in ((first, second), (second, first)):
             apart_m[pair] = max(one.apart_m, apart_m.get(pair, 0.0))
@@ -27,11 +28,11 @@ def outvoted(maps: MapSet, most_windows: int | None = None) -> dict[Path, float]
     def votes(path: Path) -> int:
         return len({recordings[other] for other in against(path)})
 
-    found: dict[Path, float] = {}
+    wrong: dict[Path, float] = {}
     while apart_m:
         most = max((path for path, _ in apart_m), key=lambda path: (votes(path), path.name))
         if votes(most) < 2 or votes(most) <= max(votes(other) for other in against(most)):
             break
-        found[most] = max(far_m for (one, _), far_m in apart_m.items() if one == most)
+        wrong[most] = max(far_m for (one, _), far_m in apart_m.items() if one == most)
         apart_m = {pair: far_m for pair, far_m in apart_m.items() if most not in pair}
-    return found
+    return wrong

@@ -33,6 +33,9 @@ class Driven:
     is_placed: bool = True
     back: bool = False
     east_m: float = 0.0
+    sigma_m: float = 1.5
+    off_from: int = 0
+    """Places of the road from there on are recorded `east_m` of the truth."""
 
 
 def build(path: Path, drive: Driven) -> Path:
@@ -46,10 +49,13 @@ def build(path: Path, drive: Driven) -> Path:
         rows = list(range(drive.start, drive.end))[:: -1 if drive.back else 1]
         for row, at in enumerate(rows):
             lat_deg, lon_deg = (
-                moved(-27.0, 153.0, drive.east_m, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
+                moved(-27.0, 153.0, drive.east_m * (at >= drive.off_from), at * SPACING_M)
+                if drive.is_placed
+                else (np.nan, np.nan)
             )
             heading_deg = 180.0 * drive.back
-            builder.add(seen[at], Place(row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M, b"", 1.5, "gps"))
+            where = row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M
+            builder.add(seen[at], Place(*where, position_sigma_m=drive.sigma_m, position_source="gps"))
         builder.finish()
     os.utime(path / "map.json", (drive.made_s, drive.made_s))
     return path
