@@ -6,15 +6,17 @@ import logging
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from edge.config import SamplingConfig
+from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed.format import FeedRow
 from edge.feed.reader import Feed, FeedImages, Frame
 from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
+from edge.reference_map import MapHeader
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +32,14 @@ class TraverseFrame:
     row: FeedRow
     distance_m: float | None
     missed: int = 0
+
+
+def config_as_mapped(header: MapHeader) -> Config:
+    """The default settings with regions, normalization and sampling as a map has them."""
+    made = header.regions
+    normalization: Literal["online", "none"] = "online" if made.normalization == "set" else "none"
+    descriptor = DescriptorConfig(regions=made.kind, region_width=made.width, normalization=normalization)
+    return Config(descriptor=descriptor, sampling=header.sampling)
 
 
 def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:

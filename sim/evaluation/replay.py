@@ -13,7 +13,7 @@ import msgspec
 from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.config import Config, SamplingConfig, checked_option, load_config
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.journal.records import FrameUsed
@@ -24,7 +24,7 @@ from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 from edge.sequence import Travel
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
-from sim.traverse import driven_m, traverse
+from sim.traverse import config_as_mapped, driven_m, traverse
 
 log = logging.getLogger(__name__)
 
@@ -91,11 +91,7 @@ def as_line(used: FrameUsed) -> str:
 
 def config_for_map(header: MapHeader, length: int | None = None, confidence_min: float | None = None) -> Config:
     """The default settings with regions, normalization and sampling as the map has them."""
-    made = header.regions
-    descriptor = DescriptorConfig(
-        regions=made.kind, region_width=made.width, normalization="online" if made.normalization == "set" else "none"
-    )
-    return with_options(Config(descriptor=descriptor, sampling=header.sampling), length, confidence_min)
+    return with_options(config_as_mapped(header), length, confidence_min)
 
 
 def with_options(config: Config, length: int | None, confidence_min: float | None) -> Config:

@@ -25,6 +25,7 @@ from edge.map_agreement import Compared
 from edge.reference_map import MapSet, ReferenceMap, Route, sigmas_m
 from edge.reference_map.store import Segment
 from edge.sequence_matcher import SequenceMatcher
+from sim.traverse import config_as_mapped
 
 Floats = NDArray[np.float64]
 LANES_M = 1.5
@@ -172,9 +173,7 @@ def placed(one: ReferenceMap, maps: MapSet) -> Placed | None:
 
 def _seen(one: ReferenceMap, segment: Segment, maps: MapSet) -> Iterator[_Seen]:
     """What a drive recognizes of the others."""
-    from sim.evaluation.replay import config_for_map  # which offers the options of `map build`
-
-    config = config_for_map(one.header)
+    config = config_as_mapped(one.header)
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=segment.view))
     matcher, route, length = SequenceMatcher(maps, config), Route(maps), config.sequence.length
     raw, routes_m = one.raw(), _along_m(one)

@@ -16,7 +16,7 @@ from sim.trial.way import Way, along
 from sim.vehicle.driver import Leg
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
-from sim.world.scenario import Scenario
+from sim.world.scenario import LightName, Scenario, View
 
 GPS_S = 9.0
 DOWN_S = (6.0, 10.0)
@@ -32,6 +32,7 @@ class Stretch:
     on_way: places lie on the drive's way instead of the road, where the way was bent. spacing_m: the least and the
     greatest distance between places. headings: whether the places have one. recording: the drive that it was mapped
     on, where several stretches are of one. looks: the seed of the road that it looks like, where that is another.
+    camera: view, light and seed of the drive.
     """
 
     start_m: float
@@ -43,6 +44,7 @@ class Stretch:
     headings: bool = True
     recording: str = ""
     looks: int | None = None
+    camera: tuple[View, LightName, int] = ("rear", "day", 1)
 
     @property
     def is_true(self) -> bool:
@@ -66,7 +68,7 @@ class Draft:
     another companion computer resets the autopilot. has_double: another vehicle ahead on the same radio has the same
     ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the camera, as if it was learned
     before, in true ones. shown_m: the arc length of the road in a picture, at that of the camera: of a camera that is
-    lower by a tenth it passes by a tenth faster.
+    lower by a tenth it passes by a tenth faster. layers: each stretch is a map of a folder, which `map learn` learned.
     """
 
     rng: np.random.Generator
@@ -104,6 +106,7 @@ class Draft:
     motion: Literal["off", "odometer", "send"] = "off"
     height: float | None = None
     shown_m: Callable[[float], float] = lambda route_m: route_m
+    layers: bool = False
 
     def __post_init__(self) -> None:
         self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)

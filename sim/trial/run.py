@@ -36,11 +36,13 @@ from edge.motion import CameraMotion
 from edge.motion.height import WINDOWS_MOST
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
+from edge.reference_map import LearnedFolder
 from edge.reference_map.builder import NAN, MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import ORIGIN_ALT_M, geodetic
+from sim.maps.learning import learn
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Course, Draft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
@@ -52,7 +54,7 @@ from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.route import Route
-from sim.world.scenario import Scenario
+from sim.world.scenario import LightName, Scenario, View
 from sim.world.sensor import CAMERA_HIGH_M
 
 MAP_SIGMA_M = math.sqrt(2)
@@ -155,30 +157,48 @@ def _settings(draft: Draft, link: PtyLink, map_path: Path, folder: Path) -> Conf
     )
 
 
-def map_scenario(home: Scenario) -> Scenario:
-    """The drive that makes the map of a road."""
-    return msgspec.structs.replace(home, view="rear", light="day", direction="forward", drive_seed=1)
+def map_scenario(home: Scenario, camera: tuple[View, LightName, int] = ("rear", "day", 1)) -> Scenario:
+    """The drive that makes the map of a road; camera: see `Stretch`."""
+    view, light, drive_seed = camera
+    return msgspec.structs.replace(home, view=view, light=light, direction="forward", drive_seed=drive_seed)
 
 
 def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLibrary, seed: int) -> None:
-    """The map of a course, made by day with the camera that looks back, on the way out.
+    """The map of a course, made on the way out; by day with the camera that looks back, unless it has layers.
 
     Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states.
     """
-    out = map_scenario(draft.home)
     config = DescriptorConfig()
     regions = RegionsKey(config.regions, config.region_width, "set")
-    rng, errors_rng = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
-    with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
-        for number, stretch in enumerate(draft.map):
-            builder.begin_segment(stretch.recording or f"stretch {number}", "rear")
-            seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
-            places_m = _places_m(stretch, rng)
-            off_m = _errors_m(places_m, errors_rng) + np.array(stretch.off_m)
-            for row, route_m in enumerate(places_m):
-                raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
-                builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
-        builder.finish()
+    rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
+    numbers = range(len(draft.map))
+    for part in [[number] for number in numbers] if draft.layers else [numbers]:
+        folder = path / f"{part[0]}" if draft.layers else path
+        with MapBuilder(folder, model_key(network), regions, SamplingConfig()) as builder:
+            for number in part:
+                _drive_stretch(builder, draft, number, library, rngs)
+            builder.finish()
+    if draft.layers:
+        learn(path).keep(LearnedFolder(path))
+
+
+def _drive_stretch(
+    builder: MapBuilder,
+    draft: Draft,
+    number: int,
+    library: RoadLibrary,
+    rngs: tuple[np.random.Generator, np.random.Generator],
+) -> None:
+    """rngs: of the places, and of GPS."""
+    stretch = draft.map[number]
+    out = map_scenario(draft.home, stretch.camera)
+    builder.begin_segment(stretch.recording or f"stretch {number}", out.view)
+    seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
+    places_m = _places_m(stretch, rngs[0])
+    off_m = _errors_m(places_m, rngs[1]) + np.array(stretch.off_m)
+    for row, route_m in enumerate(places_m):
+        raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
+        builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
 
 
 def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:

@@ -1,11 +1,13 @@
-"""A and C: maps of a part of the road, and maps that are wrong."""
+"""A, C and K: maps of a part of the road, maps that are wrong, and a road with layers."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from edge.config import GatesConfig
 from edge.localization.claims import SAME_RECORDING
+from sim.research.evaluation.layers import DRIVES
 from sim.research.trial.course_rules import sends
 from sim.research.trial.courses.registry import course
 from sim.trial.draft import Draft, Stretch
@@ -109,3 +111,18 @@ def _two_laps(draft: Draft) -> None:
     draft.map = [Stretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
     draft.has_gps, draft.steers = False, False
     draft.rules = (within_sigmas, no_false_place)
+
+
+@course("K", "layers-8")
+def _layers(draft: Draft) -> None:
+    """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
+    draft.map = [Stretch(0.0, draft.length_m, camera=camera) for camera in DRIVES]
+    draft.layers = True
+
+
+@course("K", "layers-8-shifted")
+def _layers_shifted(draft: Draft) -> None:
+    """The same, one front drive recorded 15 m aside, and one without a position."""
+    _layers(draft)
+    draft.map[3] = replace(draft.map[3], off_m=draft.side(15.0))
+    draft.map[5] = replace(draft.map[5], off_m=(math.nan, math.nan))
