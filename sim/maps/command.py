@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
-from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.parser import fill_all
 from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
-from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.geodesy import POSITION_SOURCES
 from edge.recognizer import model_key
-from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from sim.maps import export, layers
 from sim.maps import files as map_files
+from sim.maps.describing import Work, add_by_cluster, add_feed
 from sim.maps.shrinking import shrink_to
-from sim.traverse import TraverseFrame, driven_m, traverse
+from sim.traverse import driven_m
 
 KEPT = ("row", "lat_deg", "lon_deg", "alt_m", "heading_deg", "route_m", "position_sigma_m")
 """What records of places have as `Place` has it."""
@@ -51,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="D",
         help="reduce the descriptor of each region to D dimensions (PCA)",
     )
+    build.add_argument("--cluster", metavar="ADDRESS", help="let the workers of a dask scheduler describe the feeds")
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
     build.set_defaults(run=run_build)
 
@@ -123,10 +127,11 @@ def build_map(
     dimensions: int | None = None,
     replace: bool = False,
     network: Network | None = None,
+    describe: Callable[[MapBuilder, Network], None] | None = None,
 ) -> MapHeader:
     """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`.
 
-    network: instead of the one that `descriptor` names.
+    network: instead of the one that `descriptor` names. describe: adds the feeds to the map instead.
     """
     network = network or open_network(descriptor)
     regions = RegionsKey.of(descriptor)
@@ -135,8 +140,10 @@ def build_map(
     key = model_key(network)
     shrink = shrink_to(dimensions or network.info.dimensions, network.info.dimensions)
     with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace) as builder:
-        for feed in feeds:
-            _add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
+        if describe is not None:
+            describe(builder, network)
+        for feed in feeds if describe is None else ():
+            add_feed(builder, feed, network, regions, sampling, must_have_distance=must_have_distance)
         header = builder.finish()
         _print_unused(builder)
         return header
@@ -145,25 +152,6 @@ def build_map(
 def _print_unused(builder: MapBuilder) -> None:
     for why, count in builder.unused.items():
         print(f"{count} positions are not used, since they {why}; their places are recognized, without a position")
-
-
-def _add_feed(
-    builder: MapBuilder,
-    feed: Feed,
-    network: Network,
-    regions: RegionsKey,
-    sampling: SamplingConfig,
-    *,
-    must_have_distance: bool,
-) -> None:
-    builder.begin_segment(feed.header.name, feed.header.view)
-    chosen = traverse(feed, sampling, must_have_distance=must_have_distance)
-    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
-        for item in chosen:
-            raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.size))
-            builder.add(raw, _place(item))
-            progress.update(item.frame.index + 1 - progress.n)
-        progress.update(len(feed.rows) - progress.n)
 
 
 def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
@@ -176,25 +164,6 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
             source = POSITION_SOURCES[records["position_source"][index]]
             place = Place(**known, thumbnail=other.thumbnail(index), position_source=source)
             builder.add(raw[index].astype(np.float32), place)
-
-
-def _place(item: TraverseFrame) -> Place:
-    row = item.row
-
-    def known(value: float | None) -> float:
-        return NAN if value is None else value
-
-    return Place(
-        row=item.frame.index,
-        lat_deg=known(row.lat_deg),
-        lon_deg=known(row.lon_deg),
-        alt_m=known(row.alt_m),
-        heading_deg=known(row.heading_deg),
-        route_m=known(item.distance_m),
-        thumbnail=thumbnail(item.frame.image),
-        position_sigma_m=known(row.position_sigma_m),
-        position_source=row.position_source,
-    )
 
 
 def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
@@ -215,6 +184,11 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
                 print(
                     f"{feed.path}: no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
                 )
+    describe = None
+    if args.cluster:
+        settings = msgspec.structs.replace(config, descriptor=descriptor)
+        work = Work(settings, feed_options(args), sampling, args.spacing_m is not None)
+        describe = partial(add_by_cluster, paths=args.feeds, work=work, address=args.cluster)
     header = build_map(
         feeds,
         args.output,
@@ -224,6 +198,7 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         dimensions=args.dimensions,
         replace=args.replace,
         network=network,
+        describe=describe,
     )
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     return 0
@@ -241,7 +216,7 @@ def _extend(args: argparse.Namespace) -> int:
     with MapBuilder(args.map, key, header.regions, header.sampling, shrink=shrink, replace=True) as builder:
         add_map(builder, old)
         for feed in feeds:
-            _add_feed(builder, feed, network, header.regions, header.sampling, must_have_distance=False)
+            add_feed(builder, feed, network, header.regions, header.sampling)
         header = builder.finish()
         _print_unused(builder)
     print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")

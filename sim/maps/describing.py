@@ -1,0 +1,169 @@
+"""A recording as the places of a map: descriptors and records, here or on the workers of a cluster.
+
+    dask scheduler                                        # on one computer, from the package `distributed`
+    dask worker ADDRESS --nworkers 4 --nthreads 1         # on each: the same version, the recordings by the same paths
+    lookback map build ... --cluster ADDRESS
+
+A worker describes a whole recording. Before anything of it is used, it must have described a test picture with the very
+bytes of this computer: processors of other kinds round otherwise, and the map would depend on who made it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+import edge
+from edge.camera.preprocessing import preprocessed_feed
+from edge.config import Config, DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.open_network import open_network
+from edge.errors import ConfigError, MapError
+from edge.extras import import_extra
+from edge.feed import Feed, FeedOptions, read_feed
+from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
+from edge.reference_map.store import RegionsKey
+from sim.traverse import TraverseFrame, traverse
+
+TEST_PICTURE = 240, 320, 3
+AHEAD = 2
+"""Recordings for each worker that are described before the map needs them: one that it works on, one that waits."""
+CONNECT_S = 3
+"""A scheduler answers in milliseconds."""
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a worker made of a recording: raw descriptors (N, R, D) as a map keeps them, and the places.
+
+    made_by: see `fingerprint`.
+    """
+
+    name: str
+    view: Literal["front", "rear"]
+    raw: NDArray[np.float16]
+    places: tuple[Place, ...]
+    made_by: str
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is to be done with every recording. config: [camera] and [descriptor] of it."""
+
+    config: Config
+    options: FeedOptions
+    sampling: SamplingConfig
+    must_have_distance: bool
+
+
+def add_feed(
+    builder: MapBuilder,
+    feed: Feed,
+    network: Network,
+    regions: RegionsKey,
+    sampling: SamplingConfig,
+    *,
+    must_have_distance: bool = False,
+) -> None:
+    """Describe a recording here, and add it as a segment."""
+    builder.begin_segment(feed.header.name, feed.header.view)
+    with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
+        for index, raw, place in _described(feed, network, regions, sampling, must_have_distance):
+            builder.add(raw, place)
+            progress.update(index + 1 - progress.n)
+        progress.update(len(feed.rows) - progress.n)
+
+
+def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path], work: Work, address: str) -> None:
+    """Have the workers of the scheduler at an address describe recordings, and add them in their order.
+
+    ConfigError where there is no such scheduler; MapError for a worker that describes otherwise than this computer.
+    """
+    distributed = import_extra("distributed", "cluster", "--cluster needs dask.distributed")
+    here = fingerprint(network)
+    try:
+        client = distributed.Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--cluster: no scheduler at {address} ({error}); start one with `dask scheduler`") from None
+    with client:
+        print(f"dashboard: {client.dashboard_link}", flush=True)
+        left: deque[Path] = deque(paths)
+        waiting: deque[Any] = deque()
+        with tqdm(total=len(paths), desc=str(address), unit="recording", disable=None) as progress:
+            while left or waiting:
+                while left and len(waiting) < AHEAD * max(1, len(client.ncores())):
+                    waiting.append(client.submit(describe, left.popleft().resolve(), work, pure=False))
+                try:
+                    drive: Described = waiting.popleft().result()
+                except distributed.KilledWorker as error:
+                    raise MapError(
+                        f"--cluster: workers died of a recording, for want of memory perhaps: {error}"
+                    ) from None
+                if drive.made_by != here:
+                    raise MapError(
+                        f"--cluster: a worker described the test picture of {drive.name} otherwise than this computer:"
+                        f" {drive.made_by} there, {here} here; use workers of one version on one kind of processor"
+                    )
+                builder.begin_segment(drive.name, drive.view)
+                for raw, place in zip(drive.raw, drive.places, strict=True):
+                    builder.add(raw.astype(np.float32), place)
+                progress.update()
+
+
+def describe(path: Path, work: Work) -> Described:
+    """A recording, on a worker."""
+    feed = preprocessed_feed(read_feed(path, work.options), work.config.camera)
+    network = _network(work.config.descriptor)
+    regions = RegionsKey.of(work.config.descriptor)
+    found = list(_described(feed, network, regions, work.sampling, work.must_have_distance))
+    raw = np.array([one for _, one, _ in found], dtype="<f2")
+    return Described(feed.header.name, feed.header.view, raw, tuple(place for *_, place in found), fingerprint(network))
+
+
+def fingerprint(network: Network) -> str:
+    """Version, and a checksum of what the network makes of a picture here."""
+    picture = np.random.default_rng(0).integers(0, 256, TEST_PICTURE, np.uint8)
+    raw = network.describe(cut_regions(picture, "left-right", 0.5, network.size))
+    return f"{edge.__version__} {hashlib.sha256(raw.tobytes()).hexdigest()[:16]}"
+
+
+@cache
+def _network(descriptor: DescriptorConfig) -> Network:
+    return open_network(descriptor)
+
+
+def _described(
+    feed: Feed, network: Network, regions: RegionsKey, sampling: SamplingConfig, must_have_distance: bool
+) -> Iterator[tuple[int, NDArray[np.float32], Place]]:
+    """Frame, raw descriptor and record of each place."""
+    for item in traverse(feed, sampling, must_have_distance=must_have_distance):
+        raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.size))
+        yield item.frame.index, raw, _place(item)
+
+
+def _place(item: TraverseFrame) -> Place:
+    row = item.row
+
+    def known(value: float | None) -> float:
+        return NAN if value is None else value
+
+    return Place(
+        row=item.frame.index,
+        lat_deg=known(row.lat_deg),
+        lon_deg=known(row.lon_deg),
+        alt_m=known(row.alt_m),
+        heading_deg=known(row.heading_deg),
+        route_m=known(item.distance_m),
+        thumbnail=thumbnail(item.frame.image),
+        position_sigma_m=known(row.position_sigma_m),
+        position_source=row.position_source,
+    )
