@@ -24,6 +24,7 @@ from edge.localization.place_fix import LineMiddle, line_middle
 from edge.map_agreement import Compared
 from edge.reference_map import MapSet, ReferenceMap, Route, sigmas_m
 from edge.reference_map.store import Segment
+from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.traverse import config_as_mapped
 
@@ -179,7 +180,7 @@ def _seen(one: ReferenceMap, segment: Segment, maps: MapSet) -> Iterator[_Seen]:
     raw, routes_m = one.raw(), _along_m(one)
     for row in range(segment.start, segment.end):
         at_m = float(routes_m[row])
-        match = matcher.push(raw[row].astype(np.float32), distance_m=None if math.isnan(at_m) else at_m)
+        match = matcher.push(raw[row].astype(np.float32), Travel(None if math.isnan(at_m) else at_m))
         if match is None or not match.accepted or (match.direction, match.order) != ("forward", "same"):
             continue
         middle = line_middle(match, route, length)

@@ -15,6 +15,7 @@ from edge.layers import StoredMap, read_tallies
 from edge.page.snapshot import map_view
 from edge.reference_map import open_map, open_map_set
 from edge.reference_map.learned import LEARNED_FILE
+from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.maps.keys import is_signed_with, make_key, sign_map
 from sim.maps.learning import learn
@@ -173,7 +174,7 @@ def drive_over(folder: Path, names: set[str], rows: range) -> None:
     maps = open_map_set(folder)
     matcher = SequenceMatcher(maps, Config())
     raw = open_map(folder / "old").raw()
-    matches = [matcher.push(raw[row].astype(np.float32), distance_m=2.0 * row) for row in range(rows.stop)]
+    matches = [matcher.push(raw[row].astype(np.float32), Travel(2.0 * row)) for row in range(rows.stop)]
     found = [match for match in matches[rows.start :] if match is not None]
     assert {maps.names[maps.index.map_of(match.place_index)] for match in found} == names
 
