@@ -1,7 +1,5 @@
-"""`lookback demo`: the main job in simulation, from the first map to an autopilot that receives place fixes.
+"""`lookback demo`: the main task in simulation: out by day, and home at night without GPS.
 
-command   the steps, in order, and what is printed; the drives are those of `sim.vehicle.daemon_drive`
-review    the frames that the daemon used, rendered and recognized again, for the report
-report    one self-contained HTML page
-pictures  the README's pictures, of the same run
+command   what is printed, and the report
+story     the drive, its figures and its picture
 """

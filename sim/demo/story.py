@@ -1,8 +1,9 @@
-"""The demo's first story: out by day with two cameras, GPS fails at the far end, home at night on the map just made."""
+"""The demo's story: out by day with two cameras, GPS fails at the far end, home at night on the map just made."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
-from sim.demo.review import median_95
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
@@ -47,6 +47,11 @@ def lost_at_m(run: Run) -> float:
 def headline(run: Run) -> str:
     """The one number: how far from its lane the vehicle drove without GPS."""
     return f"95 % within {lane_off_m(run.track):.1f} m of its lane; {lane_off_m(run.alone):.1f} m without Lookback"
+
+
+def median_95(errors_m: Sequence[float] | NDArray[np.float64]) -> str:
+    """Of some errors, in words; a dash where there is none."""
+    return f"{np.median(errors_m):.1f} m / {np.percentile(errors_m, 95):.1f} m" if len(errors_m) else "–"
 
 
 def sections_of(run: Run) -> list[report.Section]:

@@ -49,7 +49,6 @@ from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.rules import Array, Run, Sent, Track, failures, within_protection_level
 from sim.trial.simulation import STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
-from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -57,6 +56,7 @@ from sim.world.route import Route
 from sim.world.scenario import LightName, Scenario, View
 from sim.world.sensor import CAMERA_HIGH_M
 
+JOURNAL = "journal.jsonl"
 MAP_SIGMA_M = math.sqrt(2)
 """Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
 RECORDED_EVERY_S = 1.2

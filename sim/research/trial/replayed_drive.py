@@ -40,11 +40,10 @@ from sim.journal import records_of
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.rules import SENT_WITHIN_S, Array
-from sim.trial.run import MAP_SIGMA_M, map_scenario, read_position
+from sim.trial.run import JOURNAL, MAP_SIGMA_M, map_scenario, read_position
 from sim.trial.simulation import STEP_S
 from sim.trial.views import MOST_LEFT_M, RoadLibrary
 from sim.trial.way import Way, along
-from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.pty_link import PtyLink, open_pty
 from sim.world.scenario import Scenario

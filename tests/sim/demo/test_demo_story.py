@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from edge.errors import LookbackError
-from sim.demo.review import median_95
-from sim.demo.story import LENGTH_M, headline, lost_at_m, picture, require_good, sections_of, true_track
+from sim.demo.story import LENGTH_M, headline, lost_at_m, median_95, picture, require_good, sections_of, true_track
 from sim.trial.rules import Run, Sent, Track
 
 

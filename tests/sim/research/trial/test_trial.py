@@ -20,10 +20,9 @@ from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial import rules
 from sim.trial.rules import Run, Sent, Track
-from sim.trial.run import drafted, drive, map_scenario
+from sim.trial.run import JOURNAL, drafted, drive, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
-from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.driver import Driver, Leg
 from sim.world.scenario import Scenario
 

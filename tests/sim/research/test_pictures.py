@@ -17,17 +17,15 @@ pytest.importorskip("matplotlib")
 from edge.config import PageConfig
 from edge.page import MapView
 from edge.page.server import StatusPage
-from sim.demo.pictures import (
+from sim.demo.story import COURSE, LENGTH_M
+from sim.research.film import PANEL_PX, WINDOW_M, from_above
+from sim.research.pictures import (
     DRAWN_BY,
     MADE_OF,
-    PANEL_PX,
     ROOT,
-    WINDOW_M,
     checksum_of_sources,
-    from_above,
     photograph_page,
 )
-from sim.demo.story import COURSE, LENGTH_M
 from sim.trial.run import drafted
 from tests.udp_port import free_port
 
@@ -62,7 +60,7 @@ def test_from_above_the_vehicles_are_as_far_apart_as_they_were() -> None:
 
 @pytest.mark.parametrize("name", DRAWN_BY)
 def test_a_picture_of_the_docs_is_as_new_as_what_draws_it(name: str) -> None:
-    """If this fails: lookback demo --pictures docs/pictures"""
+    """If this fails: python -m sim.research.pictures docs/pictures"""
     pictures = ROOT / "docs/pictures"
     assert f"pictures/{name}" in (ROOT / "README.md").read_text(encoding="utf-8")
     assert msgspec.json.decode((pictures / MADE_OF).read_bytes())[name] == checksum_of_sources(name)

@@ -1,19 +1,13 @@
-"""The README's pictures, from the run that the demo has just made: the way home, moving, and the live page."""
+"""README's moving picture: the camera at night, the place that it recognizes, and from above both vehicles."""
 
 from __future__ import annotations
 
-import hashlib
-import logging
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
 import cv2
 import matplotlib as mpl
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -23,14 +17,12 @@ from edge.journal.records import PlaceFix
 from sim.demo.story import COURSE, LENGTH_M
 from sim.journal import records_of
 from sim.trial.rules import Run
-from sim.trial.run import drafted, map_scenario
+from sim.trial.run import JOURNAL, drafted, map_scenario
 from sim.trial.simulation import UP_S
 from sim.trial.views import RoadLibrary
 from sim.trial.way import Way
-from sim.vehicle.daemon_drive import JOURNAL
 from sim.vehicle.position_inputs import east_north_m
 
-MOVING = "take_me_home.webp"
 FRAMES, FRAME_MS, QUALITY = 70, 200, 55
 """14 s for the way home, and less than 2 MB."""
 PANEL_PX, GAP_PX, TEXT_PX = (320, 240), 6, 26
@@ -39,40 +31,12 @@ BELIEVED_S = 3.0
 """A place that was recognized longer ago is not shown."""
 STARTS_S = 1000.0 + UP_S
 """The simulated clock when the vehicle sets off."""
-SHOT_S = 25.0
-log = logging.getLogger(__name__)
-
-ROOT = Path(__file__).parents[2]
-MADE_OF = "made_of.json"
-"""Beside the pictures: for each the checksum of what draws it, when it was made."""
-DRAWN_BY = {
-    MOVING: ("sim/demo/pictures.py",),
-    "page_again_dusk.png": ("edge/page/page.html", "edge/page/snapshot.py"),
-}
-"""The sources that a picture's look depends on. What it shows is of the day when it was made."""
 
 
-def write_moving_picture(folder: Path, story: Run, drive_folder: Path) -> None:
-    """Write the way home: the night camera beside the day's place, and from above both vehicles."""
-    folder.mkdir(parents=True, exist_ok=True)
+def write_film(file: Path, story: Run, drive_folder: Path) -> None:
+    """Write the way home, of a story whose drive left its journal and views in a folder."""
     first, *others = (Image.fromarray(frame[..., ::-1]) for frame in _frames(story, drive_folder))
-    first.save(
-        folder / MOVING, save_all=True, append_images=others, duration=FRAME_MS, loop=0, quality=QUALITY, method=6
-    )
-    note_sources(folder, MOVING)
-
-
-def checksum_of_sources(name: str) -> str:
-    """Of the files that draw a picture, as they are now."""
-    return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in DRAWN_BY[name])).hexdigest()[:16]
-
-
-def note_sources(folder: Path, name: str) -> None:
-    """Write beside a picture what has just drawn it."""
-    file = folder / MADE_OF
-    known = msgspec.json.decode(file.read_bytes(), type=dict[str, str]) if file.exists() else {}
-    noted = dict(sorted({**known, name: checksum_of_sources(name)}.items()))
-    file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
+    first.save(file, save_all=True, append_images=others, duration=FRAME_MS, loop=0, quality=QUALITY, method=6)
 
 
 def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
@@ -149,35 +113,3 @@ def _composed(panels: Sequence[NDArray[np.uint8]], lines: Sequence[str]) -> NDAr
         draw.text((left, TEXT_PX // 5), line, "black", font)
     draw.text((0, TEXT_PX + height + TEXT_PX // 5), lines[-1], "black", font)
     return np.asarray(page)[..., ::-1]
-
-
-def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
-    """The live page as a browser shows it; False, and a line in the log, where there is no Chromium."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        log.warning("no picture of the live page: Chromium is not installed")
-        return False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as profile:
-        shot = Path(profile) / path.name  # where Chromium writes none, an older picture must not pass for it
-        command = [
-            browser,
-            *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-quic"),
-            *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
-            f"--user-data-dir={profile}",
-            f"--window-size={width},{height}",
-            # Virtual time for the page to load and draw; it stops while requests are pending.
-            "--virtual-time-budget=4000",
-            f"--screenshot={shot}",
-            url,
-        ]
-        try:
-            subprocess.run(command, check=True, capture_output=True, timeout=SHOT_S)
-        except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
-            log.warning("no picture of the live page: %s", error)
-            return False
-        if not shot.exists():
-            log.warning("no picture of the live page: %s does not answer", url)
-            return False
-        shutil.move(shot, path)
-    return True

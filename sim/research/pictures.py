@@ -1,0 +1,130 @@
+"""README's pictures, the way home as a film and the live page: `python -m sim.research.pictures docs/pictures`."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import shutil
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.feed import read_feed
+from sim.demo.story import drive_story
+from sim.maps.command import build_map
+from sim.research.film import write_film
+from sim.world.recording import record_drive
+from sim.world.scenario import Scenario
+
+FILM = "take_me_home.webp"
+PAGE = "page_again_dusk.png"
+PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 670), 8699, 14597
+UNDER_WAY_S = 40.0
+"""After the daemon's start, at 10 m/s: well beyond the first 100 m, which are never recognized."""
+OUT = Scenario(seed=7, length_m=400.0, view="rear")
+AGAIN = Scenario(seed=7, length_m=400.0, light="dusk", drive_seed=2)
+CONFIG = f"""\
+[camera]
+kind = "feed"
+device = "again"
+[map]
+path = "map"
+[gates]
+with_gps = true
+[page]
+port = {PAGE_PORT}
+[rig]
+ahead_forward_swapped_m = 32.0
+[telemetry]
+connection = "udpin:127.0.0.1:{LINK_PORT}"
+emit = "external_position"
+journal = "journal.jsonl"
+"""
+SHOT_S = 25.0
+log = logging.getLogger(__name__)
+
+ROOT = Path(__file__).parents[2]
+MADE_OF = "made_of.json"
+"""Beside the pictures: for each the checksum of what draws it, when it was made."""
+DRAWN_BY = {FILM: ("sim/research/film.py",), PAGE: ("edge/page/page.html", "edge/page/snapshot.py")}
+"""The sources that a picture's look depends on. What it shows is of the day when it was made."""
+
+
+def checksum_of_sources(name: str) -> str:
+    """Of the files that draw a picture, as they are now."""
+    return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in DRAWN_BY[name])).hexdigest()[:16]
+
+
+def note_sources(folder: Path, name: str) -> None:
+    """Write beside a picture what has just drawn it."""
+    file = folder / MADE_OF
+    known = msgspec.json.decode(file.read_bytes(), type=dict[str, str]) if file.exists() else {}
+    noted = dict(sorted({**known, name: checksum_of_sources(name)}.items()))
+    file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
+
+
+def write_page_picture(folder: Path) -> None:
+    """Drive the road of OUT once more at dusk, and photograph the daemon's page on the way."""
+    with TemporaryDirectory() as passing:
+        at = Path(passing)
+        for name, scenario, fps in (("out", OUT, None), ("again", AGAIN, 10.0)):
+            record_drive(scenario, at / name, fps=fps)
+        build_map([read_feed(at / "out")], at / "map", DescriptorConfig(), SamplingConfig())
+        (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
+        lookback = [sys.executable, "-m", "edge"]
+        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "again"]
+        with ExitStack() as running:
+            for command in (following, ["run", "lookback.toml"]):
+                process = subprocess.Popen([*lookback, *command], cwd=at, stdout=subprocess.DEVNULL)
+                running.callback(process.wait)
+                running.callback(process.terminate)
+            time.sleep(UNDER_WAY_S)
+            if photograph_page(f"http://127.0.0.1:{PAGE_PORT}/", folder / PAGE, *PAGE_PX):
+                note_sources(folder, PAGE)
+
+
+def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
+    """The live page as a browser shows it; False, and a line in the log, where there is no Chromium."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        log.warning("no picture of the live page: Chromium is not installed")
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as profile:
+        shot = Path(profile) / path.name  # where Chromium writes none, an older picture must not pass for it
+        command = [
+            browser,
+            *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-quic"),
+            *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
+            f"--user-data-dir={profile}",
+            f"--window-size={width},{height}",
+            # Virtual time for the page to load and draw; it stops while requests are pending.
+            "--virtual-time-budget=4000",
+            f"--screenshot={shot}",
+            url,
+        ]
+        try:
+            subprocess.run(command, check=True, capture_output=True, timeout=SHOT_S)
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
+            log.warning("no picture of the live page: %s", error)
+            return False
+        if not shot.exists():
+            log.warning("no picture of the live page: %s does not answer", url)
+            return False
+        shutil.move(shot, path)
+    return True
+
+
+if __name__ == "__main__":
+    pictures = Path(sys.argv[1])
+    pictures.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as passing:
+        write_film(pictures / FILM, drive_story(Path(passing)), Path(passing))
+        note_sources(pictures, FILM)
+    write_page_picture(pictures)
