@@ -7,7 +7,7 @@ maps         `lookback map`: build, extend, inspect, split, keep, sign
 home         `lookback home`: the way home as a file or a mission; a request to the daemon
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
-evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall; `lookback dev golden`
+evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback model`: import, quantize, verify

@@ -145,7 +145,7 @@ def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         ("check --default", "`lookback check --default` is now `lookback config --all`"),
         ("sim import kitti x", "`lookback sim import` is now `lookback import`"),
         ("sim drive x", "`lookback sim` is now `lookback dev sim`"),
-        ("golden", "`lookback golden` is now `lookback dev golden`"),
+        ("dev golden x", "`lookback dev golden` is now `lookback replay`"),
     ],
 )
 def test_a_command_of_an_older_version_says_where_it_went(

@@ -36,7 +36,6 @@ ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
     "bench": "sim.bench.board",
     "flights": "sim.research.trial.flights_command",
-    "golden": "sim.evaluation.golden",
     "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",
     "paper": "sim.research.evaluation.commands",
@@ -56,7 +55,8 @@ MOVED = {
     "sim gps": "dev gps",
     "sim flights": "dev flights",
     **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run")},
-    **{name: f"{DEV} {name}" for name in ("bench", "golden", "mcap", "sim", "train")},
+    **{name: f"{DEV} {name}" for name in ("bench", "mcap", "sim", "train")},
+    **dict.fromkeys(("golden", "dev golden"), "replay"),  # whose output is the same, byte for byte
 }
 """Commands of earlier versions, and what they are now."""
 

@@ -1,1 +1,1 @@
-"""`lookback eval`: how well a map is recognized in your recordings. `lookback dev golden`: a recording as a test."""
+"""`lookback eval`: how well a map is recognized in your recordings."""

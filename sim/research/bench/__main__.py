@@ -31,9 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, metavar="R", help="runs of each row (default 21, quick 7)")
     parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame runs")
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
-    parser.add_argument(
-        "--only", nargs="+", metavar="PART", help="network, matching, dimensions, search, frames, mapping, maps"
-    )
+    parser.add_argument("--only", nargs="+", metavar="PART", help="network, matching, search, frames, mapping, maps")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
 
@@ -61,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: int) -> Iterator[Section]:
-    from sim.research.bench import dimension_rows, matching_rows
+    from sim.research.bench import matching_rows
 
     places = args.places or list(QUICK if args.quick else FULL)
     maps = args.places or list(QUICK if args.quick else FULL_MAPS)
@@ -70,7 +68,6 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
     sections: dict[str, Callable[[], Section]] = {
         "network": lambda: network_rows.measure(rounds),
         "matching": lambda: matching_rows.measure(machine, places, rounds),
-        "dimensions": lambda: dimension_rows.measure(usual, rounds),
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),

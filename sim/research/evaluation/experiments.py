@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from edge.config import Config, SamplingConfig
-from sim.evaluation.golden import replay_on_new_map
+from edge.descriptor.network import Network
+from edge.feed import Feed
+from edge.journal.records import FrameUsed
+from edge.reference_map import MapSet
+from edge.reference_map.store import open_map
+from sim.evaluation.recognition import recognize
 from sim.evaluation.report import Cell, Figure, Section, Table
+from sim.maps.command import build_map
 from sim.research.evaluation import plots as draw
 from sim.research.evaluation.comparison import Results
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
@@ -18,6 +26,17 @@ from sim.research.evaluation.scores import max_f1_of_places, scores
 from sim.research.evaluation.traverses import true_errors
 
 Step = Callable[[str], None]
+
+
+def replay_on_new_map(
+    reference: Feed, query: Feed, config: Config, sampling: SamplingConfig, network: Network
+) -> list[FrameUsed]:
+    """Every used frame of `query`, taken by `sampling`, recognized on a map of `reference`."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "map"
+        build_map([reference], path, config.descriptor, config.sampling, network=network)
+        config = msgspec.structs.replace(config, sampling=sampling)
+        return recognize(MapSet.of(open_map(path)), query, config, network).used
 
 
 def sweep_pairs(plan: Plan) -> list[Pair]:
@@ -133,7 +152,7 @@ def _halting(runner: MethodRunner, pair: Pair, sampling: SamplingConfig, gate: f
         descriptor=msgspec.structs.replace(Config().descriptor, standing_change=gate),
         sequence=msgspec.structs.replace(Config().sequence, length=runner.sequence_length(pair)),
     )
-    lines = replay_on_new_map([reference.feed], query.feed, config, sampling=sampling, network=network)
+    lines = replay_on_new_map(reference.feed, query.feed, config, sampling, network)
     errors = true_errors(reference, query, pair, runner.offset(pair, "Lookback"))
     answered = [(index, line.place) for index, line in enumerate(lines) if line.place is not None]
     right = sum(bool(errors[index, place] <= pair.tolerance) for index, place in answered)

@@ -13,7 +13,7 @@ from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race
-from sim.research.bench import dimension_rows, frame_rows, map_rows, mapping_rows, search_rows
+from sim.research.bench import frame_rows, map_rows, mapping_rows, search_rows
 from sim.research.bench.machine import Machine
 from sim.research.bench.rows import Row, Section, Target, page
 
@@ -98,14 +98,6 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
     for what in ("L = 80", "whole frame", "| 300 places |", "opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
-
-
-def test_every_dimension_is_matched_and_normalized() -> None:
-    section = dimension_rows.measure(50, 2)
-    for what in ("bytes a place", "matching 50 places", "normalizing"):
-        assert [row.size for row in section.rows if row.what == what] == ["128", "1024", "8192", "65536"]
-    assert len(section.rows) == 12
-    assert len(section.targets) == 2
 
 
 def test_matching_against_rivals() -> None:
