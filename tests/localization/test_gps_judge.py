@@ -70,6 +70,7 @@ def test_it_ends_where_a_place_is_recognized_again(route: Route) -> None:
     "gps",
     [
         pytest.param(lambda frame: gps_at((FROM + frame) * SPACING_M, 2.0 * frame), id="turns off"),
+        pytest.param(lambda frame: gps_at((FROM + frame) * SPACING_M, 10.0), id="beside the road"),  # by 2.5 sigmas
         pytest.param(lambda frame: gps_at((FROM + frame) * SPACING_M, 30.0), id="another road"),
         pytest.param(lambda frame: gps_at((FROM - frame) * SPACING_M), id="comes back"),
         pytest.param(lambda frame: gps_at(FROM * SPACING_M), id="creeps"),

@@ -216,10 +216,10 @@ def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., Rout
 def test_a_position_is_less_certain_by_what_the_odometer_may_be_wrong_over_a_whole_line(
     open_filter: Callable[..., RouteFilter],
 ) -> None:
-    """A line of 38 m; one vehicle's odometer is wrong by 5 %, the other's by no more than what is always allowed."""
+    """A line of 38 m; one vehicle's odometer is wrong by 20 %, the other's by no more than what is always allowed."""
     rig = RigConfig(sigma_along_m=0.5)
     unknown, known = (
-        warm(open_filter(rig, scale_error_percent=one), frames=1).filter.at_exposure() for one in (5.0, 1.5)
+        warm(open_filter(rig, scale_error_percent=one), frames=1).filter.at_exposure() for one in (20.0, 1.5)
     )
     assert unknown is not None and known is not None
-    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 0.05 * 38.0), rel=0.15)
+    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 0.2 * 38.0), rel=0.05)

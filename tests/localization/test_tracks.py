@@ -174,3 +174,14 @@ def test_an_odometer_that_counts_anew_begins_a_new_track(open_filter: Callable[.
     drive = warm(open_filter())
     drive.filter.update(match(drive.place), drive.stamp_ns + FRAME_NS, drive.displacement(leg=2))
     assert drive.filter.at_exposure() is None
+
+
+@pytest.mark.parametrize(("further", "agrees"), [(3, True), (5, False)])
+def test_a_match_beyond_three_sigma_of_the_estimate_corrects_nothing(
+    open_filter: Callable[..., RouteFilter], further: int, agrees: bool
+) -> None:
+    """Its place is 6 or 10 m ahead; a match alone is known to 3 m."""
+    drive = warm(open_filter())
+    drive.go(1, partial(match_further, further))
+    later = drive.filter.at(drive.stamp_ns, drive.displacement())
+    assert later is not None and (later.matches == 31) == agrees

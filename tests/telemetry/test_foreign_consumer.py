@@ -225,7 +225,9 @@ def test_a_request_for_the_time_and_an_answer_to_a_fix_are_understood(setting: S
     setting.until(lambda: any("UNSUPPORTED" in message["text"] for message in foreigner.read("STATUSTEXT")))
 
 
-@pytest.mark.parametrize("setting", [over_udp, over_pty], indirect=True)
+@pytest.mark.parametrize(
+    "setting", [over_udp, pytest.param(over_pty, marks=pytest.mark.soak)], indirect=True
+)  # MAVSDK polls a serial port all the time
 def test_the_daemon_as_its_own_process_is_seen(
     setting: Setting, make_street: Callable[..., Path], play_on: Callable[[Path, Path], Path], tmp_path: Path
 ) -> None:

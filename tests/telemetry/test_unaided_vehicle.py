@@ -59,6 +59,17 @@ def test_wheels_measure_it_along_the_heading() -> None:
     assert driven_m(vehicle, 6 * S, 8 * S) == pytest.approx(18.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("apart_s", "is_known"), [(2, True), (3, False)])
+def test_wheels_that_pause_for_long_say_no_speed(apart_s: int, is_known: bool) -> None:
+    """Meanwhile a counter may have begun anew."""
+    speaker = Speaker()
+    vehicle = unaided(speaker)
+    for now_s in (5, 5 + apart_s):
+        message = mavlink.MAVLink_wheel_distance_message(now_s * 1_000_000, 1, [9.0 * now_s] + [0.0] * 15)
+        vehicle.handle(speaker.say(message), now_s * S)
+    assert (vehicle.speed_mps((5 + apart_s) * S) is not None) == is_known
+
+
 def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)
