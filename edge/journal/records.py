@@ -1,8 +1,8 @@
 """Every record of the journal: one versioned union, distinguished by its key `event`.
 
-This module is all there is to know about the journal's format; `python -m tests.docs.journal_page` makes
-docs/journal.md from it. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change
-it, because readers ignore keys and pass over records that they do not know.
+This module is the reference of the journal's format, to which docs/journal.md leads: `unit` gives a key's unit and
+meaning. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change it, because
+readers ignore keys and pass over records that they do not know.
 
 Places are given in map coordinates everywhere: `place` is a row of a map, and `map` the name of that map where
 [map] path is a folder of maps. Stamps are CLOCK_MONOTONIC of the vehicle's computer.

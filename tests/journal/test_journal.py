@@ -12,6 +12,7 @@ from typing import get_args
 
 import msgspec
 import pytest
+from msgspec.inspect import Metadata, StructType, UnionType, type_info
 
 import edge
 from edge.errors import ConfigError
@@ -369,3 +370,14 @@ def test_a_folder_that_cannot_be_written_keeps_the_one_file(path: Path, caplog: 
     path.parent.chmod(0o700)
     assert "cannot begin a new file" in caplog.text
     assert len(texts(path)) == 31
+
+
+def test_every_key_says_its_unit_and_meaning() -> None:
+    """records.py is the reference that docs/journal.md names."""
+    for kind in get_args(Record):
+        info = type_info(kind)
+        assert kind.__doc__ and isinstance(info, StructType)
+        for field in info.fields:
+            kinds = field.type.types if isinstance(field.type, UnionType) else (field.type,)
+            told = [one for one in kinds if isinstance(one, Metadata)]
+            assert any("unit" in (one.extra or {}) and one.extra_json_schema for one in told), field.name
