@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,12 +49,21 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     )
 
 
+EXPOSED = (-0.5, -0.25, 0.0, 0.25, 0.5)  # shares of an exposure at which the scene is rendered
+BANDS = 8  # of rows that are exposed together, where a sensor reads them one after another
+
+
 def picture(renderer: Renderer, scenario: Scenario, drive: Drive, time_s: float) -> NDArray[np.uint8]:
-    """What the scenario's camera sees at a time of the drive, (H, W, 3) uint8 BGR, the middle of its exposure."""
-    shares = (-0.5, -0.25, 0.25, 0.5) if scenario.exposure_s else ()
-    ahead_m = scenario.camera_ahead_m
-    others = [drive.pose(time_s + share * scenario.exposure_s, ahead_m) for share in shares]
-    return renderer.render(drive.pose(time_s, ahead_m), time_s, *others)
+    """What the scenario's camera sees, (H, W, 3) uint8 BGR; time_s: of the drive, when its middle row is exposed."""
+    moments = EXPOSED if scenario.exposure_s else (0.0,)
+    bands = BANDS if scenario.readout_s else 1
+    rows = np.linspace(0, scenario.height, bands + 1).astype(int)
+    scene = np.empty((scenario.height, scenario.width, 3), np.uint8)
+    for band, (first, end) in enumerate(pairwise(rows)):
+        middle_s = time_s + ((band + 0.5) / bands - 0.5) * scenario.readout_s
+        poses = [drive.pose(middle_s + share * scenario.exposure_s, scenario.camera_ahead_m) for share in moments]
+        scene[first:end] = np.mean([renderer.render_scene(pose, time_s)[first:end] for pose in poses], axis=0)
+    return renderer.develop(scene, time_s)
 
 
 RENDER_S = 5.0  # a picture on a busy computer

@@ -72,12 +72,12 @@ class Renderer:
         self._buffer.set_clear_color((*light.sky_top, 1))
         self._buffer.make_display_region().set_camera(self._camera)
 
-    def render(self, pose: Pose, time_s: float, *others: Pose) -> NDArray[np.uint8]:
-        """What the camera sees at a time of the drive, (H, W, 3) uint8 BGR; others: poses during the same exposure."""
-        scene = self.render_scene(pose, time_s)
-        if others:
-            scenes = [scene, *(self.render_scene(one, time_s) for one in others)]
-            scene = np.mean(scenes, axis=0).astype(np.uint8)
+    def render(self, pose: Pose, time_s: float) -> NDArray[np.uint8]:
+        """What the camera sees at a time of the drive, (H, W, 3) uint8 BGR."""
+        return self.develop(self.render_scene(pose, time_s), time_s)
+
+    def develop(self, scene: NDArray[np.uint8], time_s: float) -> NDArray[np.uint8]:
+        """A scene, (H, W, 3) uint8 BGR, as the sensor gives it at a time of the drive."""
         return self._sensor.develop(scene, time_s)
 
     def render_scene(self, pose: Pose, time_s: float) -> NDArray[np.uint8]:

@@ -15,6 +15,7 @@
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
     shaking = 0.0            # pitch and roll of the vehicle, 1 as a car's, 0 to 3
     exposure_s = 0.0         # of a picture, which blurs what moves, 0 to 0.1
+    readout_s = 0.0          # from the first row to the last (rolling shutter), 0 to 0.1
     car_ahead_m = 0.0        # a car that drives so far ahead; 0 is none
     epoch_ns = 0             # CLOCK_MONOTONIC at the start; without it, the time at which the camera opens
 
@@ -55,6 +56,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
     shaking: Annotated[float, Meta(ge=0, le=3)] = 0.0
     exposure_s: Annotated[float, Meta(ge=0, le=0.1)] = 0.0
+    readout_s: Annotated[float, Meta(ge=0, le=0.1)] = 0.0
     car_ahead_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
 

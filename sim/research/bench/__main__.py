@@ -14,7 +14,7 @@ import cv2
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
-from sim.research.bench import frame_rows, map_rows, mapping_rows, network_rows, search_rows
+from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, network_rows, search_rows
 from sim.research.bench.machine import Machine, measure_machine
 from sim.research.bench.rows import Section, page
 
@@ -31,7 +31,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, metavar="R", help="runs of each row (default 21, quick 7)")
     parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame runs")
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
-    parser.add_argument("--only", nargs="+", metavar="PART", help="network, matching, search, frames, mapping, maps")
+    parser.add_argument(
+        "--only", nargs="+", metavar="PART", help="network, motion, matching, search, frames, mapping, maps"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
 
@@ -67,6 +69,7 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
     usual = min(10_000, max(places))
     sections: dict[str, Callable[[], Section]] = {
         "network": lambda: network_rows.measure(rounds),
+        "motion": lambda: motion_rows.measure(rounds),
         "matching": lambda: matching_rows.measure(machine, places, rounds),
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ pytest.importorskip("panda3d")
 from edge.camera import open_camera
 from edge.config import CameraConfig
 from edge.errors import ConfigError
-from sim.world.camera import SimCamera, open_renderer
+from sim.world.camera import BANDS, SimCamera, open_renderer, picture
 from sim.world.scenario import Scenario
 
 EPOCH_NS = 5_000_000_000
@@ -49,6 +50,21 @@ def test_a_frame_is_the_view_from_where_the_drive_is_at_its_stamp() -> None:
     assert np.array_equal(frame.image, renderer.render(drive.pose(3.0), 3.0))
     renderer.close()
     camera.close()
+
+
+def test_a_sensor_that_reads_row_after_row_shows_the_lower_rows_later() -> None:
+    rolling = msgspec.structs.replace(SCENARIO, readout_s=0.1)
+    drive = rolling.drive()
+    renderer = open_renderer(rolling, drive)
+    seen = picture(renderer, rolling, drive, 6.0).astype(int)
+    for band, late_s in ((0, -0.04375), (BANDS - 1, 0.04375)):
+        rows = slice(band * rolling.height // BANDS, (band + 1) * rolling.height // BANDS)
+        off = [
+            np.abs(renderer.develop(renderer.render_scene(drive.pose(6.0 + at_s), 6.0), 6.0).astype(int) - seen)[rows]
+            for at_s in (late_s, 0.0)
+        ]
+        assert off[0].mean() < 0.5 * off[1].mean()
+    renderer.close()
 
 
 def test_before_the_epoch_it_stands_at_the_start() -> None:

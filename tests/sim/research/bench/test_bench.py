@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.config import Config, MotionConfig
+from edge.motion import CameraMotion
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
 from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
 from sim.bench.timing import Times, race
-from sim.research.bench import frame_rows, map_rows, mapping_rows, search_rows
+from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, search_rows
 from sim.research.bench.machine import Machine
 from sim.research.bench.rows import Row, Section, Target, page
 
@@ -98,6 +100,15 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
     for what in ("L = 80", "whole frame", "| 300 places |", "opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
+
+
+def test_the_motion_that_is_timed_is_measured() -> None:
+    motion = CameraMotion(Config(motion=MotionConfig(use="report")))
+    for at in range(4):
+        motion.follow(motion_rows.road(motion_rows.STEP_M * at), (1 + at) * motion_rows.STEP_NS, None)
+    assert motion.why == "the height of the camera is not learned yet", "and else it would be known"
+    (row,) = motion_rows.measure(1).rows
+    assert row.ratio is not None
 
 
 def test_matching_against_rivals() -> None:
