@@ -29,12 +29,13 @@ least (0.5 to 1.1 % on simulated roads); how many make a height known, and how m
 LEAST_SHARE, KNOWN_SHARE = 0.01, 0.15
 """Standard deviations: the least that is reached (simulated roads: 1 % too low); and the most that is of use, as an
 odometer."""
-LINE_M, MAP_SHARE, APART_M = 4.5, 0.01, 60.0
+LINE_M, MAP_SHARE, APART_M = 3.5, 0.01, 60.0
 """Standard deviation of where the line of a match lies along the map's drive, the same for all within APART_M, and that
 of the drive's own length, measured with GPS."""
+FORGOTTEN_M = 100.0  # driven within which a line's weight falls to a third: a mount may slip at any time
 CONTRADICTS = 2.0
 """Standard deviations that places may differ from what GPS said before: it is as uncertain as that asks for, since the
-mount may have slipped. A tenth is found to three quarters within 250 m, and to 2 % within 350."""
+mount may have slipped. Of a tenth, half is found within 250 m, and all but 3 % within 400."""
 STRETCHED = 0.25  # the most that the height may be wrong by before two places are not of one drive
 SPANNED_NS = 2_000_000_000
 """After so long without a motion, how far it drove is not known; 0.3 m too far at braking of 1 m/s^2 until then."""
@@ -184,7 +185,8 @@ class _ByPlaces:
             self._since, self._drive, self._first = heights, line.drive, line.along_m
         self._last = heights, line.along_m
         x, y = heights - self._since, line.along_m - self._first
-        self._sums += 1, x, y, x * x, x * y
+        kept = math.exp(-abs(on_m) / FORGOTTEN_M) if self._sums[0] else 0.0
+        self._sums = kept * self._sums + (1, x, y, x * x, x * y)
 
     @property
     def measured(self) -> Measured | None:
@@ -192,10 +194,10 @@ class _ByPlaces:
         count, x, y, xx, xy = self._sums
         spread = xx / count - (x / count) ** 2 if count else 0.0
         height_m = (xy / count - x * y / count**2) / spread if spread > 0 else 0.0
-        independent = 1 + (self._last[1] - self._first) / APART_M if count else 0.0
-        if not (height_m > 0 and independent > 1):
+        if not height_m > 0:
             return None
-        share = LINE_M / (height_m * math.sqrt(spread * independent))
+        apart_m = height_m * math.sqrt(spread)
+        share = LINE_M / (apart_m * math.sqrt(1 + math.sqrt(12) * apart_m / APART_M))
         return Measured(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
 
 
