@@ -22,6 +22,7 @@ from edge.journal.journal import newest_state
 from edge.map_agreement import disagreements
 from edge.mission import plan_way_home
 from edge.motion import CameraMotion
+from edge.motion.camera_motion import LEAST_NS
 from edge.motion.ground import FARTHEST, GroundView
 from edge.motion.height import WINDOW_M, WINDOWS
 from edge.recognizer import open_recognizer
@@ -158,7 +159,12 @@ def check_motion(examined: Examined) -> Iterator[Found]:
         return
     camera, height = config.camera, CameraMotion(config).height
     view = GroundView(config.motion.fov_deg, camera.width, camera.height, math.radians(config.motion.pitch_deg))
-    words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead"
+    between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
+    words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
+    words += (
+        f" speeds up to {view.most_ahead * (height.height_m or 1.0) / between_s:.0f} m/s, within 3 to 5 % by simulation"
+    )
+    words += "" if height.height_m else ", for each meter of height"
     yield good(words) if view.ground_share >= LEAST_GROUND else note(words, "tilt the camera down, or crop less")
     if height.height_m:
         yield good(f"the camera was {height.height_m:.2f} m above the ground; {WINDOW_M:g} m with GPS check it")

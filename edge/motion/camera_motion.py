@@ -27,6 +27,8 @@ were found was that of something else, and none twice."""
 STILL = 0.3
 """Heights a second, below which it may be dirt on the lens that is seen in the dark: it stands where it came to a halt,
 and not where it was found to stand after nothing was seen."""
+LEAST_SIGMA_MPS = 0.05
+"""Of a speed: a car that comes to rest lifts its nose again, by which it was up to 0.15 m/s off."""
 LEARNT_MPS = 2.0
 """Slower, the velocity of GPS is wrong by too large a share."""
 RECORDED_NS = 1_000_000_000  # between records in the journal
@@ -143,7 +145,7 @@ class CameraMotion:
         self.why = "" if height_m else "the height of the camera is not learned yet"
         if height_m:
             per_s = height_m / step.elapsed_s
-            sigma_mps = math.hypot(step.ahead_sigma, share * step.ahead) * per_s
+            sigma_mps = math.hypot(step.ahead_sigma * per_s, share * step.ahead * per_s, LEAST_SIGMA_MPS)
             turn_radps, turn_sigma_radps = step.turn_rad / step.elapsed_s, step.turn_sigma / step.elapsed_s
             middle_ns = stamp_ns - round(step.elapsed_s * 1e9 / 2)
             speed_mps = self._sign * step.ahead_per_s * height_m

@@ -82,21 +82,24 @@ class GroundView:
         self.focal_px = focal_px
         rows = round(WIDTH_PX * height / width)
         self._camera = np.array([[focal_px, 0, WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
-        mask = self._ground(pitch_rad, rows)
+        mask, nearest = self._ground(pitch_rad, rows)
         self.ground_share = float((mask > 0).mean())
+        self.most_ahead = min(max(0.0, FARTHEST - nearest) / 2, float(SEARCHED[-1]))
+        """Heights between two pictures that can be found: after which half of that ground is still to be seen."""
         self._top = max(0, int(np.flatnonzero(mask.any(axis=1))[0]) - LOCAL_PX) if mask.any() else 0
         self._camera[1, 2] -= self._top
         self._inverse = np.linalg.inv(self._camera)
         self.mask = np.ascontiguousarray(mask[self._top :])
 
-    def _ground(self, pitch_rad: float, rows: int) -> NDArray[np.uint8]:
+    def _ground(self, pitch_rad: float, rows: int) -> tuple[NDArray[np.uint8], float]:
+        """Its mask, and how far ahead it begins, in heights."""
         u, v = np.meshgrid(np.arange(WIDTH_PX), np.arange(rows))
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self._camera).T
         down, ahead = (rays @ direction for direction in _down_and_ahead(pitch_rad))
         with np.errstate(divide="ignore", invalid="ignore"):
             ahead, right = ahead / down, rays[..., 0] / down
         used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < ASIDE)
-        return np.where(used, 255, 0).astype(np.uint8)
+        return np.where(used, 255, 0).astype(np.uint8), float(ahead[used].min(initial=FARTHEST))
 
     def contrast(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The part of a picture (H, W, 3) BGR that may show ground, as local contrast around 128."""

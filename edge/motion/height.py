@@ -26,8 +26,8 @@ EARLIER_SHARE = 0.1
 WINDOW_M, WINDOW_SHARE, WINDOWS, WINDOWS_MOST = 20.0, 0.015, 2, 25
 """Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. What one is off by at
 least (0.5 to 1.1 % on simulated roads); how many make a height known, and how many are used: 500 m."""
-LEAST_SHARE, KNOWN_SHARE = 0.01, 0.15
-"""Standard deviations: the least that is reached (simulated roads: 1 % too low); and the most that is of use, as an
+LEAST_SHARE, KNOWN_SHARE = 0.005, 0.15
+"""Standard deviations: the least that is reached, since GPS has no better velocity; and the most that is of use, as an
 odometer."""
 LINE_M, MAP_SHARE, APART_M = 3.5, 0.01, 60.0
 """Standard deviation of where the line of a match lies along the map's drive, the same for all within APART_M, and that

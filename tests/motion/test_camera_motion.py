@@ -75,6 +75,10 @@ def test_the_stamp_is_the_middle_between_two_exposures_and_the_speed_honest() ->
         assert speed.sigma_mps < 0.05 * MPS
 
 
+def test_the_same_pictures_give_the_same_speeds_to_the_last_bit() -> None:
+    assert drive(known(CameraMotion(config())), 8) == drive(known(CameraMotion(config())), 8)
+
+
 def test_a_rear_camera_drives_ahead_where_the_road_goes_away() -> None:
     speeds = drive(known(CameraMotion(config(view="rear"))), 4, step_m=-STEP_M)
     assert speeds[3] is not None and speeds[3].speed_mps == pytest.approx(MPS, rel=0.03)
