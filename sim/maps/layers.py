@@ -11,6 +11,7 @@ from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.files import light
 from sim.maps.keys import is_signed_with
 from sim.maps.learning import LAYERS, STALE_AFTER, Lesson, learn
+from sim.maps.picture import write_layers
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,6 +31,7 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     learning.add_argument("--key", type=Path, metavar="NAME", help="secret key of signed maps that may be retired")
     learning.add_argument("--dry-run", action="store_true", help="print the table, and change nothing")
+    learning.add_argument("--picture", type=Path, metavar="FILE", help="draw the layers (SVG, PDF, PNG)")
     learning.add_argument("--undo", action="store_true", help="go back to the drives that were searched before")
     learning.set_defaults(run=_learn)
 
@@ -68,6 +70,8 @@ def _learn(args: argparse.Namespace) -> int:
         args.map, args.layers, args.stale_after, lambda path: args.key is not None and is_signed_with(path, args.key)
     )
     print("\n".join(_table(lesson)))
+    if args.picture:
+        write_layers(args.picture, args.map, lesson)
     if not args.dry_run:
         lesson.keep(folder)
     count, done = len(lesson.choice.searched), "would be" if args.dry_run else "are"

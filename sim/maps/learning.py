@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from edge.errors import MapError
 from edge.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
-from edge.map_agreement import Compared, compared, disagreements_of
+from edge.map_agreement import compared, disagreements_of
 from edge.reference_map import Learned, LearnedFolder, MapSet, Newer, ReferenceMap, open_map_set
-from edge.reference_map.learned import checksum, with_positions
+from edge.reference_map.learned import checksum
 from sim.maps.choice import Choice, choose
 from sim.maps.outvoted import outvoted
-from sim.maps.placing import Placed, has_gps, placed, weighted
+from sim.maps.placing import moved, newer_positions
 from sim.maps.use import Use
 
 MOST_COMPARED, LEAST_WINDOWS = 2000, 100
@@ -26,8 +26,9 @@ LAYERS = 4
 """Searched of one road, unless said otherwise: a light of the day and one of the night for each way of looking."""
 STALE_AFTER = 3
 """Drives: one may pass a lorry that hides a house front, or meet a low sun; three in a light that used to do do not."""
-MOST_UNPLACED = 0.05
-"""Share of places without a position up to which a drive can be compared with others: a bridge, not half a drive."""
+MOST_UNPLACED = 0.2
+"""Share of places without a position up to which a drive can be compared with others: a bridge, or the 80 m before a
+drive without GPS recognizes the first place; not half a drive."""
 
 
 @dataclass(frozen=True)
@@ -57,47 +58,32 @@ def learn(
     """
     tallies = read_tallies(folder)
     maps, drives = _opened(folder, tallies)
-    road, use = stretches(maps.maps), Use(maps.maps, tallies, stale_after)
     windows = compared(maps, max(LEAST_WINDOWS, MOST_COMPARED // max(1, len(maps.maps))))
-    forced = _forced(maps.maps, drives, is_ours)
-    far = outvoted(maps, disagreements_of(maps, windows))
+    found = disagreements_of(maps, windows)
+    far = outvoted(maps, found)
     far_m = {number: far[one.path] for number, one in enumerate(maps.maps) if one.path in far}
-    wrong = {number: f"{m:.0f} m from where two or more other drives were" for number, m in far_m.items()}
-    wrong = {number: why for number, why in wrong.items() if number not in forced}
+    changed = {number for number, one in enumerate(drives) if not one.is_signed or is_ours(one.path)}
+    newer = newer_positions(maps, windows, found, far_m.keys(), changed)
+    maps = moved(maps, newer)
+    road, use = stretches(maps.maps), Use(maps.maps, tallies, stale_after)
+    forced = _forced(maps.maps, drives, is_ours)
+    wrong = {
+        number: f"{m:.0f} m from where two or more other drives were"
+        for number, m in far_m.items()
+        if number not in forced
+    }
     stale = _stale(road, use, maps)
     road = [stretch.without(wrong) for stretch in road]
     forced.update(_new(road, use, drives, tallies, forced))
     choice = choose(road, maps.maps, use, layers, forced)
     choice = replace(choice, retired={**choice.retired, **wrong})
     sha256 = [one.header_sha256 for one in maps.headers]
-    changed = [number for number, one in enumerate(drives) if not one.is_signed or is_ours(one.path)]
-    newer = {number: one for number, one in _newer(maps, windows, far_m).items() if number in changed}
-    positions = {sha256[number]: one.rows for number, one in newer.items()}
     learned = Learned(
         retired={drives[number].path.name: sha256[number] for number in sorted(choice.retired)},
-        stale={sha256[number]: stale[number] for number in changed if number in stale},
-        newer={sha256[number]: Newer(checksum(one.rows), one.recording) for number, one in newer.items()},
+        stale={sha256[number]: stale[number] for number in sorted(changed & stale.keys())},
+        newer={sha256[number]: Newer(checksum(one.rows), one.recording) for number, one in sorted(newer.items())},
     )
-    return Lesson(tuple(drives), choice, learned, positions)
-
-
-def _newer(maps: MapSet, windows: Sequence[Compared], wrong: Collection[int]) -> dict[int, Placed]:
-    """Newer positions of drives, by number; wrong: of those that no other is placed by."""
-    whole = {number for number, one in enumerate(maps.maps) if one.header.tile is None}
-    found = {number: one for number, one in weighted(maps, windows, set(wrong)).items() if number in whole}
-    nowhere = [number for number in whole if not has_gps(maps.maps[number])]
-    if nowhere:
-        right = [number for number, one in enumerate(maps.maps) if has_gps(one) and number not in wrong]
-        others = [
-            with_positions(maps.maps[number], found[number].rows) if number in found else maps.maps[number]
-            for number in right
-        ]
-        there = MapSet.of(others, maps.path) if others else None
-        for number in nowhere:
-            one = placed(maps.maps[number], there) if there is not None else None
-            if one is not None:
-                found[number] = one
-    return found
+    return Lesson(tuple(drives), choice, learned, {sha256[number]: one.rows for number, one in newer.items()})
 
 
 def _stale(road: Sequence[Stretch], use: Use, maps: MapSet) -> dict[int, list[tuple[int, int]]]:

@@ -2,7 +2,7 @@
 
 A drive with GPS is moved to the median of what the drives say that looked the same way there, each weighted by its
 stated accuracy: one of them that is wrong moves a median little, however far it is off. It stays as uncertain as its
-own receiver was, and windows that are not explained by accuracy and lanes say nothing. A drive without GPS is driven
+own receiver was, and neither of two drives that disagree moves the other. A drive without GPS is driven
 over the others, as a vehicle would, and lies where the middles of its lines are. It moves no other drive.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.localization.place_fix import LineMiddle, line_middle
-from edge.map_agreement import Compared
+from edge.map_agreement import Compared, Disagreement
 from edge.reference_map import MapSet, ReferenceMap, Route, sigmas_m
+from edge.reference_map.learned import with_positions
 from edge.reference_map.store import Segment
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
@@ -55,24 +56,53 @@ class Placed:
     recording: str = ""
 
 
-def has_gps(one: ReferenceMap) -> bool:
-    """Whether any place of a drive has a position of its own."""
-    return not bool(np.isnan(one.places["lat_deg"]).all())
+def newer_positions(
+    maps: MapSet,
+    windows: Sequence[Compared],
+    disagree: Sequence[Disagreement],
+    wrong: AbstractSet[int],
+    changed: AbstractSet[int],
+) -> dict[int, Placed]:
+    """By number of the map, of those that may be `changed`; wrong: those by whose positions no other is moved."""
+    of_path = {one.path: number for number, one in enumerate(maps.maps)}
+    against = {frozenset(of_path[path] for path, _, _ in one.stretches) for one in disagree}
+    changed = {number for number in changed if maps.maps[number].header.tile is None}
+    agreed = [one for one in windows if one.is_one_view and not _between(maps, one) & wrong]
+    agreed = [one for one in agreed if frozenset(_between(maps, one)) not in against]
+    found = {number: one for number, one in weighted(maps, agreed).items() if number in changed}
+    with_gps = [number for number, one in enumerate(maps.maps) if not np.isnan(one.places["lat_deg"]).all()]
+    right = [moved(maps, found).maps[number] for number in with_gps if number not in wrong]
+    if right:
+        there = MapSet.of(right, maps.path)
+        for number in sorted(changed.difference(with_gps)):
+            one = placed(maps.maps[number], there)
+            found.update({number: one} if one is not None else {})
+    return found
 
 
-def weighted(maps: MapSet, windows: Sequence[Compared], wrong: AbstractSet[int]) -> dict[int, Placed]:
-    """By number of the map; wrong: of those whose positions nobody uses."""
+def moved(maps: MapSet, newer: Mapping[int, Placed]) -> MapSet:
+    """Maps at newer positions, by number."""
+    several = [
+        with_positions(one, newer[number].rows) if number in newer else one for number, one in enumerate(maps.maps)
+    ]
+    return MapSet.of(several, maps.path)
+
+
+def _between(maps: MapSet, window: Compared) -> set[int]:
+    """The maps that a window compares."""
+    return {maps.index.map_of(place) for place in window.places}
+
+
+def weighted(maps: MapSet, windows: Sequence[Compared]) -> dict[int, Placed]:
+    """Drives of recordings of which no two disagree in these windows, by number of the map."""
     said: defaultdict[int, defaultdict[str, list[tuple[int, int, Floats]]]]
     said = defaultdict(lambda: defaultdict(list))
     for one in windows:
-        numbers = [maps.index.map_of(place) for place in one.places]
         recordings = [maps.index.recording(drive) for drive in one.drives]
-        if recordings[0] == recordings[1] or not one.is_one_view or wrong & set(numbers):
-            continue
-        # One that says where it is as badly as that says nothing of where another is.
-        if float(np.hypot(*one.apart_m)) <= one.explained_m:
-            said[numbers[0]][recordings[1]].append((one.places[0], one.places[1], one.apart_m))
-            said[numbers[1]][recordings[0]].append((one.places[1], one.places[0], -one.apart_m))
+        if recordings[0] != recordings[1]:
+            for own, other, apart_m in ((0, 1, one.apart_m), (1, 0, -one.apart_m)):
+                number = maps.index.map_of(one.places[own])
+                said[number][recordings[other]].append((one.places[own], one.places[other], apart_m))
     sigma_m = sigmas_m(maps.places)
     found = {}
     for number, others in sorted(said.items()):

@@ -1,14 +1,16 @@
 """What `lookback map learn` makes of eight drives over one road, by descriptors of simulated worlds.
 
-    python -m sim.research.evaluation.layers --seeds 701 702 --cache FOLDER
+    python -m sim.research.evaluation.layers --seeds 701 702 703 704 --cache FOLDER --page docs/living-maps.md
 
 Eight drives, two of a rear camera (day, dusk) and six of a front camera (day, night, dusk, rain, snow, day), become a
-folder of maps. A front camera drives over it the same way by dusk, and home by night. Each row is a folder: its places
-searched, the first right belief, recall and precision on both. After learning without counts, two drives each way are
-counted, as the daemon does, and the folder learns again. Descriptors are kept in FOLDER.
+folder of maps. Descriptors are kept in FOLDER. Tables:
 
-With --rebuilt, a tenth of the road looks like that of the other seed from some day on. A folder of four drives from
-before gets a drive from after, and learns, again and again; each row is the recall on that tenth, by dusk.
+learned   A front camera drives over the folder the same way by dusk, and home by night; before and after learning
+rebuilt   a tenth of the road looks like that of the next seed from some day on: recall there, by dusk
+shifted   one front drive is recorded 15 m aside, or from half of the road on: what `map learn` says, and who moves
+hundred   as many drives: what is searched, how long learning takes
+
+--picture FILE draws the layers of a road of which 200 m were rebuilt.
 """
 
 from __future__ import annotations
@@ -16,23 +18,36 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
+from edge.geodesy import east_north, moved
 from edge.layers import DriveTally
 from edge.reference_map import LearnedFolder, ModelKey, open_map_set
-from edge.reference_map.builder import MapBuilder, Place
+from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from sim.maps.learning import learn
+from sim.demo.pictures import note_sources
+from sim.maps.learning import Lesson, learn
+from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
+from sim.research.trial.table import put_between
+from sim.trial.receiver_errors import receiver_errors
+from sim.world.route import Route as Road
 from sim.world.scenario import LightName, Scenario, View
+
+Floats: TypeAlias = NDArray[np.float64]
+Scene: TypeAlias = Callable[..., Described]
+"""Seed of the road, view, light, seed of the drive, and direction, to its descriptors."""
 
 DRIVES: tuple[tuple[View, LightName, int], ...] = (
     ("rear", "day", 1),
@@ -53,20 +68,41 @@ OLD: tuple[tuple[View, LightName, int], ...] = (
 NEW: tuple[tuple[View, LightName, int], ...] = (("front", "snow", 15), ("front", "day", 16), ("front", "dusk", 13))
 REBUILT = slice(180, 220)
 GRAY: dict[LightName, int] = {"day": 120, "dusk": 60, "night": 20, "rain": 100, "snow": 140}
-M_PER_DEG = 110_574.0
+ORIGIN, SIGMA_M, LANE_M = (0.0, 8.0), 1.5, 1.75
+ASIDE_M = 15.0
+PICTURED = slice(150, 250)
+"""Places that look otherwise in the picture: two stretches that are counted."""
+HUNDRED = 100
 FIRST_COURSE = 12
 """The first frame with a course, as of `TurnAround`."""
 AHEAD_M = 30.0
 """That a front camera sees before a rear one that looks the other way: the median of docs/evaluation.md."""
 
 
-def write_drive(path: Path, drive: Described, view: View) -> None:
-    """A map of one drive, straight north along its route."""
+def write_drive(
+    path: Path,
+    drive: Described,
+    view: View,
+    off_m: Floats | None = None,
+    light: LightName = "day",
+    road: Road | None = None,
+) -> None:
+    """A map of one drive, straight north along its route, unless along a road.
+
+    off_m: (N, 2) east and north, by how much its positions are wrong. light: of its pictures.
+    """
+    picture = thumbnail(np.full((24, 32, 3), GRAY[light], np.uint8))
+    at_m = np.stack([np.zeros(len(drive.route_m)), drive.route_m], axis=1)
+    if road is not None:
+        at_m = np.array([road.at(route_m, LANE_M)[:2] for route_m in drive.route_m.tolist()])
+    at_m = at_m if off_m is None else at_m + off_m
     model, sampling = ModelKey("cached", "0" * 64, "fc6", drive.raw.shape[2]), SamplingConfig()
     with MapBuilder(path, model, RegionsKey("left-right", 0.4, "set"), sampling) as builder:
         builder.begin_segment(path.name, view)
         for row, route_m in enumerate(drive.route_m.tolist()):
-            place = Place(row, route_m / M_PER_DEG, 8.0, 400.0, 0.0, route_m, b"", 1.5, "gps")
+            lat_deg, lon_deg = moved(*ORIGIN, *at_m[row])
+            heading_deg = NAN if road is not None else 0.0
+            place = Place(row, lat_deg, lon_deg, 400.0, heading_deg, route_m, picture, SIGMA_M, "gps")
             builder.add(drive.raw[row].astype(np.float32), place)
         builder.finish()
 
@@ -108,25 +144,56 @@ def drive_over(
 def folder_of(folder: Path, drives: Sequence[tuple[View, LightName, Described]]) -> Path:
     """A folder of maps of these drives."""
     for number, (view, light, drive) in enumerate(drives):
-        write_drive(folder / f"{number}-{view}-{light}", drive, view)
+        write_drive(folder / f"{number}-{view}-{light}", drive, view, light=light)
     return folder
 
 
-def rebuild(drive: Described, other: Described) -> Described:
-    """A drive over a road of which a tenth looks like another one."""
+def rebuild(drive: Described, other: Described, places: slice = REBUILT) -> Described:
+    """A drive over a road of which a part looks like another one."""
     raw = drive.raw.copy()
-    raw[REBUILT] = other.raw[REBUILT]
+    raw[places] = other.raw[places]
     return replace(drive, raw=raw)
 
 
-def main_rebuilt(seeds: Sequence[int], scene: Callable[..., Described]) -> None:
-    """Print a row for each drive since the road was rebuilt."""
-    print("| seed | drives since then | places | recall on the rebuilt tenth |\n|---|---|---|---|")
+def keep_lesson(folder: Path) -> Lesson:
+    """Learn, and let it hold."""
+    lesson = learn(folder)
+    lesson.keep(LearnedFolder(folder))
+    return lesson
+
+
+def learned_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
+    """A row for each folder."""
+    yield "| seed | folder | places searched | dusk, same way | home at night |\n|---|---|---|---|---|"
+    for seed in seeds:
+        made = _eight(seed, scene)
+        queries: list[tuple[Described, LightName]] = [(scene(seed, "front", "dusk", 21), "dusk")]
+        queries.append((scene(seed, "front", "night", 22, "reverse"), "night"))
+
+        def row(what: str, folder: Path, seed: int = seed, queries: list[tuple[Described, LightName]] = queries) -> str:
+            cells = []
+            for query, light in queries:
+                with closing(DriveTally(folder, "front", time.time(), f"{light}-{what}")) as tally:
+                    first_m, recall, precision, places = drive_over(folder, query, light, tally)
+                cells.append(f"{first_m:.0f} m, {recall:.2f}, {precision:.3f}")
+            return f"| {seed} | {what} | {places:.0f} | {cells[0]} | {cells[1]} |"
+
+        with tempfile.TemporaryDirectory() as temporary:
+            yield row("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
+            folder = folder_of(Path(temporary) / "all", made)
+            yield row("all eight", folder)
+            for what in ("learned", "learned, after counting"):
+                keep_lesson(folder)
+                yield row(what, folder)
+
+
+def rebuilt_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
+    """A row for each drive since the road was rebuilt."""
+    yield "| seed | drives since then | places searched | recall on the rebuilt tenth |\n|---|---|---|---|"
     for seed, other in zip(seeds, [*seeds[1:], seeds[0]], strict=True):
 
         def after(view: View, light: LightName, drive: int, seed: int = seed, other: int = other) -> Described:
-            of_both = (scene(one, view, light, drive) for one in (seed, other))
-            return rebuild(*of_both)
+            return rebuild(scene(seed, view, light, drive), scene(other, view, light, drive))
 
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
@@ -135,22 +202,124 @@ def main_rebuilt(seeds: Sequence[int], scene: Callable[..., Described]) -> None:
             for number, (_, light, drive) in enumerate((("", "dusk", 0), *NEW)):
                 if number:
                     write_drive(folder / f"new-{number}", after("front", light, drive), "front")
-                    learn(folder).keep(LearnedFolder(folder))
+                    keep_lesson(folder)
                 for run in range(2):
-                    tally = DriveTally(folder, "front", time.time(), f"{number}-{run}")
-                    results = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
-                    tally.close()
-                print(f"| {seed} | {number} | {results[3]:.0f} | {results[1]:.2f} |", flush=True)
+                    with closing(DriveTally(folder, "front", time.time(), f"{number}-{run}")) as tally:
+                        results = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
+                yield f"| {seed} | {number} | {results[3]:.0f} | {results[1]:.2f} |"
+
+
+def shifted_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
+    """A row for each drive that is wrong, of eight whose receivers are off by SIGMA_M."""
+    yield (
+        "| seed | wrong drive | named | others moved by it, at most | errors of the others, as recorded and learned |\n"
+        "|---|---|---|---|---|"
+    )
+    for seed in seeds:
+        made, rng = _eight(seed, scene), np.random.default_rng(seed)
+        off_m = [SIGMA_M / np.sqrt(2) * receiver_errors(len(one.route_m), 2.0, 200.0, rng) for *_, one in made]
+        right = _positions(made, off_m)[1]
+        for number, spoofed in [(None, False), *((number, one) for number in range(2, 8) for one in (False, True))]:
+            wrong = list(off_m)
+            if number is not None:
+                rows = np.arange(len(wrong[number])) >= (len(wrong[number]) // 2 if spoofed else 0)
+                wrong[number] = wrong[number] + np.outer(rows, (ASIDE_M, 0.0))
+            lesson, now = _positions(made, wrong)
+            others = [one for one in range(8) if one != number]
+            named = [lesson.drives[one].path.name for one, why in lesson.choice.retired.items() if "from where" in why]
+            moved_m = max(float(np.hypot(*(now[one] - right[one]).T).max()) for one in others)
+            before = _rms([wrong[one] for one in others])
+            after = _rms([now[one] - _true(made[one][2]) for one in others])
+            what = "none" if number is None else f"{number}, {made[number][1]}{', from half on' if spoofed else ''}"
+            yield f"| {seed} | {what} | {', '.join(named) or '-'} | {moved_m:.2f} m | {before:.2f}, {after:.2f} m |"
+
+
+def hundred_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
+    """A row for each number of drives; those after the eighth are the same with noise of their own."""
+    yield "| seed | drives | places | searched | MB searched | learning a km, s of a core |\n|---|---|---|---|---|---|"
+    for seed in seeds[:1]:
+        made, rng = _eight(seed, scene), np.random.default_rng(seed)
+        with tempfile.TemporaryDirectory() as temporary:
+            for number in range(HUNDRED):
+                view, light, drive = made[number % 8]
+                noise = 0.3 * drive.raw.std() * rng.standard_normal(drive.raw.shape, np.float32) * (number >= 8)
+                write_drive(Path(temporary) / f"{number:02}", replace(drive, raw=drive.raw + noise), view, light=light)
+                if number + 1 in (1, 4, 8, HUNDRED):
+                    began_s = time.process_time()
+                    keep_lesson(Path(temporary))
+                    took_s, maps = time.process_time() - began_s, open_map_set(Path(temporary))
+                    mb = sum(one.descriptors.nbytes for one in maps.maps) / 1e6
+                    km = np.ptp(drive.route_m) / 1000
+                    places = sum(one.header.places for one in open_map_set(Path(temporary), as_recorded=True).maps)
+                    yield (f"| {seed} | {number + 1} | {places} | {maps.index.places} | {mb:.1f} | {took_s / km:.1f} |")
+
+
+def draw(picture: Path, seeds: Sequence[int], scene: Scene, length_m: float) -> None:
+    """Four drives, then 200 m of the road are rebuilt; three drives pass, and four more become layers."""
+    seed, other = seeds[:2]
+    road = Scenario(seed=seed, length_m=length_m).drive().route
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for view, light, drive in (*OLD, DRIVES[1]):
+            write_drive(folder / f"old-{view}-{light}", scene(seed, view, light, drive), view, light=light, road=road)
+        query = scene(seed, "front", "dusk", 21)
+        after = rebuild(query, scene(other, "front", "dusk", 21), PICTURED)
+        for run, one in enumerate((query, after, after, after)):
+            with closing(DriveTally(folder, "front", time.time(), f"{run}")) as tally:
+                drive_over(folder, one, "dusk", tally, knows_course=False)
+        keep_lesson(folder)
+        for view, light, drive in NEW:
+            new = rebuild(scene(seed, view, light, drive), scene(other, view, light, drive), PICTURED)
+            write_drive(folder / f"rebuilt-{view}-{light}", new, view, light=light, road=road)
+        lesson = keep_lesson(folder)
+        write_layers(picture, folder, lesson)
+    note_sources(picture.parent, picture.name)
+
+
+def _eight(seed: int, scene: Scene) -> list[tuple[View, LightName, Described]]:
+    return [(view, light, scene(seed, view, light, drive)) for view, light, drive in DRIVES]
+
+
+def _true(drive: Described) -> Floats:
+    return np.stack([np.zeros(len(drive.route_m)), drive.route_m], axis=1)
+
+
+def _rms(errors_m: Sequence[Floats]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate([np.sum(one**2, axis=1) for one in errors_m]))))
+
+
+def _positions(
+    made: Sequence[tuple[View, LightName, Described]], off_m: Sequence[Floats]
+) -> tuple[Lesson, list[Floats]]:
+    """What is learned, and where each drive then is: meters (N, 2) east and north."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for number, ((view, light, drive), off) in enumerate(zip(made, off_m, strict=True)):
+            write_drive(folder / f"{number}-{view}-{light}", drive, view, off)
+        lesson = keep_lesson(folder)
+        learned = LearnedFolder(folder)
+        recorded = open_map_set(folder, as_recorded=True).maps
+        places = [learned.applied(one).places for one in recorded]
+        return lesson, [east_north(one["lat_deg"], one["lon_deg"], ORIGIN) for one in places]
+
+
+TABLES: dict[str, Callable[[Sequence[int], Scene], Iterator[str]]] = {
+    "learned": learned_rows,
+    "rebuilt": rebuilt_rows,
+    "shifted": shifted_rows,
+    "hundred": hundred_rows,
+}
 
 
 def main() -> None:
-    """Print a row for each folder and seed."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True)
-    parser.add_argument("--cache", type=Path, required=True)
+    """Print the tables, or write them into a page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True, help="of roads")
+    parser.add_argument("--cache", type=Path, required=True, help="folder of descriptors")
     parser.add_argument("--length", type=float, default=800.0, help="of the road, m")
-    parser.add_argument("--no-course", action="store_true", help="nothing knows which way the vehicle goes")
-    parser.add_argument("--rebuilt", action="store_true", help="the road that was rebuilt instead")
+    parser.add_argument("--tables", nargs="*", choices=TABLES, default=list(TABLES), help="all by default")
+    parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
+    parser.add_argument("--picture", type=Path, help="draw the layers of the first road")
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     network = Network.load()
@@ -159,36 +328,15 @@ def main() -> None:
         scenario = Scenario(seed=seed, length_m=args.length, view=view, light=light, direction=way, drive_seed=drive)
         return described(scenario, network, args.cache)
 
-    if args.rebuilt:
-        main_rebuilt(args.seeds, scene)
-        return
-    print("| seed | folder | places | dusk, same way: first, recall, precision | home at night: the same |")
-    print("|---|---|---|---|---|")
-    for seed in args.seeds:
-        made = [(view, light, scene(seed, view, light, drive)) for view, light, drive in DRIVES]
-        dusk, home = scene(seed, "front", "dusk", 21), scene(seed, "front", "night", 22, "reverse")
-
-        def row(what: str, folder: Path, seed: int = seed, dusk: Described = dusk, home: Described = home) -> None:
-            cells = []
-            for query, light in ((dusk, "dusk"), (home, "night")):
-                tally = DriveTally(folder, "front", time.time(), f"{light}-{what}")
-                found = drive_over(folder, query, light, tally, knows_course=not args.no_course)  # type: ignore[arg-type]
-                first_m, recall, precision, places = found
-                tally.close()
-                cells.append(f"{first_m:.0f} m, {recall:.2f}, {precision:.3f}")
-            print(f"| {seed} | {what} | {places:.0f} | {cells[0]} | {cells[1]} |", flush=True)
-
-        with tempfile.TemporaryDirectory() as temporary:
-            row("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
-            folder = folder_of(Path(temporary) / "all", made)
-            row("all eight", folder)
-            for what in ("learned", "learned again"):
-                learned = learn(folder)
-                learned.keep(LearnedFolder(folder))
-                names = {number: drive.path.name for number, drive in enumerate(learned.drives)}
-                for number, why in {**learned.choice.searched, **learned.choice.retired}.items():
-                    print(f"    {names[number]:16} {number in learned.choice.searched!s:6} {why}")
-                row(what, folder)
+    for name in args.tables:
+        rows = []
+        for row in TABLES[name](args.seeds, scene):
+            print(row, flush=True)
+            rows.append(row)
+        if args.page:
+            put_between((f"<!-- {name}: begin -->", f"<!-- {name}: end -->"), args.page, "\n".join(rows))
+    if args.picture:
+        draw(args.picture, args.seeds, scene, args.length)
 
 
 if __name__ == "__main__":

@@ -113,7 +113,7 @@ def test_drives_that_may_not_be_retired_stay(folder: Path, tmp_path: Path) -> No
     make_key(key)
     (folder / "3" / "keep").touch()
     sign_map(folder / "4", key)
-    build(folder / "nowhere", Driven(is_placed=False))
+    build(folder / "nowhere", Driven(start=200, end=400, is_placed=False))
     stay = {one.path.name for one in _searched(folder, 1)}
     assert {"3", "4", "nowhere"} <= stay
     with_key = learn(folder, 1, is_ours=partial(is_signed_with, key_file=key))
@@ -167,6 +167,19 @@ def test_what_is_no_longer_there_is_shown_and_votes_no_more(rebuilt: Path, capsy
         count(rebuilt, "older", range(10), MADE_S + 60 + run)
     assert main(["map", "learn", str(rebuilt)]) == 0
     drive_over(rebuilt, {"old"}, range(100, 140))
+
+
+def test_the_layers_are_drawn(rebuilt: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `sim`")
+    file = rebuilt / "layers.svg"
+    assert main(["map", "learn", str(rebuilt), "--dry-run", "--picture", str(file)]) == 0
+    drawn = file.read_text()
+    for words in ("old (front)", "older (front)", "no longer there", "first to look this way"):
+        assert words in drawn
+    capsys.readouterr()
+    assert main(["map", "learn", str(rebuilt), "--dry-run", "--picture", str(rebuilt / "none/x.svg")]) == 78
+    assert "--picture" in capsys.readouterr().err
+    assert len(open_map_set(rebuilt).names) == 2, "a dry run"
 
 
 def drive_over(folder: Path, names: set[str], rows: range) -> None:

@@ -99,6 +99,15 @@ def test_a_drive_without_gps_lies_where_it_recognizes_places_and_counts_as_that_
     assert np.isnan(open_map_set(tmp_path).maps[1].places["lat_deg"]).all(), "damaged: as recorded"
 
 
+def test_a_drive_that_is_placed_is_a_layer_as_others_are(tmp_path: Path) -> None:
+    for number in range(3):
+        build(tmp_path / f"{number}", Driven(0, is_placed=number != 1, made_s=MADE_S + number))
+    assert {number: learn(tmp_path, layers=1).choice.retired.get(number, "") for number in (0, 1)} == {
+        0: "others serve its road",
+        1: "others serve its road",
+    }
+
+
 def test_a_drive_over_another_road_is_placed_nowhere(tmp_path: Path) -> None:
     build(tmp_path / "gps", Driven(0))
     build(tmp_path / "none", Driven(0, start=200, end=400, is_placed=False))
