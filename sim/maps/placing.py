@@ -2,8 +2,8 @@
 
 A drive with GPS is moved to the median of what the drives say that looked the same way there, each weighted by its
 stated accuracy: one of them that is wrong moves a median little, however far it is off. It stays as uncertain as its
-own receiver was, and neither of two drives that disagree moves the other. A drive without GPS is driven
-over the others, as a vehicle would, and lies where the middles of its lines are. It moves no other drive.
+own receiver was, and neither of two drives that disagree moves the other. A drive without GPS is driven over the
+others, as by a vehicle, and lies where the middles of its lines are. It moves no other drive.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ LINES = 4
 WITHIN_M = 40.0
 """Meters from the middle of a line up to which a place is known by it: half of the shortest line, 40 places."""
 
-
 APART_M = 1e7
+"""Between the segments of a drive, so that none of the lengths above reaches from one into the next."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,8 @@ def newer_positions(
     agreed = [one for one in agreed if frozenset(_between(maps, one)) not in against]
     found = {number: one for number, one in weighted(maps, agreed).items() if number in changed}
     with_gps = [number for number, one in enumerate(maps.maps) if not np.isnan(one.places["lat_deg"]).all()]
-    right = [moved(maps, found).maps[number] for number in with_gps if number not in wrong]
+    now = moved(maps, found).maps
+    right = [now[number] for number in with_gps if number not in wrong]
     if right:
         there = MapSet.of(right, maps.path)
         for number in sorted(changed.difference(with_gps)):
@@ -146,10 +147,11 @@ def _moves_m(
                 values.append(apart_m[nearest])
                 weights.append(1 / (sigmas[nearest] ** 2 + LANES_M**2))
         moves_m[knot] = [_median(np.array(axis), np.array(weights)) for axis in zip(*values, strict=True)]
-    away_m = np.abs(route_m[:, None] - route_m[knots]).min(axis=1)
-    weight = np.clip((ENDS_M - away_m) / (ENDS_M - HOLDS_M), 0.0, 1.0)
     order = np.argsort(route_m[knots], kind="stable")
     at_m = route_m[knots][order]
+    after = np.searchsorted(at_m, route_m).clip(1, len(at_m) - 1)  # there are SMOOTHED knots at least
+    away_m = np.minimum(np.abs(route_m - at_m[after - 1]), np.abs(route_m - at_m[after]))
+    weight = np.clip((ENDS_M - away_m) / (ENDS_M - HOLDS_M), 0.0, 1.0)
     return np.stack([weight * np.interp(route_m, at_m, moves_m[order, axis]) for axis in (0, 1)], axis=1)
 
 
@@ -193,11 +195,13 @@ def placed(one: ReferenceMap, maps: MapSet) -> Placed | None:
         nearest = int(np.abs(at_m - route_m).argmin())
         away_m, best = abs(at_m[nearest] - route_m), seen[nearest]
         around = slice(max(0, nearest - LINES), nearest + LINES + 1)
-        along_m = route_m + float(np.median(ahead_m[around][drives[around] == best.middle.segment]))
+        alike_m = ahead_m[around][drives[around] == best.middle.segment]
+        along_m = route_m + float(np.median(alike_m))
         if away_m <= WITHIN_M and route.reaches(best.place_index, along_m):
             position = route.position(best.place_index, along_m - route.route_m(best.place_index))
             if position is not None:
-                sigma_m = math.hypot(position.sigma_m, best.middle.sigma_m, across_m, DRIFT * away_m)
+                lines_m = best.middle.sigma_m, float(alike_m.std()), across_m
+                sigma_m = math.hypot(position.sigma_m, *lines_m, DRIFT * away_m)
                 rows[:, row] = position.lat_deg, position.lon_deg, sigma_m
     return None if np.isnan(rows).all() else Placed(rows, recording)
 
