@@ -40,6 +40,7 @@ from sim.demo.pictures import note_sources
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
+from sim.research.trial.courses.maps import DRIVES
 from sim.research.trial.table import put_between
 from sim.trial.receiver_errors import receiver_errors
 from sim.world.route import Route as Road
@@ -49,16 +50,6 @@ Floats: TypeAlias = NDArray[np.float64]
 Scene: TypeAlias = Callable[..., Described]
 """Seed of the road, view, light, seed of the drive, and direction, to its descriptors."""
 
-DRIVES: tuple[tuple[View, LightName, int], ...] = (
-    ("rear", "day", 1),
-    ("rear", "dusk", 2),
-    ("front", "day", 11),
-    ("front", "night", 12),
-    ("front", "dusk", 13),
-    ("front", "rain", 14),
-    ("front", "snow", 15),
-    ("front", "day", 16),
-)
 OLD: tuple[tuple[View, LightName, int], ...] = (
     ("rear", "day", 1),
     ("front", "day", 11),

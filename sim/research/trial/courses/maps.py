@@ -7,13 +7,24 @@ from dataclasses import replace
 
 from edge.config import GatesConfig
 from edge.localization.claims import SAME_RECORDING
-from sim.research.evaluation.layers import DRIVES
 from sim.research.trial.course_rules import sends
 from sim.research.trial.courses.registry import course
 from sim.trial.draft import Draft, Stretch
 from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import along
+from sim.world.scenario import LightName, View
 
+DRIVES: tuple[tuple[View, LightName, int], ...] = (
+    ("rear", "day", 1),
+    ("rear", "dusk", 2),
+    ("front", "day", 11),
+    ("front", "night", 12),
+    ("front", "dusk", 13),
+    ("front", "rain", 14),
+    ("front", "snow", 15),
+    ("front", "day", 16),
+)
+"""Of a road with layers: view, light, and seed of the drive."""
 FALSE_BY_M = 300.0
 FIRST_LINE_M = 120.0
 """A line of 80 m, and a few more frames: before that no place is believed, and its drive not confirmed."""
