@@ -36,10 +36,10 @@ from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from sim.demo.pictures import note_sources
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
+from sim.research.pictures import note_sources
 from sim.research.trial.courses.maps import DRIVES
 from sim.research.trial.table import put_between
 from sim.trial.receiver_errors import receiver_errors
