@@ -235,7 +235,7 @@ def test_mapping_pauses_and_goes_on_by_the_page(
 
     def ask(driven_m: float) -> None:
         if wanted and driven_m >= wanted[0][0]:
-            connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20.0)
+            connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60.0)
             with closing(connection):
                 connection.request("POST", f"/{wanted.pop(0)[1]}", headers={"X-Lookback-Token": token})
                 assert connection.getresponse().status == 202

@@ -225,7 +225,7 @@ def test_a_thread_that_hangs_in_a_driver_is_not_unwound(hangs: bool, printed: st
         f"import atexit, sys, threading, time; {thread}; atexit.register(print, 'finalized');"
         " from edge.__main__ import command; sys.argv = ['lookback', '--version']; command()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout == f"lookback {edge.__version__}\n{printed}"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -36,19 +35,17 @@ def record_drive(
     *,
     spacing_m: float = SPACING_M,
     fps: float | None = None,
-    up_to_m: float = math.inf,
     progress: Callable[[list[float]], Iterable[float]] = iter,
 ) -> int:
     """Render the drive of a scenario and write it as a feed; returns the number of frames.
 
-    A frame every `spacing_m`, or `fps` frames a second, over the first `up_to_m`. heading_deg is the vehicle's, also
-    for a rear camera. The column `route_m` is the arc length along the route, which drives in both directions share.
-    progress: passes the times on, one a frame, and may show how far they are. What was interrupted goes on. Raises
-    FeedError, also where there is a feed already.
+    A frame every `spacing_m`, or `fps` frames a second. heading_deg is the vehicle's, also for a rear camera. The
+    column `route_m` is the arc length along the route, which drives in both directions share. progress: passes the
+    times on, one a frame, and may show how far they are. What was interrupted goes on. Raises FeedError, also where
+    there is a feed already.
     """
     drive = scenario.drive()
     times_s = times_by_rate(drive, fps) if fps else times_by_distance(drive, spacing_m)
-    times_s = [time_s for time_s in times_s if drive.distance_m(time_s) <= up_to_m]
     header = FeedHeader(
         name=path.name,
         view=scenario.view,
@@ -63,29 +60,27 @@ def record_drive(
         renderer = open_renderer(scenario, drive)
         try:
             for time_s in progress(times_s[writer.count :]):
-                image = picture(renderer, scenario, drive, time_s)
-                _write_frame(writer, drive, image, time_s, scenario.epoch_ns or 0)
+                row = row_of(drive, time_s, scenario.epoch_ns or 0)
+                writer.write(picture(renderer, scenario, drive, time_s), row)
         finally:
             renderer.close()
     return len(times_s)
 
 
-def _write_frame(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: float, epoch_ns: int) -> None:
+def row_of(drive: Drive, time_s: float, epoch_ns: int = 0) -> FeedRow:
+    """What a recording says of a moment of a drive."""
     pose = drive.pose(time_s)
     lat_deg, lon_deg = pose.geodetic()
-    writer.write(
-        image,
-        FeedRow(
-            "",
-            epoch_ns + round(time_s * 1e9),
-            lat_deg=lat_deg,
-            lon_deg=lon_deg,
-            alt_m=ORIGIN_ALT_M,
-            heading_deg=pose.heading_deg,
-            speed_mps=pose.speed_mps,
-            distance_m=pose.distance_m,
-            position_sigma_m=TRUE_SIGMA_M,
-            position_source="survey",
-            extra={"route_m": f"{drive.route_m(time_s):.3f}"},
-        ),
+    return FeedRow(
+        "",
+        epoch_ns + round(time_s * 1e9),
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_m=ORIGIN_ALT_M,
+        heading_deg=pose.heading_deg,
+        speed_mps=pose.speed_mps,
+        distance_m=pose.distance_m,
+        position_sigma_m=TRUE_SIGMA_M,
+        position_source="survey",
+        extra={"route_m": f"{drive.route_m(time_s):.3f}"},
     )

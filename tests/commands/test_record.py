@@ -159,7 +159,7 @@ def test_a_signal_closes_the_feed_whole(config_file: Path, tmp_path: Path, numbe
                 pytest.fail(f"it ended by itself: {process.wait(0.02)}, {process.stderr.read()}")
         process.send_signal(number)
         errors = process.stderr.read()
-        assert process.wait(20) == 0, errors
+        assert process.wait(60) == 0, errors
     rows = read_feed(out).rows
     assert f"{out}: {len(rows)} frames, 0 with a position; stopped by a signal" in errors
     assert "Traceback" not in errors

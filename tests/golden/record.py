@@ -10,20 +10,18 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from edge.descriptor.network import Network
-from edge.feed import FeedHeader, FeedRow, FeedWriter
-from sim import ORIGIN_ALT_M
+from edge.feed import FeedHeader, FeedWriter
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
-from sim.world.recording import TRUE_SIGMA_M
+from sim.world.recording import row_of
 from sim.world.scenario import Scenario
 from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, cases, load_case, run_daemon
 
@@ -96,29 +94,12 @@ def record(name: str, recording: Recording) -> None:
             for time_s in frame_times_s(drive):
                 if any(start <= drive.distance_m(time_s) < end for start, end in recording.kept_m):
                     image = renderer.render(drive.pose(time_s), time_s)
-                    _write(writer, drive, image, time_s, recording.north_m)
+                    jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+                    row = row_of(drive, time_s)
+                    lat_deg = (row.lat_deg or 0.0) + recording.north_m / 110_800
+                    writer.write(jpeg, replace(row, lat_deg=lat_deg, extra={}))
     finally:
         renderer.close()
-
-
-def _write(writer: FeedWriter, drive: Drive, image: np.ndarray, time_s: float, north_m: float) -> None:
-    pose = drive.pose(time_s)
-    lat_deg, lon_deg = pose.geodetic()
-    writer.write(
-        cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes(),
-        FeedRow(
-            "",
-            round(time_s * 1e9),
-            lat_deg=lat_deg + north_m / 110_800,
-            lon_deg=lon_deg,
-            alt_m=ORIGIN_ALT_M,
-            heading_deg=pose.heading_deg,
-            speed_mps=pose.speed_mps,
-            distance_m=pose.distance_m,
-            position_sigma_m=TRUE_SIGMA_M,
-            position_source="survey",
-        ),
-    )
 
 
 class RecordingCable(Cable):

@@ -24,7 +24,7 @@ LONGEST_S = 300.0
 
 
 def ask(page: StatusPage, query: str) -> tuple[int, Any]:
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20.0)
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60.0)
     with closing(connection):
         connection.request("GET", f"/coverage.json?{query}")
         answer = connection.getresponse()

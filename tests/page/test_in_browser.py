@@ -101,7 +101,7 @@ def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
             yield process
         finally:
             process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=20)
+            process.communicate(timeout=60)
 
 
 @contextlib.contextmanager
@@ -117,7 +117,7 @@ def autopilot(config: Path) -> Iterator[None]:
 
 def is_up(url: str) -> bool:
     with contextlib.suppress(urllib.error.URLError, ConnectionError):
-        return bool(urllib.request.urlopen(url, timeout=5).status == 200)
+        return bool(urllib.request.urlopen(url, timeout=60).status == 200)
     return False
 
 

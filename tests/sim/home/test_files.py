@@ -60,7 +60,7 @@ def importer() -> Iterator[Callable[[str], list[Any]]]:
     port = free_port()
     judge = mavsdk.Mavsdk(mavsdk.Configuration.create_manual(245, 190, True))
     assert judge.add_any_connection(f"udpin://127.0.0.1:{port}") == mavsdk.ConnectionResult.SUCCESS
-    codec, deadline_s = MavlinkCodec(1, 1), time.monotonic() + 15
+    codec, deadline_s = MavlinkCodec(1, 1), time.monotonic() + 60
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         while not judge.get_systems():
             assert time.monotonic() < deadline_s
