@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import pymap3d
+from edge.geodesy import moved
 
 ORIGIN_LAT_DEG = -27.4772  # Queensland University of Technology, Gardens Point
 ORIGIN_LON_DEG = 153.0283
@@ -53,8 +53,4 @@ class Pose:
 
 def geodetic(east_m: float, north_m: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:
     """Latitude and longitude in degrees (WGS 84); lon_shift_deg: the origin lies so much further east."""
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(
-        east_m, north_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg, ORIGIN_ALT_M
-    )
-    lon_deg = float(lon_deg)
-    return float(lat_deg), lon_deg - 360.0 if lon_deg > 180.0 else lon_deg
+    return moved(ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg, east_m, north_m, ORIGIN_ALT_M)
