@@ -55,6 +55,7 @@ MADE_OF = "made_of.json"
 DRAWN_BY = {
     FILM: ("sim/research/film.py",),
     PAGE: ("edge/page/page.html", "edge/page/snapshot.py"),
+    "layers.png": ("sim/maps/picture.py",),
 }
 """The sources that a picture's look depends on. What it shows is of the day when it was made."""
 
