@@ -183,12 +183,19 @@ class DeadReckoning:
         self._speed_mps, self._source = abs(speed_mps), source
 
     def add_velocity(
-        self, stamp_ns: int, east_mps: float, north_mps: float, reported_mps: tuple[float, float] | None = None
+        self,
+        stamp_ns: int,
+        east_mps: float,
+        north_mps: float,
+        reported_mps: tuple[float, float] | None = None,
+        *,
+        may_slip: bool = True,
     ) -> None:
         """A velocity over ground. Ignored where it is not after the newest, or is none.
 
-        reported_mps: as it was reported, east and north, where it was found otherwise: two positions that are rounded
-        to a centimeter and 16 ms apart change it by 0.7 m/s, which would be in doubt.
+        may_slip: whether a change that no vehicle can make is in doubt; a camera that saw nothing for a second has
+        missed that the vehicle braked. reported_mps: as it was reported, east and north, where it was found otherwise:
+        two positions that are rounded to a centimeter and 16 ms apart change it by 0.7 m/s, which would be in doubt.
         """
         if not math.hypot(east_mps, north_mps) <= MAX_SPEED_MPS:
             return
@@ -198,6 +205,8 @@ class DeadReckoning:
         if last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS:
             self._begin_leg(stamp_ns, east_mps, north_mps, reported_mps or (east_mps, north_mps))
         else:
+            if not may_slip:
+                self._doubt = _Doubt((east_mps, north_mps))
             doubtful_mps = self._doubt.of(stamp_ns - last_ns, reported_mps or (east_mps, north_mps))
             self._displacement.add(stamp_ns, east_mps, north_mps, doubtful_mps)
 

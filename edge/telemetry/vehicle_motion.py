@@ -70,7 +70,7 @@ class VehicleMotion:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
         east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
-        self._motion.add_velocity(stamp_ns, east_mps, north_mps)
+        self._motion.add_velocity(stamp_ns, east_mps, north_mps, may_slip=False)
 
     def _turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
         """The body turns so fast by the autopilot's gyroscopes."""
@@ -154,7 +154,8 @@ class VehicleMotion:
             heading_rad = math.radians(heading_deg)
             east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
             reported_mps = None
-        self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps)
+        may_slip = self.is_aided or _newest(self._speeds.get(WHEELS), stamp_ns) is not None
+        self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip)
 
 
 def _newest(speed: tuple[int, float] | None, now_ns: int, fresh_ns: int = SPEED_FRESH_NS) -> float | None:

@@ -83,6 +83,24 @@ def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> No
     assert vehicle.distance_m(11 * S) is None and vehicle.displacement(11 * S) is None
 
 
+@pytest.mark.parametrize(("wheels", "doubtful"), [(True, True), (False, False)])
+def test_wheels_may_slip_but_a_camera_that_saw_nothing_has_missed_a_braking(wheels: bool, doubtful: bool) -> None:
+    speaker = Speaker()
+    vehicle = unaided(speaker)
+    turned_m = 0.0
+    for tenth in range(41, 81):
+        mps, now_ns = (9.0 if tenth < 60 else 5.0), tenth * S // 10
+        turned_m += mps / 10
+        if wheels:
+            message = mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 1, [turned_m] + [0.0] * 15)
+            vehicle.handle(speaker.say(message), now_ns)
+        else:
+            vehicle.use_speed(now_ns - S // 20, mps)
+        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), now_ns)
+    moved = vehicle.displacement(8 * S)
+    assert moved is not None and (moved.doubtful_m != 0) == doubtful
+
+
 def test_wheels_count_before_the_camera() -> None:
     """They slip less often than a road is misread."""
     speaker = Speaker()
