@@ -82,7 +82,7 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     asked = None if words is None else [word for word in words if not word.startswith("-")]
     plug_ins = {point.name: point.module for point in entry_points(group="lookback.commands")}
     fill_all(commands, {**COMMANDS, **plug_ins, **COMMANDS}, asked)  # ours first, and none of them replaced
-    about = "for work on Lookback itself: simulation, benchmarks, training, recordings as tests"
+    about = "for work on Lookback itself: simulation, benchmarks, training"
     dev = commands.add_parser(DEV, help=about, description=about)
     if asked is None or asked[:1] == [DEV]:
         fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), DEV_COMMANDS, asked and asked[1:])

@@ -36,7 +36,7 @@ device = "again"
 [map]
 path = "map"
 [gates]
-with_gps = true
+risk = 1.0
 [page]
 port = {PAGE_PORT}
 [rig]
@@ -82,7 +82,7 @@ def write_page_picture(folder: Path) -> None:
         build_map([read_feed(at / "out")], at / "map", DescriptorConfig(), SamplingConfig())
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         lookback = [sys.executable, "-m", "edge"]
-        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "again"]
+        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "again", "--no-gps"]
         with ExitStack() as running:
             for command in (following, ["run", "lookback.toml"]):
                 process = subprocess.Popen([*lookback, *command], cwd=at, stdout=subprocess.DEVNULL)
