@@ -345,8 +345,7 @@ class Daemon:
         ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
         report = replace(self._autopilot.report(), gps="not healthy")
         displacement = self._autopilot.vehicle.displacement(fix.stamp_ns)
-        asked = fix, limits, ros2.published_ns, report, displacement
-        if self._estimator.refusal(*asked, to_autopilot=False) is None:
+        if self._estimator.decide(fix, limits, ros2.published_ns, report, displacement).refusal is None:
             ros2.publish_position(fix)
 
     def _show_maps(self) -> None:

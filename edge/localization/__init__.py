@@ -15,7 +15,9 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import DeadReckoning, Displacement
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
+    BOUND_WRONG,
     GPS_SIGMA_M,
+    Decision,
     Integrity,
     Limits,
     Situation,
@@ -30,9 +32,11 @@ from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
     "AGREE_SIGMAS",
+    "BOUND_WRONG",
     "CORRELATION_M",
     "GPS_SIGMA_M",
     "DeadReckoning",
+    "Decision",
     "Displacement",
     "GpsFix",
     "GpsState",

@@ -71,12 +71,15 @@ class Claims:
         for claim in self._claims:
             claim.likelihood, claim.may_be_shifted = math.inf, False
 
-    def observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool) -> Claim:
-        """Keep what the fix says; the claim that it belongs to."""
+    def of(self, fix: PlaceFix, displacement: Displacement) -> Claim:
+        """The newest one that the fix belongs to; one without observations if there is none."""
         alike = (one for one in reversed(self._claims) if _moved_alike(one.observations[-1], fix, displacement))
-        claim = next(alike, None)
-        if claim is None:
-            claim = Claim()
+        return next(alike, Claim())
+
+    def observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool) -> None:
+        """Keep what the fix says."""
+        claim = self.of(fix, displacement)
+        if not claim.observations:
             self._claims.append(claim)
         claim.likelihood = min(claim.likelihood, likelihood)
         claim.may_be_shifted |= may_be_shifted
@@ -89,7 +92,6 @@ class Claims:
         # The first fixes of a track are the least certain ones, and move by more than fixes of one claim may.
         elif newest and fix.sigma_m < newest.sigma_m and (older is None or _is_after_silence(older, displacement)):
             claim.observations[-1] = self._observed(fix, displacement, older)
-        return claim
 
     def _observed(self, fix: PlaceFix, displacement: Displacement, older: Observation | None) -> Observation:
         assert fix.lat_deg is not None and fix.lon_deg is not None
@@ -105,9 +107,10 @@ class Claims:
         observations = claim.observations
         wrong = STRETCH_WRONG ** len(self.stretches(observations))
         for at in range(1, len(observations)):
-            unknown_m = observations[at].displacement.unknown_since(observations[at - 1].displacement)
-            by_chance = min(1.0, 2 * unknown_m / SPREAD_M)
-            wrong += STRETCH_WRONG ** len(self.stretches(observations[at:])) * by_chance
+            if _is_after_silence(observations[at - 1], observations[at].displacement):
+                unknown_m = observations[at].displacement.unknown_since(observations[at - 1].displacement)
+                by_chance = min(1.0, 2 * unknown_m / SPREAD_M)
+                wrong += STRETCH_WRONG ** len(self.stretches(observations[at:])) * by_chance
         return min(wrong, 1.0)
 
     def stretches(self, observations: list[Observation]) -> list[Stretch]:
@@ -120,6 +123,10 @@ class Claims:
             else:
                 same.append(one)
         return stretches
+
+    def wrong_together(self, observations: list[Observation]) -> Stretch:
+        """Those that may be wrong together with the newest one, wherever the ground of `stretches` begins."""
+        return [one for one in observations if not self._independent(one, observations[-1])]
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""

@@ -42,6 +42,8 @@ GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
 another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
 BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
 measures its velocity, none is sent. Messages that are weighed need none of this."""
+CERTAIN = frozenset[Reason](("its protection level is above the alert limit", "less accurate than the autopilot"))
+"""Reasons against a position whose place is certain enough."""
 UNNOTICED = Unnoticed(STRETCH_WRONG, alike_m(CORRELATION_M, 0.0))
 """Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
 velocity's error besides, that error needs itself."""
@@ -83,48 +85,52 @@ class Limits:
     is_reset: bool = False
 
 
+@dataclass(frozen=True)
+class Decision:
+    """Whether a position may be published.
+
+    refusal: why it may not, None if it may. level: its protection level; None where its place is not certain enough.
+    bound_wrong: the probability that it is wrong as a bound of the autopilot's, once that has used it.
+    """
+
+    refusal: Refusal | None
+    level: ProtectionLevel | None = None
+    bound_wrong: float = BOUND_WRONG
+
+
 class Integrity:
     """The observations so far, and the decision on each fix."""
 
-    def __init__(self, gates: GatesConfig, claims: Claims | None = None) -> None:
-        """claims: those of another one, whose evidence both share; what was asked of each, it alone remembers."""
+    def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
-        self.claims = claims or Claims(gates)
-        self._published_wrong = 1.0
-        self.protection_level: ProtectionLevel | None = None
-        """Of the newest fix; None where its place is not certain enough to be published."""
+        self._claims = Claims(gates)
 
     def contradict_nothing(self) -> None:
         """GPS or the last fix bounded the autopilot's position: what disagreed with it before was its own error."""
-        self.claims.contradict_nothing()
+        self._claims.contradict_nothing()
 
-    @property
-    def bound_wrong(self) -> float:
-        """Probability that the last position that may be published is wrong as a bound of the autopilot's."""
-        return min(BOUND_WRONG, ONE_MORE * self._published_wrong)
+    def observe(self, fix: PlaceFix, situation: Situation) -> None:
+        """Keep what a fix shows, whether or not it may be published now."""
+        if situation.displacement is not None and fix.is_position and not fix.disputed:
+            likelihood, is_shift = _by_autopilot(fix, situation)
+            self._claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
 
-    def observe(self, fix: PlaceFix, situation: Situation) -> Claim | None:
-        """Keep what a fix shows, whether or not it may be published now; the claim that it belongs to, None if none."""
-        if situation.displacement is None or not fix.is_position or fix.disputed:
-            return None
-        likelihood, is_shift = math.inf, False
-        if situation.position is not None and situation.uncertainty_m is not None:
-            distance_m = distance_from(situation.position, fix)
-            sigma_m = math.hypot(situation.uncertainty_m, fix.sigma_m)
-            likelihood = likelihood_of(distance_m, sigma_m, situation.bound_wrong)
-            is_shift = situation.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
-        return self.claims.observe(fix, situation.displacement, likelihood, may_be_shifted=is_shift)
-
-    def refusal(self, fix: PlaceFix, situation: Situation, limits: Limits) -> Refusal | None:
-        """Why the fix may not be published, the first of `refusals.RULES` that holds; None if it may."""
-        self.protection_level, claim = None, self.observe(fix, situation)
-        for reason, holds in self.rules(fix, situation, limits, claim):
+    def decide(self, fix: PlaceFix, situation: Situation, limits: Limits) -> Decision:
+        """Whether the fix may be published: not if any of `refusals.RULES` holds. What was observed stays as it is."""
+        claim = Claim()
+        if situation.displacement is not None and fix.is_position:
+            claim = self._claims.of(fix, situation.displacement)
+        level = self._protection_level(fix, claim, situation) if claim.observations else None
+        place_wrong = self._claims.wrong(claim)
+        bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
+        for reason, holds in self.rules(fix, situation, limits, claim, level):
             if holds:
-                return Refusal(reason, _distance_m(situation, fix))
-        return None
+                refusal = Refusal(reason, _distance_m(situation, fix))
+                return Decision(refusal, level if reason in CERTAIN else None, bound_wrong)
+        return Decision(None, level, bound_wrong)
 
     def rules(
-        self, fix: PlaceFix, now: Situation, limits: Limits, claim: Claim | None
+        self, fix: PlaceFix, now: Situation, limits: Limits, claim: Claim, level: ProtectionLevel | None
     ) -> Iterator[tuple[Reason, bool]]:
         """Each reason, and whether it holds. One may rest on those before, so none is asked after one that holds."""
         gates, age_s = self._gates, (now.now_ns - fix.stamp_ns) / 1e9
@@ -137,22 +143,21 @@ class Integrity:
         yield "standing", now.speed_mps is not None and now.speed_mps < gates.min_speed_mps
         yield "too soon", since_s < limits.period_s
         yield "the newest matches disagree", fix.disputed
-        yield "the displacement is not known", now.displacement is None or claim is None
-        assert claim is not None
+        yield "the displacement is not known", now.displacement is None
         # A position that nothing bounds, as after a reboot without GPS, is no yardstick: it may be the mere origin.
         distance_m = _distance_m(now, fix) if now.uncertainty_m is not None else None
         is_bounded = distance_m is not None
         yield "impossibly far", distance_m is not None and distance_m > gates.max_move_m
-        place_wrong = self.claims.wrong(claim)
         # An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that
         # is not known says nothing against a place, and nothing for it.
-        likelihood = claim.likelihood if is_bounded else min(claim.likelihood, 1 / SPREAD_M)
-        wrong = wrong_probability(place_wrong, likelihood, may_be_shifted=claim.may_be_shifted)
-        yield "not confirmed by another place yet", wrong > gates.risk
-        level = self.protection_level = self._protection_level(fix, claim, now)
+        likelihood, is_shift = _by_autopilot(fix, now)
+        likelihood = min(claim.likelihood, likelihood if is_bounded else 1 / SPREAD_M)
+        is_shift |= claim.may_be_shifted
+        wrong = wrong_probability(self._claims.wrong(claim), likelihood, may_be_shifted=is_shift)
+        yield "not confirmed by another place yet", level is None or wrong > gates.risk
+        assert level is not None
         yield "its protection level is above the alert limit", not level.is_within(gates.alert_limit_m or math.inf)
         yield "less accurate than the autopilot", fix.sigma_m > _most_sigma_m(now, limits)
-        self._published_wrong = place_wrong
 
     def _protection_level(self, fix: PlaceFix, claim: Claim, situation: Situation) -> ProtectionLevel:
         """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
@@ -160,24 +165,35 @@ class Integrity:
         All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
         one of its observations on: then that before it bounds the position.
         """
-        reckoned, stretches = situation.reckoned, self.claims.stretches(claim.observations)
-        newest, count = next(one for one in stretches if claim.observations[-1] in one), len(stretches)
+        reckoned, count = situation.reckoned, len(self._claims.stretches(claim.observations))
         alike = 2 * UNNOTICED.most_m / SPREAD_M
         shifted = MAP_SHIFTED
         if reckoned is not None:
             shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
         all_wrong = Wrong(_wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG)
         level = self._level(fix, all_wrong, reckoned, situation)
-        before = max((one.before for one in newest if one.before is not None), key=_sigma_m, default=None)
-        if before is not None:
-            newest_wrong = Wrong(_wrong(STRETCH_WRONG, before, fix), 0.0, 0.0)
-            level = level.or_more(self._level(fix, newest_wrong, before, situation))
+        for one in self._claims.wrong_together(claim.observations):
+            if one.before is not None:
+                newest_wrong = Wrong(_wrong(STRETCH_WRONG, one.before, fix), 0.0, 0.0)
+                level = level.or_more(self._level(fix, newest_wrong, one.before, situation))
         return level
 
     def _level(self, fix: PlaceFix, wrong: Wrong, reckoned: Reckoned | None, situation: Situation) -> ProtectionLevel:
         gates, speed_mps = self._gates, situation.speed_mps or 0.0
         stretch_m = SAME_RECORDING * gates.confirm_m
         return protection_level(fix, wrong, UNNOTICED, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
+
+
+def _by_autopilot(fix: PlaceFix, now: Situation) -> tuple[float, bool]:
+    """How likely the autopilot's position makes a fix, 1 / m, and whether a shifted map may be why they differ.
+
+    Infinite where nothing bounds that position.
+    """
+    if now.position is None or now.uncertainty_m is None:
+        return math.inf, False
+    distance_m = distance_from(now.position, fix)
+    likelihood = likelihood_of(distance_m, math.hypot(now.uncertainty_m, fix.sigma_m), now.bound_wrong)
+    return likelihood, now.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
 
 
 def _distance_m(now: Situation, fix: PlaceFix) -> float | None:
@@ -213,10 +229,6 @@ def _likelihood(reckoned: Reckoned, fix: PlaceFix, further_m: float = 0.0) -> fl
 
 def _wrong(place_wrong: float, reckoned: Reckoned | None, fix: PlaceFix) -> float:
     return place_wrong if reckoned is None else wrong_probability(place_wrong, _likelihood(reckoned, fix))
-
-
-def _sigma_m(reckoned: Reckoned) -> float:
-    return reckoned.sigma_m
 
 
 def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
     a used frame:  `update`, with its match, the motion and GPS: the route filter, GPS by the places, the evidence
     every turn:    `bind_by_gps`, and `bind` where the autopilot has used a position
-    a position:    `position_at_exposure` or `position`, and `refusal`: why it may not be published
+    a position:    `position_at_exposure` or `position`, and `decide`: whether it may be published
 
 Pure: no link, no clock, no file; what is reported comes in as a `Report`. The daemon, and with it the trial and the
 replays of recorded drives, and the hours of the protection level call this object alike.
@@ -16,10 +16,8 @@ from edge.localization.bound import Anchor, Bound, Reckoned
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsFix, GpsVerdict
-from edge.localization.integrity import BOUND_WRONG, Integrity, Limits, Situation
+from edge.localization.integrity import BOUND_WRONG, Decision, Integrity, Limits, Situation
 from edge.localization.place_fix import LineMiddle, frame_used, line_middle, untracked_fix
-from edge.localization.protection_level import ProtectionLevel
-from edge.localization.refusals import Refusal
 from edge.localization.report import Report
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import MapSet, Route
@@ -39,14 +37,12 @@ class PositionEstimator:
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
         self._integrity = Integrity(gates)
-        self._for_others = Integrity(gates, self._integrity.claims)
         self._bound: Bound | None = None  # of the autopilot's position
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self._by_gps: Anchor | None = None  # where GPS had the vehicle last
         self._by_gps_m = 0.0  # driven by then
         self._drift = gates.drift_percent / 100
-        self.own_velocity_error = 0.0
-        """Of the autopilot, as a share, by the newest position."""
+        self._velocity_error = 0.0  # of the autopilot, as a share, by the newest position
 
     def use_maps(self, maps: MapSet) -> None:
         """Follow the vehicle along the drives of these maps; what is known of GPS and of the autopilot stays."""
@@ -98,8 +94,13 @@ class PositionEstimator:
             self._filter.bind(own, sigma_m)
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == stamp_ns:
-            self._integrity.observe(fix, self._situation(fix, displacement, believed, None))
+            self.observe(fix, report, displacement)
         return self._gps.verdict if stands else self.use_verdict(self._gps.verdict, report)
+
+    def observe(self, fix: PlaceFix, report: Report, displacement: Displacement | None) -> None:
+        """Keep what a position shows of the places, whether or not it may be published."""
+        self._velocity_error = fix.velocity_error
+        self._integrity.observe(fix, self._situation(fix, displacement, self._gps.believed(report), None))
 
     def use_verdict(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
         """What the places say of GPS from now on; the verdict, which stays "wrong" until GPS agrees again."""
@@ -133,15 +134,17 @@ class PositionEstimator:
             self._by_gps = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
             self._by_gps_m = report.driven_m
 
-    def bind(self, sigma_m: float, report: Report) -> None:
-        """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows."""
+    def bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG) -> None:
+        """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows.
+
+        wrong: the probability that the position was.
+        """
         if report.is_aided:
-            self._bind(sigma_m, report)
+            self._bind(sigma_m, report, wrong)
             self._gps.bound()
 
-    def _bind(self, sigma_m: float, report: Report, *, by_gps: bool = False) -> None:
+    def _bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         if report.driven_m is not None:
-            wrong = BOUND_WRONG if by_gps else self._integrity.bound_wrong
             self._bound, self._has_run_away = Bound(sigma_m, report.driven_m, wrong, by_gps), False
         self._integrity.contradict_nothing()
 
@@ -152,7 +155,7 @@ class PositionEstimator:
 
     def uncertainty_m(self, report: Report) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        return self._sigma_m(report, max(self._drift, self.own_velocity_error), report.accuracy_m)
+        return self._sigma_m(report, max(self._drift, self._velocity_error), report.accuracy_m)
 
     def bounded_m(self, report: Report) -> float | None:
         """The same by what bounded it and the distance driven since alone."""
@@ -171,32 +174,24 @@ class PositionEstimator:
         """The position at another moment, by the autopilot's velocity since; None while that is not known."""
         return None if self._filter is None else self._filter.at(stamp_ns, displacement)
 
-    def refusal(
+    def decide(
         self,
         fix: PlaceFix,
         limits: Limits,
         last_sent_ns: int | None,
         report: Report,
         displacement: Displacement | None,
-        *,
-        to_autopilot: bool = True,
-    ) -> Refusal | None:
-        """Why a position may not be published now; None if it may.
+    ) -> Decision:
+        """Whether a position may be published now; asking changes nothing.
 
         last_sent_ns: when the last one was. displacement: by the autopilot's velocity at the position's moment.
         """
         situation = self._situation(fix, displacement, self._gps.believed(report), last_sent_ns)
-        return (self._integrity if to_autopilot else self._for_others).refusal(fix, situation, limits)
-
-    @property
-    def protection_level(self) -> ProtectionLevel | None:
-        """Of the newest position that was asked for; None where its place is not certain enough to be published."""
-        return self._integrity.protection_level
+        return self._integrity.decide(fix, situation, limits)
 
     def _situation(
         self, fix: PlaceFix, displacement: Displacement | None, report: Report, last_sent_ns: int | None
     ) -> Situation:
-        self.own_velocity_error = fix.velocity_error
         reckoned = self._reckoned(fix, displacement, report)
         own, sigma_m, bound = report.position, self.uncertainty_m(report), self._bound
         is_by_gps, wrong = (False, BOUND_WRONG) if bound is None else (bound.by_gps, bound.wrong)

@@ -18,7 +18,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen, Record
 from edge.localization import (
+    BOUND_WRONG,
     CORRELATION_M,
+    Decision,
     GpsVerdict,
     Limits,
     PlaceFix,
@@ -79,6 +81,7 @@ class PositionSender:
 
     def _start_over(self) -> None:
         self._last_sent_ns: int | None = None
+        self._bound_wrong = BOUND_WRONG
         self._sent_stamp_ns: int | None = None
         self.sent_status: dict[str, Any] = {}
         """The fields of `LinkStatus` on the newest position that was sent, of a steady stream about one per second."""
@@ -137,7 +140,7 @@ class PositionSender:
 
     def _bind(self, sigma_m: float, now_ns: int) -> None:
         """The autopilot has used a position."""
-        self._estimator.bind(sigma_m, self.report(now_ns))
+        self._estimator.bind(sigma_m, self.report(now_ns), self._bound_wrong)
 
     def judge_gps(self, verdict: GpsVerdict, *, is_aided: bool) -> None:
         """What the places say of GPS now. is_aided: whether anything besides GPS measures the autopilot's velocity."""
@@ -155,12 +158,12 @@ class PositionSender:
         """The messages that carry the fix, if it is due and every gate lets it pass."""
         if self.due(now_ns) is None or self.message is None or fix.stamp_ns == self._sent_stamp_ns:
             return []  # the last exposure was sent already
-        refused = self._refusal(fix, now_ns, self.message)
-        if refused is not None:
-            self._withhold(fix, refused, now_ns)
+        decision = self._decide(fix, now_ns, self.message)
+        if decision.refusal is not None:
+            self._withhold(fix, decision.refusal, now_ns)
             return []
         self._withheld = None
-        messages = self._encode(fix, now_ns, self.message)
+        messages = self._encode(fix, now_ns, self.message, decision)
         if not messages:
             return []
         self._sent_stamp_ns = fix.stamp_ns
@@ -176,13 +179,11 @@ class PositionSender:
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
 
-    def _refusal(
-        self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None
-    ) -> Refusal | None:
+    def _decide(self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None) -> Decision:
         period_s = self._period_s(message) if period_s is None else period_s
         limits = Limits(period_s, message.max_age_s, message.acknowledged)
         displacement = self._vehicle.displacement(fix.stamp_ns)
-        return self._estimator.refusal(fix, limits, self._last_sent_ns, self.report(now_ns), displacement)
+        return self._estimator.decide(fix, limits, self._last_sent_ns, self.report(now_ns), displacement)
 
     def why_none(self, now_ns: int) -> str:
         """Why no position has been sent for a while, for people; "" where one has been."""
@@ -207,7 +208,9 @@ class PositionSender:
         self._withheld = FixWithheld(fix.place, refused.reason + why, distance_m, fix.map)
         self._record(self._withheld)
 
-    def _encode(self, fix: PlaceFix, now_ns: int, message: PositionMessage, *, again: bool = False) -> list[Message]:
+    def _encode(
+        self, fix: PlaceFix, now_ns: int, message: PositionMessage, decision: Decision, *, again: bool = False
+    ) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
         vehicle = self._vehicle
         boot_s = vehicle.boot_time_s(now_ns)
@@ -230,7 +233,7 @@ class PositionSender:
         values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
-            level_m = _level_m(self._estimator.protection_level)
+            level_m = _level_m(decision.level)
             self._record(
                 FixSent(
                     fix.place,
@@ -248,8 +251,8 @@ class PositionSender:
             )
             self.sent_status = {"sent_ns": now_ns, "sent_sigma_m": round(fix.sigma_m, 2)}
             self.sent_status |= {"level_along_m": level_m[0], "level_across_m": level_m[1]}
-            values = encoders.protection_values(self._estimator.protection_level, round(1000 * boot_s))
-        self._last_sent_ns = now_ns
+            values = encoders.protection_values(decision.level, round(1000 * boot_s))
+        self._last_sent_ns, self._bound_wrong = now_ns, decision.bound_wrong
         vehicle.has_our_position = True
         if message.shares_information or not (message.acknowledged or vehicle.is_aided):
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
@@ -319,8 +322,11 @@ class PositionSender:
         if overdue is None or self.message is None:
             return []
         fix, may_be_sent = overdue
-        refused = self._refusal(fix, now_ns, self.message, period_s=0.0) if may_be_sent else None
-        messages = self._encode(fix, now_ns, self.message, again=True) if may_be_sent and refused is None else []
+        messages: list[Message] = []
+        if may_be_sent:
+            decision = self._decide(fix, now_ns, self.message, period_s=0.0)
+            if decision.refusal is None:
+                messages = self._encode(fix, now_ns, self.message, decision, again=True)
         if not messages:
             self._use.give_up()
         return messages

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from hypothesis.errors import FlakyFailure
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.config import GatesConfig, HomeConfig, TelemetryConfig
-from edge.localization import PlaceFix
+from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
+from edge.localization import PlaceFix, PositionEstimator
 from edge.mission import WayHome
 from edge.telemetry.autopilot import AutopilotConnection
 from sim import Pose
@@ -208,7 +208,9 @@ class Turns:
             connection=self.stranger.connection, emit="external_position", journal=str(folder / "events.jsonl")
         )
         home = HomeConfig(enabled=True, speed_mps=2.5)
-        self.link = AutopilotConnection(config, self.clock_ns, gates=GatesConfig(with_gps=True, risk=1.0), home=home)
+        gates = GatesConfig(with_gps=True, risk=1.0)
+        self.estimator = PositionEstimator(Config(gates=gates))
+        self.link = AutopilotConnection(config, self.clock_ns, gates=gates, home=home, estimator=self.estimator)
         self.link.home.plan = lambda start: WAY
         self.autopilot: SimulatedAutopilot | None = None
         if self.stranger.cable is not None:
@@ -249,6 +251,7 @@ class Turns:
                 fix = PlaceFix(
                     now_ns, 1, -27.4705, 153.02, 0.0, 3.0, 2.0, "reverse", "same", 1.3, matches=20, confidence=0.9
                 )
+                self.estimator.observe(fix, self.link.report(), self.link.vehicle.displacement(now_ns))
                 self.link.send_position(fix)
             self.link.set_system_status(4)
             assert self.link.status().state == self.link.state

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix
+from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map.builder import MapBuilder, Place
@@ -372,17 +372,16 @@ class Bench:
         if self.last_sent_ns is not None and now_ns - self.last_sent_ns < self.gates.min_interval_s * 1e9:
             return
         limits = Limits(self.gates.min_interval_s, 5.0, is_reset=False)
-        refused = self.estimator.refusal(fix, limits, self.last_sent_ns, report, report.displacement)
-        self._bounded(fix, truth)
+        decision = self.estimator.decide(fix, limits, self.last_sent_ns, report, report.displacement)
+        if decision.level is not None:
+            self._bounded(fix, truth, decision.level)
+        refused = decision.refusal
         if refused is not None:
             self.result.withheld[refused.reason] = self.result.withheld.get(refused.reason, 0) + 1
             return
-        self._reset(fix, truth, report)
+        self._reset(fix, truth, report, decision.bound_wrong)
 
-    def _bounded(self, fix: PlaceFix, truth: Points) -> None:
-        level = self.estimator.protection_level
-        if level is None:
-            return
+    def _bounded(self, fix: PlaceFix, truth: Points, level: ProtectionLevel) -> None:
         east_m, north_m = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME)) - truth
         sin, cos = math.sin(math.radians(fix.heading_deg or 0.0)), math.cos(math.radians(fix.heading_deg or 0.0))
         errors = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
@@ -390,7 +389,7 @@ class Bench:
             Bounded(self.driven_m, *errors, fix.sigma_along_m, fix.sigma_across_m, level.along_m, level.across_m)
         )
 
-    def _reset(self, fix: PlaceFix, truth: Points, report: Report) -> None:
+    def _reset(self, fix: PlaceFix, truth: Points, report: Report, wrong: float) -> None:
         place = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME))
         error_m = float(np.hypot(*(place - truth)))
         self.result.errors_m.append(error_m)
@@ -398,4 +397,4 @@ class Bench:
         self.result.sent_at_m.append(self.driven_m)
         self.own = place
         self.last_sent_ns = report.now_ns
-        self.estimator.bind(fix.sigma_m, report)
+        self.estimator.bind(fix.sigma_m, report, wrong)

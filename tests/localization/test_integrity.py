@@ -12,8 +12,9 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import Displacement, Integrity, Limits, PlaceFix, Situation
+from edge.localization import Decision, Displacement, Integrity, Limits, PlaceFix, ProtectionLevel, Situation
 from edge.localization.bound import Bound, Reckoned
+from edge.localization.claims import Claim
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
 from edge.localization.refusals import RULES, Reason, as_table
 
@@ -25,20 +26,37 @@ OWN = VehiclePosition(NOW_NS - S, 0.0, 10.0, 20.0, 0.0, 10.0)
 MOVING = Situation(NOW_NS, "not healthy", 10.0, OWN, 4.0, True, None, Displacement(1, 0.0, 0.0))
 
 
+def decide(fix: PlaceFix = FIX, one: Integrity | None = None, gates: GatesConfig | None = None, **now: Any) -> Decision:
+    """The decision on a fix that was observed."""
+    one, situation = one or Integrity(gates or GatesConfig()), replace(MOVING, **now)
+    one.observe(fix, situation)
+    return one.decide(fix, situation, Limits(1.0, 5.0))
+
+
+def why_not(decision: Decision) -> Reason | None:
+    return decision.refusal.reason if decision.refusal else None
+
+
 def reason(fix: PlaceFix = FIX, one: Integrity | None = None, gates: GatesConfig | None = None, **now: Any) -> Any:
-    refused = (one or Integrity(gates or GatesConfig())).refusal(fix, replace(MOVING, **now), Limits(1.0, 5.0))
-    return refused.reason if refused else None
+    return why_not(decide(fix, one, gates, **now))
 
 
 def drive(one: Integrity, meters: range, off_m: float = 0.0, recording: str = "", **now: Any) -> list[Any]:
-    """The decisions on fixes every 10 m on the way north, wrong by `off_m`; the autopilot is where the truth is."""
-    decisions = []
+    """Why not, of the decisions."""
+    return [why_not(decision) for decision in decisions(one, meters, off_m, recording, **now)]
+
+
+def decisions(
+    one: Integrity, meters: range, off_m: float = 0.0, recording: str = "", fix: PlaceFix = FIX, **now: Any
+) -> list[Decision]:
+    """On fixes every 10 m on the way north, wrong by `off_m`; the autopilot is where the truth is."""
+    decided = []
     for driven_m in meters[::10]:
-        fix = msgspec.structs.replace(FIX, lat_deg=(driven_m + off_m) * METRE_DEG, recording=recording)
+        seen = msgspec.structs.replace(fix, lat_deg=(driven_m + off_m) * METRE_DEG, recording=recording)
         position = replace(OWN, lat_deg=driven_m * METRE_DEG)
         moved = Displacement(1, 0.0, float(driven_m))
-        decisions.append(reason(fix, one, **{"position": position, "displacement": moved, **now}))
-    return decisions
+        decided.append(decide(seen, one, **{"position": position, "displacement": moved, **now}))
+    return decided
 
 
 def test_a_good_fix_passes() -> None:
@@ -150,9 +168,10 @@ def test_matches_count_as_evidence_while_gps_is_healthy() -> None:
         position, moved = replace(OWN, lat_deg=driven_m * METRE_DEG), Displacement(1, 0.0, float(driven_m))
         one.observe(fix, replace(MOVING, gps="healthy", position=position, displacement=moved))
         one.contradict_nothing()
-    assert reason(fix, one, position=position, displacement=moved) is None
-    assert one.protection_level is not None
-    assert one.protection_level.is_within(25.0)
+    decision = decide(fix, one, position=position, displacement=moved)
+    assert decision.refusal is None
+    assert decision.level is not None
+    assert decision.level.is_within(25.0)
 
 
 def test_a_false_stretch_is_outvoted_by_two_true_ones_and_not_by_one() -> None:
@@ -171,9 +190,10 @@ def test_what_contradicted_the_autopilot_when_it_was_sure_stays_contradicted() -
 
 def test_a_bound_by_a_fix_needs_one_stretch_more_than_what_bound_it() -> None:
     one = Integrity(GatesConfig())
-    assert drive(one, range(0, 100))[-1] is None
+    published = decisions(one, range(0, 100))[-1]
+    assert published.refusal is None
     one.contradict_nothing()
-    bound = {"bound_by_gps": False, "bound_wrong": one.bound_wrong}
+    bound = {"bound_by_gps": False, "bound_wrong": published.bound_wrong}
     assert None not in drive(one, range(100, 200), off_m=100.0, recording="second", **bound)
     assert None in drive(one, range(300, 400), off_m=100.0, recording="third", **bound), "two against one"
 
@@ -185,11 +205,11 @@ def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown
     assert drive(one, range(0, 600), uncertainty_m=None)[-1] is None
     fix = msgspec.structs.replace(FIX, lat_deg=640 * METRE_DEG)
     rebooted = Displacement(2, 0.0, 600.0, unknown_m=unknown_m)
-    why = reason(fix, one, uncertainty_m=None, position=None, displacement=rebooted)
-    assert why == (None if 40 < unknown_m < 100 else "not confirmed by another place yet")
-    if why is None:
-        assert one.protection_level is not None
-        assert one.protection_level.along_m > unknown_m, "the place may be wrong, by as much"
+    decision = decide(fix, one, uncertainty_m=None, position=None, displacement=rebooted)
+    assert why_not(decision) == (None if 40 < unknown_m < 100 else "not confirmed by another place yet")
+    if decision.refusal is None:
+        assert decision.level is not None
+        assert decision.level.along_m > unknown_m, "the place may be wrong, by as much"
 
 
 def test_evidence_outlives_first_fixes_after_a_silence_that_are_far_off() -> None:
@@ -255,27 +275,44 @@ def test_the_alert_limit_lets_pass_what_reckoning_bounds_below_it() -> None:
 def test_stretches_that_agree_make_a_level_of_the_errors_alone() -> None:
     one = Integrity(GatesConfig(alert_limit_m=40.0))
     assert set(drive(one, range(0, 500))) == {"its protection level is above the alert limit"}
-    assert drive(one, range(500, 1200))[-1] is None
-    level = one.protection_level
+    newest = decisions(one, range(500, 1200))[-1]
+    level = newest.level
+    assert newest.refusal is None
     assert level is not None
     shift_m = UNNOTICED.most_m
     assert level.along_m - shift_m == pytest.approx(1.5 * (level.across_m - shift_m))
 
 
+@pytest.mark.parametrize("ends_m", range(2160, 2650, 60))
+def test_a_level_holds_wherever_a_shifted_stretch_begins(ends_m: int) -> None:
+    """15 m after a gap of 140 m, which may be the odometer's error, over 500 m of one recording."""
+    one, precise = Integrity(GatesConfig()), msgspec.structs.replace(FIX, sigma_along_m=1.0, sigma_across_m=1.0)
+    drive(one, range(0, 2000), fix=precise)
+    level = decisions(one, range(2140, ends_m), off_m=15.0, fix=precise, uncertainty_m=30.0)[-1].level
+    assert level is not None
+    assert level.along_m > 15.0
+
+
 def test_what_is_not_published_has_no_protection_level() -> None:
+    assert decide().level is not None
+    assert decide(gps="healthy").level is None
+
+
+def test_asking_changes_nothing_that_was_observed() -> None:
+    """After a halt, a position from before it lies far from where the newest velocity puts the autopilot then."""
     one = Integrity(GatesConfig())
     assert reason(one=one) is None
-    assert one.protection_level is not None
-    assert reason(one=one, gps="healthy") == "GPS is healthy"
-    assert one.protection_level is None
+    long_after = replace(MOVING, now_ns=NOW_NS + 45 * S, position=replace(OWN, stamp_ns=NOW_NS + 45 * S, north_mps=9.0))
+    refusal = one.decide(FIX, long_after, Limits(1.0, 5.0)).refusal
+    assert refusal is not None
+    assert refusal.reason == "too old"
+    assert refusal.distance_m == pytest.approx(9.0 * 46, abs=1)
+    assert reason(one=one) is None
 
 
 def test_the_rules_are_checked_in_the_order_of_the_page_and_each_has_its_test() -> None:
-    one = Integrity(GatesConfig())
-    claim = one.observe(FIX, MOVING)
-    assert tuple(reason for reason, _ in one.rules(FIX, MOVING, Limits(1.0, 5.0), claim)) == tuple(
-        r.reason for r in RULES
-    )
+    rules = Integrity(GatesConfig()).rules(FIX, MOVING, Limits(1.0, 5.0), Claim(), ProtectionLevel(1.0, 1.0))
+    assert tuple(reason for reason, _ in rules) == tuple(rule.reason for rule in RULES)
     assert {rule.reason for rule in RULES} == set(get_args(Reason))
     tests = "".join(path.read_text() for path in Path(__file__).parents[1].glob("*/test_*.py"))
     assert [rule.test for rule in RULES if f"def {rule.test}(" not in tests] == []

@@ -65,5 +65,3 @@ def test_a_position_comes_by_odometry_alone(
         at_m = east_north_of(fix.latitude, fix.longitude, (origin.lat_deg, origin.lon_deg))
         assert at_m == pytest.approx((0.0, driven_m), abs=4.0)
     assert robot.heard("diagnostics")[-1].status[0].message.endswith("on the map")
-    level = daemon.parts.estimator.protection_level
-    assert level is None, "what others may read changes nothing of what is remembered of the autopilot"

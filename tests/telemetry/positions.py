@@ -22,7 +22,7 @@ def offer_for(rig: Rig, seconds: float, **changes: Any) -> int:
         nonlocal sent
         moment = rig.connection.position_due()
         if moment is not None:
-            sent += rig.connection.send_position(rig.fix(age_s=0.0 if moment == "now" else 0.5, **changes))
+            sent += rig.send_position(rig.fix(age_s=0.0 if moment == "now" else 0.5, **changes))
         return False
 
     rig.run(seconds, offer)

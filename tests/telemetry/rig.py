@@ -98,6 +98,12 @@ class Rig:
             motion=self._motion,
         )
 
+    def send_position(self, fix: PlaceFix) -> bool:
+        """Of a place that is recognized now; whether it was sent."""
+        connection = self.connection
+        self.estimator.observe(fix, connection.report(), connection.vehicle.displacement(fix.stamp_ns))
+        return connection.send_position(fix)
+
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS, after a frame."""
         self.connection.judge_gps(self.estimator.use_verdict(verdict, self.connection.report()))

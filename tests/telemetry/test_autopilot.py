@@ -100,7 +100,7 @@ def test_report_sends_text_and_no_position(rig: Rig) -> None:
     rig.run(4.0)
     rig.connection.publish_place(rig.fix())
     assert rig.connection.position_due() is None
-    assert not rig.connection.send_position(rig.fix())
+    assert not rig.send_position(rig.fix())
     rig.run(2.0)
     assert [message.text for message in rig.received("STATUSTEXT")] == ["Place 42 backwards, confidence 0.90"]
     values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}
@@ -112,7 +112,7 @@ def test_report_sends_text_and_no_position(rig: Rig) -> None:
 @external
 def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None:
     rig.run(4.0)
-    assert rig.connection.send_position(rig.fix(age_s=1.5))
+    assert rig.send_position(rig.fix(age_s=1.5))
     rig.run(1.0)
     command = rig.received("COMMAND_INT")[0]
     assert (command.command, command.frame, command.target_system, command.target_component) == (43003, 0, 1, 1)
@@ -136,14 +136,14 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
 )
 def test_no_position_goes_out_for_a_fix_without_one_or_of_a_wrong_age(rig: Rig, fix: dict[str, Any]) -> None:
     rig.run(4.0)
-    assert not rig.connection.send_position(rig.fix(**fix))
+    assert not rig.send_position(rig.fix(**fix))
     rig.run(1.0)
     assert not rig.received("COMMAND_INT")
 
 
 @external
 def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> None:
-    assert not rig.connection.send_position(rig.fix())
+    assert not rig.send_position(rig.fix())
     rig.connection.publish_place(rig.fix())
     rig.run(6.0)
     assert not rig.received("COMMAND_INT")
@@ -154,17 +154,17 @@ def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> 
 def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -> None:
     rig.run(4.0)
     rig.unplug()
-    rig.connection.send_position(rig.fix())
+    rig.send_position(rig.fix())
     assert rig.connection.state == "closed"
     assert not rig.connection.vehicle.connected
-    assert not rig.connection.send_position(rig.fix())
+    assert not rig.send_position(rig.fix())
 
 
 @external
 def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -> None:
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(3.0)
     assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
     assert rig.connection.positions.enabled
@@ -174,7 +174,7 @@ def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -
 def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     denied = mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 197)
     assert rig.pty is not None
     rig.pty.send(MavlinkCodec(1, 1).encode(denied))
@@ -187,15 +187,15 @@ def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
 def test_a_denied_position_is_the_last_until_the_autopilot_reboots(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = 2  # MAV_RESULT_DENIED
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(1.0)
-    assert not rig.connection.send_position(rig.fix())
+    assert not rig.send_position(rig.fix())
     assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [
         "the autopilot answered DENIED: positions are off until it reboots"
     ]
     rig.autopilot.reboot()
     rig.run(7.0)
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
 
 
 def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> None:
@@ -282,7 +282,7 @@ def test_recorded_autopilots_played_into_the_port(
             next_fix_ns = rig.now_ns + 1_000_000_000
             rig.connection.publish_place(rig.fix())
             assert rig.connection.position_due() is None
-            assert not rig.connection.send_position(rig.fix())
+            assert not rig.send_position(rig.fix())
     assert rig.connection.state == "up"
     assert len(errors_s) >= 7
     assert max(map(abs, errors_s)) < 0.020

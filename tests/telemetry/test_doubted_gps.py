@@ -35,7 +35,7 @@ def offer(rig: Rig, seconds: float) -> None:
 
     def once() -> bool:
         if rig.connection.position_due() is not None:
-            rig.connection.send_position(rig.fix())
+            rig.send_position(rig.fix())
         return False
 
     rig.run(seconds, once)

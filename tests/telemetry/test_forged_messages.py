@@ -195,11 +195,11 @@ external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": 
 @external
 def test_a_forged_refusal_before_the_autopilots_answer_stops_positions_for_a_moment(rig: Rig) -> None:
     rig.run(4.0)
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.autopilot.send(mavlink.MAVLink_command_ack_message(43003, mavlink.MAV_RESULT_DENIED, 0, 0, 1, 191))
     rig.run(2.0)
     assert [record.result for record in rig.journalled(FixAnswered)] == ["DENIED"]
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
 
 
 @pytest.mark.parametrize(("forged", "true"), [("ACCEPTED", "FAILED"), ("DENIED", "ACCEPTED")])

@@ -85,7 +85,7 @@ class Sky:
         def turn() -> None:
             nonlocal sent
             each()
-            sent += self.rig.connection.send_position(self.rig.fix(**changes))
+            sent += self.rig.send_position(self.rig.fix(**changes))
 
         self.run(seconds, turn)
         return sent
@@ -171,14 +171,14 @@ def test_gps_that_was_never_heard_is_unknown_and_nothing_is_sent(rig: Rig, lost:
         rig.wire.loses = lambda one: one.get_type() == lost
     rig.connect()
     sent = len(rig.journalled(FixSent))
-    rig.run(20.0, lambda: rig.connection.send_position(rig.fix()))
+    rig.run(20.0, lambda: rig.send_position(rig.fix()))
     assert len(rig.journalled(FixSent)) == sent
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
     assert rig.connection.why_no_position == "GPS is unknown: no GPS_RAW_INT"
     rig.wire.loses = lambda one: False
     rig.run(60.0, lambda: rig.connection.vehicle.gps.state(rig.now_ns) != "unknown")
     rig.run(2.0)
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
 
 
 def test_a_receiver_that_goes_silent_is_unknown_though_the_other_has_no_fix(rig: Rig) -> None:

@@ -64,7 +64,7 @@ def test_a_further_link_gets_events_and_never_a_position(open_rig: OpenRig, stat
     rig = open_rig(emit="external_position", gps=False, system_id=7, config={"links": links})
     rig.run(4.0, station.listen)
     rig.connection.publish_place(rig.fix())
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.connection.status_text("for everybody")
     rig.run(2.0, station.listen)
     assert station.kinds() == {"HEARTBEAT", "STATUSTEXT", "NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
@@ -119,7 +119,7 @@ def test_behind_a_router_that_joins_us_with_a_ground_station(open_rig: OpenRig) 
     position = rig.connection.vehicle.position(rig.now_ns)
     assert position is not None
     assert position.lat_deg == pytest.approx(-27.477, abs=0.01)
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(2.0, talk)
     assert rig.connection.positions.enabled
     assert [record.result for record in rig.journalled(FixAnswered)] == ["ACCEPTED"]
@@ -171,7 +171,7 @@ def test_a_second_autopilot_with_the_same_ids_stops_positions_and_is_reported(op
     rig.run(6.0, step)
     assert rig.connection.report().position is None
     assert rig.connection.position_due() is None
-    assert not rig.connection.send_position(rig.fix())
+    assert not rig.send_position(rig.fix())
     assert [one.text for one in rig.received("STATUSTEXT")].count("Lookback: two autopilots have the same ids") == 1
     assert rig.journalled(LinkChanged)[-1] == LinkChanged("up", "two autopilots have the same ids")
     rig.run(12.0)

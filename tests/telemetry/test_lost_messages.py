@@ -32,7 +32,7 @@ def stream(rig: Rig, seconds: float) -> None:
 
     def offer() -> bool:
         if rig.connection.position_due() is not None:
-            rig.connection.send_position(rig.fix(age_s=0.0))
+            rig.send_position(rig.fix(age_s=0.0))
         return False
 
     rig.run(seconds, offer)
@@ -54,7 +54,7 @@ def lost_gps(open_rig: OpenRig) -> Rig:
 
 def test_a_fix_with_a_lost_answer_is_sent_once_more(lost_gps: Rig) -> None:
     lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
-    assert lost_gps.connection.send_position(lost_gps.fix())
+    assert lost_gps.send_position(lost_gps.fix())
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False, True]
     assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
@@ -62,7 +62,7 @@ def test_a_fix_with_a_lost_answer_is_sent_once_more(lost_gps: Rig) -> None:
 
 def test_a_fix_is_not_sent_again_once_gps_is_back(lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.connection.send_position(lost_gps.fix())
+    assert lost_gps.send_position(lost_gps.fix())
     lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
     lost_gps.autopilot.gps = True
     lost_gps.run(4.0)
@@ -71,7 +71,7 @@ def test_a_fix_is_not_sent_again_once_gps_is_back(lost_gps: Rig) -> None:
 
 def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.connection.send_position(lost_gps.fix(age_s=4.5))
+    assert lost_gps.send_position(lost_gps.fix(age_s=4.5))
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
     assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
@@ -79,7 +79,7 @@ def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
 
 def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.connection.send_position(lost_gps.fix())
+    assert lost_gps.send_position(lost_gps.fix())
     lost_gps.connection.positions.withdraw()
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
@@ -180,7 +180,7 @@ def test_a_restarted_daemon_remembers_the_bound_of_an_autopilot_that_did_not_reb
     after_m = uncertainty_after(lost_gps, 5.0)
     # 8 m/s for some 5 s, half as much again, of which 5 % may be an error.
     assert after_m is not None and before_m < after_m < before_m + 5
-    assert lost_gps.connection.send_position(lost_gps.fix())
+    assert lost_gps.send_position(lost_gps.fix())
 
 
 def test_a_disk_that_hangs_under_the_bound_stops_nothing(lost_gps: Rig) -> None:
@@ -243,12 +243,12 @@ def test_heartbeats_alone_are_no_permission(lost_gps: Rig, silent_s: float) -> N
     sent = len(lost_gps.journalled(FixSent))
     lost_gps.wire.loses = loses(*ODOMETRY, "GPS_RAW_INT", "GPS2_RAW")
     lost_gps.run(4.0)
-    assert not lost_gps.connection.send_position(lost_gps.fix())
+    assert not lost_gps.send_position(lost_gps.fix())
     lost_gps.run(silent_s)
     assert lost_gps.connection.state == "up"
-    assert not lost_gps.connection.send_position(lost_gps.fix())
+    assert not lost_gps.send_position(lost_gps.fix())
     assert len(lost_gps.journalled(FixSent)) == sent
     assert lost_gps.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
     lost_gps.wire.loses = loses()
     lost_gps.run(3.0)
-    assert lost_gps.connection.send_position(lost_gps.fix())
+    assert lost_gps.send_position(lost_gps.fix())

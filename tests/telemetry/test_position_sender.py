@@ -49,7 +49,7 @@ def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: 
     rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0, risk=1.0), gps=False)
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
-    assert rig.connection.send_position(rig.fix(age_s=0.5))
+    assert rig.send_position(rig.fix(age_s=0.5))
     rig.run(5.0)
     first, second = fixes_received(rig)
     assert (second.x, second.y) == (first.x, first.y)
@@ -70,7 +70,7 @@ def test_px4_1_15_never_answers_and_gets_positions_nevertheless(open_rig: OpenRi
 def test_accepted_and_moved(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gps=False, drift_percent=8.0)
     rig.run(30.0)
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(3.0)
     (checked,) = rig.journalled(FixChecked)
     assert checked.moved
@@ -82,7 +82,7 @@ def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -
     rig.run(4.0)
     rig.autopilot.gps = False
     rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(3.0)
     (answered,) = rig.journalled(FixAnswered)
     (checked,) = rig.journalled(FixChecked)
@@ -247,7 +247,7 @@ def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gps=False)
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = mavlink.MAV_RESULT_IN_PROGRESS
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(0.5)
     assert not rig.journalled(FixAnswered)
 
@@ -256,10 +256,10 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
     rig.run(4.0)
     fix = rig.fix()
-    assert rig.connection.send_position(fix)
+    assert rig.send_position(fix)
     rig.run(0.5)
     assert rig.connection.position_due() == "exposure"
-    assert not rig.connection.send_position(fix)
+    assert not rig.send_position(fix)
     rig.run(0.5)
     assert len(fixes_received(rig)) == 1
 

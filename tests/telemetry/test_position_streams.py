@@ -40,7 +40,7 @@ def test_a_stream_that_nobody_uses_is_noticed(open_rig: OpenRig, ignored: bool) 
 
     def offer() -> bool:
         if rig.connection.position_due() is not None:
-            rig.connection.send_position(rig.fix(age_s=0.0, lat_deg=rig.true_position(0.0)[0] + 25 / 111_000))
+            rig.send_position(rig.fix(age_s=0.0, lat_deg=rig.true_position(0.0)[0] + 25 / 111_000))
         return False
 
     rig.run(15.0, offer)
@@ -75,16 +75,16 @@ def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmwar
     rig.autopilot.gps = False
     rig.run(10.0)
     uncertain = {"age_s": 0.0, "sigma_along_m": 28.3, "sigma_across_m": 28.3}
-    assert rig.connection.send_position(rig.fix(**uncertain)) == (firmware == "px4")
+    assert rig.send_position(rig.fix(**uncertain)) == (firmware == "px4")
     reasons = [record.reason for record in rig.journalled(FixWithheld)]
     assert reasons == ["less accurate than the autopilot"] * (firmware == "ardupilot")
     rig.run(120.0)  # by now it may be uncertain by as much
     own = rig.position
-    sent = rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
+    sent = rig.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
     assert sent == (firmware == "px4")
     rig.run(120.0)
     own = rig.position
-    assert rig.connection.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
+    assert rig.send_position(rig.fix(**uncertain, lat_deg=own.lat_deg, lon_deg=own.lon_deg))
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
     (message,) = rig.received("SET_GPS_GLOBAL_ORIGIN")
     assert (message.latitude, message.longitude, message.altitude) == (-274772000, 1530283000, 20000)
     assert rig.connection.vehicle.origin is not None
-    assert rig.connection.send_position(rig.fix())
+    assert rig.send_position(rig.fix())
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.autopilot.resets[-1].error_after_m < 1.0
@@ -167,7 +167,7 @@ def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
 def test_sources_are_not_chosen_for_a_position_that_cannot_be_sent(open_rig: OpenRig) -> None:
     rig = open_rig(emit="vision_position", gates=OFTEN, gps=False, has_origin=False)
     rig.run(4.0)
-    assert not rig.connection.send_position(rig.fix(age_s=0.0))
+    assert not rig.send_position(rig.fix(age_s=0.0))
     rig.run(0.5)
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.received("VISION_POSITION_ESTIMATE")

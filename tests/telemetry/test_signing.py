@@ -179,7 +179,7 @@ def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes,
     assert (rig.connection.state == "up") is up
     if up:
         assert rig.received("HEARTBEAT")
-        assert rig.connection.send_position(rig.fix())
+        assert rig.send_position(rig.fix())
         rig.run(0.5)
         assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     else:
