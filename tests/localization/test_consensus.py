@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.config import Config, DescriptorConfig
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
+from edge.reference_map import Drives, ModelKey
+from edge.reference_map.builder import Place
 from edge.sequence import Direction
+from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 SETTINGS = ConsensusSettings()
 STRONG = PlaceVote(
@@ -92,6 +96,31 @@ def test_a_place_that_stays_while_the_vehicle_moves_is_not_believed() -> None:
     """A landmark ahead looks alike from afar, but the matched place does not advance."""
     beliefs = _drive(PlaceConsensus(SETTINGS), [replace(STRONG, along_m=500.0)] * 100)
     assert not any(belief and belief.is_believed for belief in beliefs)
+
+
+@pytest.mark.parametrize(("advance", "is_believed"), [(0.5, False), (0.75, True), (1.4, True), (1.7, False)])
+def test_without_an_odometer_places_advance_as_the_lines_that_are_searched(advance: float, is_believed: bool) -> None:
+    """Lines of slopes from 0.66 to 1.51 cannot follow another pace: they end where the vehicle is not."""
+    votes: list[PlaceVote | None] = [replace(STRONG, along_m=100.0 + advance * 2.0 * frame) for frame in range(100)]
+    beliefs = _drive(PlaceConsensus(SETTINGS), votes, odometer=False)
+    assert any(belief and belief.is_believed for belief in beliefs) == is_believed
+
+
+@pytest.mark.parametrize("frame_m", [2.0, 4.0, 6.0])
+@pytest.mark.parametrize("map_m", [1.0, 2.0, 4.0])
+def test_votes_may_differ_by_what_a_camera_sees_however_far_apart_the_places_are(map_m: float, frame_m: float) -> None:
+    """What is recognized lies up to 15 m further ahead on some stretches than on others."""
+    places = [Place(row, route_m=map_m * row) for row in range(9)]
+    drive = MappedDrive(np.random.default_rng(0).random((9, 2, 96), np.float32), places, "front")
+    with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", 96), DescriptorConfig()) as maps:
+        settings = ConsensusSettings.of(Config(), Drives(maps, frame_m), frame_m / map_m)
+    consensus = PlaceConsensus(settings)
+    for at_m in np.arange(0.0, 400.0, frame_m):
+        ahead_m = 15.0 if at_m % 100.0 < 50.0 else 0.0
+        belief = consensus.update(replace(STRONG, along_m=at_m + ahead_m), at_m)
+    assert belief is not None
+    assert belief.confidence > 0.85
+    assert abs(belief.along_m - at_m - 7.5) <= 10.0
 
 
 def test_a_place_that_few_frames_support_is_not_believed() -> None:

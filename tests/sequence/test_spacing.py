@@ -104,3 +104,20 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
         assert matcher.spacing == "a frame every 0.5 s, and the map has a place every 4 m"
         matcher.push(road[0], Travel(0.0))
         assert not matcher.lacks_odometer
+
+
+@pytest.mark.parametrize(("map_m", "frame_m"), [(2, 1), (4, 1), (4, 2), (2, 4), (1, 4)])
+def test_without_the_odometer_nothing_wrong_is_believed_at_another_spacing(
+    road: NDArray[np.float32], map_m: int, frame_m: int
+) -> None:
+    """No line that is searched is as steep, or as flat: places would be ahead of the vehicle, or behind it."""
+    places = [Place(row, route_m=float(map_m * row)) for row in range(len(road[::map_m]))]
+    rng, model, far_m = np.random.default_rng(1), ModelKey("m", "0" * 64, "fc6", DIMENSIONS), []
+    with temporary_map([MappedDrive(road[::map_m], places, "front")], model, DescriptorConfig()) as maps:
+        matcher = SequenceMatcher(maps, Config(sampling=SamplingConfig(by="time")))
+        for here_m in frames_at_m(frame_m, irregular=False).tolist():
+            raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
+            match = matcher.push(raw.astype(np.float32))
+            if match is not None and match.accepted and abs(map_m * match.place_index - here_m) > NEAR_M:
+                far_m.append(map_m * match.place_index - here_m)
+    assert not far_m

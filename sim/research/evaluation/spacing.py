@@ -1,0 +1,147 @@
+"""What is believed where frames and places are not equally far apart: simulated worlds, with an odometer and without.
+
+    python -m sim.research.evaluation.spacing --seeds 4711 4712 4813 --cache FOLDER
+
+Each world is driven by day with the rear camera (the map), and at night home and at dusk the same way with the front
+camera, with a picture each meter; descriptors are kept in FOLDER. Of these, a map has every first, second or fourth,
+and a vehicle uses some: evenly, or unevenly and all but a fifth of them, which are lost in bursts. The whole road is
+mapped, or its first and last third. A place is right as in `sim.research.evaluation.belief`, with the offset that
+this drive has with a frame and a place every 2 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, SamplingConfig
+from edge.descriptor.network import Network
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.belief import Cut, Described, believe, described, judge, kept, offset_m
+from sim.research.evaluation.scores import at_threshold, joined
+from sim.world.scenario import Scenario
+
+MAP_M = (1, 2, 4)
+VEHICLE_M = (1, 2, 4, 6)
+Frames = Literal["even", "rough"]
+FRAMES: tuple[Frames, ...] = ("even", "rough")
+ODOMETERS: dict[str, float | None] = {"right": 1.0, "8 % more": 1.08, "none": None}
+UNEVEN = 0.6  # share by which a step differs from the usual one at most
+EVERY = 4  # of so many dimensions of a descriptor one is used, which takes a third of the time
+LOST, BURST = 0.2, 5  # share of the frames that are lost, and how many in a row on average
+CUTS: tuple[Cut, ...] = ("whole", "thirds")
+
+
+@dataclass(frozen=True)
+class Case:
+    """How far apart places and frames are, meters, and what is known of what was driven."""
+
+    map_m: int
+    vehicle_m: int
+    frames: Frames
+    odometer: str
+
+    @property
+    def sampling(self) -> SamplingConfig:
+        """Of the vehicle; without an odometer by time, since by distance nothing is matched then."""
+        by: Literal["time", "distance"] = "time" if ODOMETERS[self.odometer] is None else "distance"
+        return SamplingConfig(by=by, spacing_m=float(self.vehicle_m))
+
+
+def thinned(drive: Described, rows: NDArray[np.intp]) -> Described:
+    """Some frames of a drive."""
+    return Described(drive.raw[rows], drive.route_m[rows], drive.driven_m[rows])
+
+
+def rows_used(case: Case, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Which of `count` pictures, a meter apart, a vehicle uses: with an odometer, by what that reads."""
+    steps_m = np.full(count, case.vehicle_m / (ODOMETERS[case.odometer] or 1.0))
+    if case.frames == "rough":
+        steps_m *= rng.uniform(1 - UNEVEN, 1 + UNEVEN, count)
+    at_m = np.cumsum(steps_m)
+    rows = np.unique(np.rint(at_m[at_m <= count - 1]).astype(np.intp))
+    if case.frames == "rough":
+        is_lost = np.zeros(len(rows), dtype=bool)
+        for start in np.flatnonzero(rng.random(len(rows)) < LOST / (1 - LOST) / BURST):
+            is_lost[start : start + rng.geometric(1 / BURST)] = True
+        rows = rows[~is_lost]
+    return rows
+
+
+def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, list[Described]]]:
+    """The road of each seed as the rear camera saw it, and the drives on it."""
+    network = Network.load()
+    for seed in seeds:
+        scene = partial(Scenario, seed=seed, length_m=length_m)
+        home = scene(light="night", direction="reverse", drive_seed=3)
+        scenes = [scene(view="rear", drive_seed=1), home, scene(light="dusk", drive_seed=4)]
+        found = [described(one, network, cache, 1.0) for one in scenes]
+        road, *drives = (replace(one, raw=one.raw[:, :, ::EVERY]) for one in found)
+        yield road, drives
+
+
+def judged(road: Described, query: Described, ahead_m: float, case: Case, seed: int) -> dict[Cut, Answers]:
+    """Of one drive, with all of the road mapped and with a part of it."""
+    mapped = thinned(road, np.arange(0, len(road.raw), case.map_m))
+    seen = thinned(query, rows_used(case, len(query.raw), np.random.default_rng(seed)))
+    found = {}
+    for cut in CUTS:
+        beliefs = believe(mapped, seen, cut, ODOMETERS[case.odometer], sampling=case.sampling)
+        mapped_m = np.concatenate([mapped.route_m[start:end] for start, end in kept(cut, len(mapped.raw))])
+        found[cut] = judge(seen, mapped_m, beliefs, ahead_m).belief
+    return found
+
+
+def offsets_m(road: Described, drives: list[Described]) -> list[float]:
+    """How far ahead matches lie, of each drive."""
+    road = thinned(road, np.arange(0, len(road.raw), 2))
+    even = [thinned(drive, np.arange(0, len(drive.raw), 2)) for drive in drives]
+    return [offset_m(drive, believe(road, drive, "whole")) for drive in even]
+
+
+def _cells(found: list[dict[Cut, Answers]]) -> str:
+    """Precision over both cuts, and the recall of each."""
+    threshold = AcceptanceConfig().confidence_min
+    precision = at_threshold(joined([one[cut] for one in found for cut in CUTS]), threshold)[0]
+    recalls = (at_threshold(joined([one[cut] for one in found]), threshold)[1] for cut in CUTS)
+    return f"{precision:.4f} / " + " / ".join(f"{recall:.2f}" for recall in recalls)
+
+
+def main() -> None:
+    """Print a row for each spacing of the vehicle's frames, with a column for each spacing of the map's places."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
+    parser.add_argument("--odometers", nargs="+", choices=ODOMETERS, default=list(ODOMETERS), help="default: all")
+    args = parser.parse_args()
+    args.cache.mkdir(parents=True, exist_ok=True)
+    seen = [(road, drives, offsets_m(road, drives)) for road, drives in worlds(args.seeds, args.length, args.cache)]
+    print("| odometer | frames | " + " | ".join(f"map {map_m} m" for map_m in MAP_M) + " |")
+    print("|---" * (2 + len(MAP_M)) + "|")
+    for odometer, frames, vehicle_m in product(args.odometers, FRAMES, VEHICLE_M):
+        cells = []
+        for map_m in MAP_M:
+            case = Case(map_m, vehicle_m, frames, odometer)
+            cells.append(
+                _cells(
+                    [
+                        judged(road, drive, ahead_m, case, seed)
+                        for seed, (road, drives, ahead) in zip(args.seeds, seen, strict=True)
+                        for drive, ahead_m in zip(drives, ahead, strict=True)
+                    ]
+                )
+            )
+        print(f"| {odometer} | {vehicle_m} m, {frames} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
