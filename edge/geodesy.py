@@ -10,8 +10,6 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-RADIUS_M, ECCENTRICITY_SQ = 6_378_137.0, 6.694379990141108e-3
-"""Of the ellipsoid WGS 84."""
 Origin = tuple[float, float]
 """Latitude and longitude in degrees that local meters are counted from."""
 
@@ -73,19 +71,9 @@ def east_north_of(lat_deg: float, lon_deg: float, origin: Origin, alt_m: float =
 
 
 def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float, alt_m: float = 0.0) -> tuple[float, float]:
-    """Latitude and longitude of a position that lies so far east and north of another one, in the plane through it.
-
-    By Bowring (1976), which is within 1e-7 m of pymap3d's for arrays, in 3 us instead of 240: frames need it.
-    """
-    sin, cos = math.sin(math.radians(lat_deg)), math.cos(math.radians(lat_deg))
-    normal_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQ * sin**2)
-    outward_m = (normal_m + alt_m) * cos - north_m * sin
-    polar_m = (normal_m * (1 - ECCENTRICITY_SQ) + alt_m) * sin + north_m * cos
-    axis_m, flat = math.hypot(outward_m, east_m), math.sqrt(1 - ECCENTRICITY_SQ)
-    reduced = math.atan2(polar_m, axis_m * flat)
-    up_m = polar_m + ECCENTRICITY_SQ * RADIUS_M / flat * math.sin(reduced) ** 3
-    lat = math.degrees(math.atan2(up_m, axis_m - ECCENTRICITY_SQ * RADIUS_M * math.cos(reduced) ** 3))
-    return lat, wrapped(lon_deg + math.degrees(math.atan2(east_m, outward_m)))
+    """Latitude and longitude of a position that lies so far east and north of another one, in the plane through it."""
+    lat, lon, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, alt_m)
+    return float(lat), wrapped(float(lon))
 
 
 def moved_left(lat_deg: float, lon_deg: float, heading_deg: float, left_m: float) -> tuple[float, float]:

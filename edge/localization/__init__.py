@@ -12,7 +12,7 @@ reports, and `dead_reckoning` integrates its motion; `integrity` decides what ma
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import DeadReckoning, Displacement
+from edge.localization.dead_reckoning import DeadReckoning, Displacement, Integral
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
     BOUND_WRONG,
@@ -41,6 +41,7 @@ __all__ = [
     "GpsFix",
     "GpsState",
     "GpsVerdict",
+    "Integral",
     "Integrity",
     "Limits",
     "PlaceFix",

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Displacement
-from edge.localization.dead_reckoning import Integral
+from edge.localization import DeadReckoning, Displacement, Integral
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
