@@ -27,9 +27,10 @@ from edge.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_st
 
 STOOD_NS = 3_000_000_000
 """From so long a halt on, the next frame is compared with the last one."""
-CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.5, 20, 100
+CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
 """How many times more than usual the picture must have changed over a halt for the vehicle to have been carried. Frames
-2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8."""
+2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8;
+after a tow of 100 m one was 2.3 times as far apart."""
 
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
 

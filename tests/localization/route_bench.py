@@ -233,9 +233,9 @@ class Bench:
         return s - 120.0
 
     def _ferry(self, s: float, far_m: float) -> Generator[Move, None, float]:
-        """Standing on a ferry for 100 s, and on from there on an unknown road."""
+        """Standing on a ferry for 12 s, and on from there on an unknown road."""
         point, away = self._point(s, 0.0), np.array([far_m, 0.0])
-        for share in np.linspace(0.0, 1.0, 1000):
+        for share in np.linspace(0.0, 1.0, 120):
             yield s, point + share * away, 0.0
         for further_m in np.arange(0.0, min(400.0, len(self.line) - 2 - s), self.course.speed_mps * STEP_S):
             yield s + further_m, self._point(s + further_m, 0.0) + away, self.course.speed_mps
