@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     try:
         # Here and not above: matplotlib would take a third of a second of every command's start.
-        from sim.demo.story import drive_story, headline, require_good, sections_of
+        from sim.demo.story import drive_story, headline, pairs_of, require_good, sections_of
         from sim.evaluation.report import render_page
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
@@ -38,7 +38,8 @@ def _run(args: argparse.Namespace) -> int:
     print("Then the same way without Lookback. Both take about a minute, in simulated time.", flush=True)
     story = drive_story(folder / "take_me_home")
     report = folder / "report.html"
-    report.write_text(render_page(headline(story), {"version": edge.__version__}, sections_of(story)), encoding="utf-8")
+    sections = [*sections_of(story), pairs_of(story, folder / "take_me_home")]
+    report.write_text(render_page(headline(story), {"version": edge.__version__}, sections), encoding="utf-8")
     print(f"report: {report}   ({time.monotonic() - started_s:.0f} s)")
     print(f"Home at night without GPS: {headline(story)}")
     if args.require_good:

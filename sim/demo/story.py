@@ -13,15 +13,22 @@ from numpy.typing import NDArray
 
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
+from edge.journal.records import PlaceFix
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
+from sim.journal import records_of
 from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
-from sim.trial.run import drafted, drive
+from sim.trial.run import JOURNAL, drafted, drive, map_scenario
+from sim.trial.simulation import UP_S
 from sim.trial.take_me_home import AT_NIGHT
-from sim.trial.views import RoadLibrary
+from sim.trial.views import RoadLibrary, RoadViews
+from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import LIMIT_M
 
 COURSE, SEED, WORLD, LENGTH_M = AT_NIGHT, 1, 21, 560.0
+PAIRS = 3  # matched pictures in the report
+STARTS_S = 1000.0 + UP_S
+"""The simulated clock when the vehicle sets off."""
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 
@@ -104,6 +111,42 @@ def picture(run: Run) -> Figure:
     beside.set(xlabel="driven without GPS, m", ylabel="left of the lane, m")
     figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     return figure
+
+
+def recognized(run: Run, folder: Path) -> list[tuple[float, NDArray[np.float64]]]:
+    """Places of the way home, from the journal in `folder`: seconds since it set off; meters east and north (2,)."""
+    shift_deg = drafted(COURSE, run.seed, LENGTH_M, run.world).lon_shift_deg
+    return [
+        (one.stamp_ns / 1e9 - STARTS_S, np.array(east_north_m(one.lat_deg, one.lon_deg, shift_deg)))
+        for one in records_of(folder / JOURNAL, PlaceFix)
+        if one.lat_deg is not None and one.lon_deg is not None and one.direction == "reverse"
+    ]
+
+
+def picture_at(day: RoadViews, place_m: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """What the map's camera saw (H, W, 3) where its drive passed a place (2,)."""
+    route_m = np.arange(0.0, day.drive.route.length_m)
+    road_m = np.array([day.drive.route.at(at_m, 0.0)[:2] for at_m in route_m])
+    return day.picture(float(route_m[np.hypot(*(road_m - place_m).T).argmin()]))
+
+
+def pairs_of(run: Run, folder: Path) -> report.Section:
+    """What the camera saw at night beside the places that were recognized; `folder` has the journal and the views."""
+    draft, places = drafted(COURSE, run.seed, LENGTH_M, run.world), recognized(run, folder)
+    pairs = []
+    with closing(RoadLibrary(Network.load(), folder / "views")) as library:
+        night, day = library[draft.home], library[map_scenario(draft.home)]
+        for index in np.linspace(0, len(places) - 1, PAIRS).round().astype(int) if places else ():
+            time_s, place_m = places[index]
+            at_m = float(np.interp(time_s, run.track.time_s, run.track.along_m))
+            left_m = float(np.interp(time_s, run.track.time_s, run.track.left_m))
+            here = night.picture(float(draft.way.route_m[int(at_m)]), left_m)
+            driven = f"home at night, {at_m - lost_at_m(run):.0f} m after GPS failed"
+            there = report.Picture.of(
+                picture_at(day, place_m), "the place that it recognized, seen by day, looking back"
+            )
+            pairs.append([report.Picture.of(here, driven), there])
+    return report.Section("Recognized places", pictures=pairs)
 
 
 def true_track(run: Run, track: Track) -> NDArray[np.float64]:

@@ -13,15 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from edge.descriptor.network import Network
-from edge.journal.records import PlaceFix
-from sim.demo.story import COURSE, LENGTH_M
-from sim.journal import records_of
+from sim.demo.story import COURSE, LENGTH_M, picture_at, recognized
 from sim.trial.rules import Run
-from sim.trial.run import JOURNAL, drafted, map_scenario
-from sim.trial.simulation import UP_S
+from sim.trial.run import drafted, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import Way
-from sim.vehicle.position_inputs import east_north_m
 
 FRAMES, FRAME_MS, QUALITY = 70, 200, 55
 """14 s for the way home, and less than 2 MB."""
@@ -29,8 +25,6 @@ PANEL_PX, GAP_PX, TEXT_PX = (320, 240), 6, 26
 WINDOW_M, ROAD_M = 56.0, 7.0
 BELIEVED_S = 3.0
 """A place that was recognized longer ago is not shown."""
-STARTS_S = 1000.0 + UP_S
-"""The simulated clock when the vehicle sets off."""
 
 
 def write_film(file: Path, story: Run, drive_folder: Path) -> None:
@@ -43,25 +37,16 @@ def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
     draft = drafted(COURSE, story.seed, LENGTH_M, story.world)
     ours, alone = story.track, story.alone
     lost = np.flatnonzero(~ours.gps)
-    believed = [
-        (one.stamp_ns / 1e9 - STARTS_S, east_north_m(one.lat_deg, one.lon_deg, draft.lon_shift_deg))
-        for one in records_of(drive_folder / JOURNAL, PlaceFix)
-        if one.lat_deg is not None and one.lon_deg is not None and one.direction == "reverse"
-    ]
+    believed = recognized(story, drive_folder)
     network = Network.load()
     with closing(RoadLibrary(network, drive_folder / "views")) as library:
         night, day = library[draft.home], library[map_scenario(draft.home)]
-        route_m = np.arange(0.0, day.drive.route.length_m)
-        road_m = np.array([day.drive.route.at(at_m, 0.0)[:2] for at_m in route_m])
         for row in lost[np.linspace(0, len(lost) - 1, FRAMES).astype(int)]:
             at_m, left_m = float(ours.along_m[row]), float(ours.left_m[row])
             alone_left_m = float(np.interp(at_m, alone.along_m, alone.left_m))
             here = night.picture(float(draft.way.route_m[int(at_m)]), left_m)
             place = [one for one in believed if 0 <= ours.time_s[row] - one[0] <= BELIEVED_S]
-            found = np.full_like(here, 60)
-            if place:
-                off_m = road_m - np.asarray(place[-1][1], dtype=np.float64)
-                found = day.picture(float(route_m[np.hypot(*off_m.T).argmin()]))
+            found = picture_at(day, place[-1][1]) if place else np.full_like(here, 60)
             above = from_above(draft.way, at_m, left_m, alone_left_m)
             lines = (
                 "the camera at night",
