@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
@@ -26,6 +27,7 @@ from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import LIMIT_M
 
 COURSE, SEED, WORLD, LENGTH_M = AT_NIGHT, 1, 21, 560.0
+BAR = "{l_bar}{bar}| {n:.0f} of {total:.0f} m [{elapsed}<{remaining}]"
 PAIRS = 3  # matched pictures in the report
 STARTS_S = 1000.0 + UP_S
 """The simulated clock when the vehicle sets off."""
@@ -33,15 +35,22 @@ GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 
 def drive_story(folder: Path) -> Run:
-    """Drive it with the daemon and once more without, in simulated time; views and journal stay in `folder`."""
+    """Drive it with the daemon and once more without, in simulated time; views and journal stay in `folder`.
+
+    A bar counts the meters of the first one, on a terminal.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     # The course's daemon warns of the GPS loss that the story is about.
+    length_m = drafted(COURSE, SEED, LENGTH_M, WORLD).legs[-1].to_m
     logger = logging.getLogger("edge")
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:
-        with closing(RoadLibrary(Network.load(), folder / "views")) as library:
-            return drive(COURSE, SEED, LENGTH_M, WORLD, folder, library)
+        with (
+            closing(RoadLibrary(Network.load(), folder / "views")) as library,
+            tqdm(total=length_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
+        ):
+            return drive(COURSE, SEED, LENGTH_M, WORLD, folder, library, bar.update)
     finally:
         logger.setLevel(level)
 

@@ -7,7 +7,7 @@ so are the messages; only its pictures come as descriptors (`sim.trial.views`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -72,8 +72,19 @@ RIG = RigConfig(
 """Of the simulated rig, as `lookback calibrate` measures it."""
 
 
-def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> Run:
-    """Drive a course once with the daemon and once without; its journal stays in `folder`."""
+def drive(
+    course: Course,
+    seed: int,
+    length_m: float,
+    world: int,
+    folder: Path,
+    library: RoadLibrary,
+    driven: Callable[[float], object] = lambda meters: None,
+) -> Run:
+    """Drive a course once with the daemon and once without; its journal stays in `folder`.
+
+    driven: called with each few meters of the drive with it, which needs nearly all of the time.
+    """
     network = PlacedNetwork.load()
     assert isinstance(network, PlacedNetwork)
     network.library = library
@@ -85,7 +96,7 @@ def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, 
         else:
             build_course_map(draft, map_path, network, library, seed)
         with closing(open_pty()) as link:
-            simulation = Simulation(draft, link, seed)
+            simulation = Simulation(draft, link, seed, driven)
             simulation.show(network)
             _run_daemon(simulation, draft, link, map_path, folder, network)
     alone = Simulation(drafted(course, seed, length_m, world), Silent(), seed)

@@ -51,9 +51,12 @@ class Silent:
 class Simulation:
     """The vehicle, its autopilot and its cameras, moved on by whoever waits for a frame: the daemon's `Frames`."""
 
-    def __init__(self, draft: Draft, link: Link, seed: int) -> None:
+    def __init__(
+        self, draft: Draft, link: Link, seed: int, driven: Callable[[float], object] = lambda meters: None
+    ) -> None:
+        """driven: called with each few meters that the vehicle drove, for a progress bar."""
         self.now_ns = 1_000_000_000_000
-        self._draft = draft
+        self._draft, self._driven = draft, driven
         late = round(draft.late_s / FRAME_S)
         shown_m = None if draft.motion == "off" else draft.shown_m
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
@@ -137,6 +140,7 @@ class Simulation:
     def _expose(self) -> None:
         driver, draft = self.driver, self._draft
         estimate = self.autopilot.estimate
+        self._driven(driver.along_m - (self.rows[-1][1] if self.rows else 0.0))
         self.rows.append(
             (
                 self.time_s(),

@@ -8,8 +8,21 @@ import numpy as np
 import pytest
 
 from edge.errors import LookbackError
-from sim.demo.story import LENGTH_M, headline, lost_at_m, median_95, picture, require_good, sections_of, true_track
+from sim.demo.story import (
+    COURSE,
+    LENGTH_M,
+    WORLD,
+    headline,
+    lost_at_m,
+    median_95,
+    picture,
+    require_good,
+    sections_of,
+    true_track,
+)
 from sim.trial.rules import Run, Sent, Track
+from sim.trial.run import drafted
+from sim.trial.simulation import Silent, Simulation
 
 
 def _track(left_m: float, end_off_m: float) -> Track:
@@ -64,3 +77,13 @@ def test_the_smoke_test_fails_on_a_bad_drive(change: dict[str, Track | Sent], to
     require_good(_run())
     with pytest.raises(LookbackError, match=told):
         require_good(replace(_run(), **change))  # type: ignore[arg-type]
+
+
+def test_the_bar_counts_the_meters_of_the_drive() -> None:
+    draft, meters = drafted(COURSE, 1, LENGTH_M, WORLD), list[float]()
+    simulation = Simulation(draft, Silent(), 1, meters.append)
+    while not simulation.ended:
+        simulation.step()
+    assert sum(meters) == pytest.approx(simulation.driver.along_m, abs=2.0)
+    assert max(meters) < 3, "of a tenth of a second"
+    assert simulation.driver.along_m == pytest.approx(draft.legs[-1].to_m, rel=0.03), "the bar's total"
