@@ -85,5 +85,5 @@ def test_the_bar_counts_the_meters_of_the_drive() -> None:
     while not simulation.ended:
         simulation.step()
     assert sum(meters) == pytest.approx(simulation.driver.along_m, abs=2.0)
-    assert max(meters) < 3, "of a tenth of a second"
+    assert max(meters) < 10, "the bar does not jump, not even at the turn"
     assert simulation.driver.along_m == pytest.approx(draft.legs[-1].to_m, rel=0.03), "the bar's total"
