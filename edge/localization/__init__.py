@@ -12,10 +12,10 @@ reports, and `dead_reckoning` integrates its motion; `integrity` decides what ma
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
+from edge.localization.bound import BOUND_WRONG
 from edge.localization.dead_reckoning import DeadReckoning, Displacement, Integral
 from edge.localization.gps_referee import GpsFix, GpsVerdict
 from edge.localization.integrity import (
-    BOUND_WRONG,
     GPS_SIGMA_M,
     Decision,
     Integrity,

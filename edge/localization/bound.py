@@ -1,4 +1,4 @@
-"""What bounded a position last, and where the vehicle is by that alone. Pure."""
+"""What bounds the autopilot's own position, and where the vehicle is by that alone. Pure."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.report import Report
+
+BOUND_WRONG = 0.1
+"""Probability that what bounded the autopilot last was wrong, where it was not a position of ours: see `integrity`."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +25,6 @@ class Bound:
     driven_m: float
     wrong: float
     by_gps: bool
-
-    def sigma_at(self, driven_m: float | None, drift: float, reported_m: float | None = None) -> float | None:
-        """One standard deviation now: with what was driven since, or as the autopilot says if that is more."""
-        if driven_m is None:
-            return None
-        ours_m = math.hypot(self.sigma_m, drift * max(0.0, driven_m - self.driven_m))
-        return ours_m if reported_m is None else max(ours_m, reported_m)
 
 
 @dataclass(frozen=True)
@@ -72,3 +69,51 @@ class Anchor:
         unknown_m = now.unknown_sigma_since(self.displacement)
         sigma_m = math.hypot(self.sigma_m, drift * driven_m, unknown_m)
         return Reckoned(east_m + moved_east_m, north_m + moved_north_m, sigma_m)
+
+
+class OwnPosition:
+    """How far the autopilot's own position may be off, and where GPS had the vehicle last."""
+
+    def __init__(self, drift: float) -> None:
+        """drift: of the meters driven, where nothing else is known of the velocity."""
+        self._drift = drift
+        self.bound: Bound | None = None
+        """What bounded it since its boot, None where nothing did."""
+        self._has_run_away = False  # since then: nothing measured its velocity for a while
+        self.by_gps: Anchor | None = None
+        """Where GPS had the vehicle last."""
+        self._by_gps_m = 0.0  # driven by then
+
+    def restart(self) -> None:
+        """The autopilot has rebooted. What GPS showed of the vehicle holds on, see `Displacement.unknown_m`."""
+        self.bound = None
+
+    def bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
+        """It is as good as that now. wrong: the probability that what bounds it is."""
+        if report.driven_m is not None:
+            self.bound, self._has_run_away = Bound(sigma_m, report.driven_m, wrong, by_gps), False
+
+    def watch_aid(self, report: Report) -> None:
+        """One whose velocity nothing measures runs away, until it is bound anew."""
+        self._has_run_away |= not report.is_aided
+
+    def anchor(self, report: Report) -> None:
+        """GPS has the vehicle where the autopilot believes it to be."""
+        own, then = report.position, report.displacement
+        if own is not None and report.driven_m is not None and report.gps_sigma_m is not None:
+            self.by_gps = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
+            self._by_gps_m = report.driven_m
+
+    def sigma_m(self, report: Report, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:
+        """One standard deviation, None where nothing bounds it; velocity_error: as a share."""
+        if self.bound is None or self._has_run_away or not report.is_aided or report.driven_m is None:
+            return None
+        driven_m = max(0.0, report.driven_m - self.bound.driven_m)
+        return max(math.hypot(self.bound.sigma_m, max(self._drift, velocity_error) * driven_m), least_m)
+
+    def reckoned(self, fix: PlaceFix, displacement: Displacement | None, report: Report) -> Reckoned | None:
+        """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
+        if self.by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
+            return None
+        drift = max(self._drift, fix.velocity_error)
+        return self.by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.bound import Reckoned
+from edge.localization.bound import BOUND_WRONG, Reckoned
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims, alike_m
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.protection_level import ProtectionLevel, Unnoticed, Wrong, protection_level
@@ -32,8 +32,8 @@ from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 GPS_SIGMA_M = 3.0
 """The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
-BOUND_WRONG, ONE_MORE = 0.1, 20.0
-"""Probability that what bounded the autopilot last was wrong. After a fix, ONE_MORE times that of the fix: what
+ONE_MORE = 20.0
+"""What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 """Probability that a map is shifted as a whole, and by how much then: judgments, see docs/integrity.md."""
@@ -123,14 +123,20 @@ class Integrity:
         level = self._protection_level(fix, claim, situation) if claim.observations else None
         place_wrong = self._claims.wrong(claim)
         bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
-        for reason, holds in self.rules(fix, situation, limits, claim, level):
+        for reason, holds in self.rules(fix, situation, limits, claim, place_wrong, level):
             if holds:
                 refusal = Refusal(reason, _distance_m(situation, fix))
                 return Decision(refusal, level if reason in CERTAIN else None, bound_wrong)
         return Decision(None, level, bound_wrong)
 
     def rules(
-        self, fix: PlaceFix, now: Situation, limits: Limits, claim: Claim, level: ProtectionLevel | None
+        self,
+        fix: PlaceFix,
+        now: Situation,
+        limits: Limits,
+        claim: Claim,
+        place_wrong: float,
+        level: ProtectionLevel | None,
     ) -> Iterator[tuple[Reason, bool]]:
         """Each reason, and whether it holds. One may rest on those before, so none is asked after one that holds."""
         gates, age_s = self._gates, (now.now_ns - fix.stamp_ns) / 1e9
@@ -153,7 +159,7 @@ class Integrity:
         likelihood, is_shift = _by_autopilot(fix, now)
         likelihood = min(claim.likelihood, likelihood if is_bounded else 1 / SPREAD_M)
         is_shift |= claim.may_be_shifted
-        wrong = wrong_probability(self._claims.wrong(claim), likelihood, may_be_shifted=is_shift)
+        wrong = wrong_probability(place_wrong, likelihood, may_be_shifted=is_shift)
         yield "not confirmed by another place yet", level is None or wrong > gates.risk
         assert level is not None
         yield "its protection level is above the alert limit", not level.is_within(gates.alert_limit_m or math.inf)

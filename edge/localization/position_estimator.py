@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from edge.config import Config
 from edge.journal.records import FrameUsed, PlaceFix
-from edge.localization.bound import Anchor, Bound, Reckoned
+from edge.localization.bound import BOUND_WRONG, OwnPosition
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsFix, GpsVerdict
-from edge.localization.integrity import BOUND_WRONG, Decision, Integrity, Limits, Situation
+from edge.localization.integrity import Decision, Integrity, Limits, Situation
 from edge.localization.place_fix import LineMiddle, frame_used, line_middle, untracked_fix
 from edge.localization.report import Report
 from edge.localization.route_filter import RouteFilter
@@ -31,17 +31,12 @@ class PositionEstimator:
     """Follows one vehicle, one frame and one report after another."""
 
     def __init__(self, config: Config) -> None:
-        gates = config.gates
         self._config = config
         self._route: Route | None = None
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
-        self._integrity = Integrity(gates)
-        self._bound: Bound | None = None  # of the autopilot's position
-        self._has_run_away = False  # since then: nothing measured its velocity for a while
-        self._by_gps: Anchor | None = None  # where GPS had the vehicle last
-        self._by_gps_m = 0.0  # driven by then
-        self._drift = gates.drift_percent / 100
+        self._integrity = Integrity(config.gates)
+        self._own = OwnPosition(config.gates.drift_percent / 100)
         self._velocity_error = 0.0  # of the autopilot, as a share, by the newest position
 
     def use_maps(self, maps: MapSet) -> None:
@@ -66,7 +61,7 @@ class PositionEstimator:
 
         What places and GPS showed of the vehicle holds as far as it can have gone meanwhile (`Displacement.unknown_m`).
         """
-        self._bound = None
+        self._own.restart()
 
     def update(
         self,
@@ -86,7 +81,7 @@ class PositionEstimator:
         assert self._filter is not None
         believed = self._gps.believed(report)
         self._filter.update(match, stamp_ns, displacement, missed)
-        if not stands and self._gps.update(match, gps, displacement, believed, self._by_gps, missed):
+        if not stands and self._gps.update(match, gps, displacement, believed, self._own.by_gps, missed):
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
         own, sigma_m = believed.position, believed.gps_sigma_m
@@ -109,7 +104,7 @@ class PositionEstimator:
         if self.ignores_gps and not ignored:
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M, report)
-            self._by_gps = None
+            self._own.by_gps = None
         return verdict
 
     @property
@@ -125,14 +120,10 @@ class PositionEstimator:
     def bind_by_gps(self, report: Report) -> None:
         """GPS bounds the autopilot's position now, as `report.gps_sigma_m` says, if it does."""
         report = self._gps.believed(report)
-        self._has_run_away |= not report.is_aided
-        if report.gps_sigma_m is None:
-            return
-        self._bind(report.gps_sigma_m, report, by_gps=True)
-        own, then = report.position, report.displacement
-        if own is not None and report.driven_m is not None:
-            self._by_gps = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
-            self._by_gps_m = report.driven_m
+        self._own.watch_aid(report)
+        if report.gps_sigma_m is not None:
+            self._bind(report.gps_sigma_m, report, by_gps=True)
+            self._own.anchor(report)
 
     def bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG) -> None:
         """The autopilot has used a position: its own is as good as that now. Of one that nothing aids, nobody knows.
@@ -144,27 +135,21 @@ class PositionEstimator:
             self._gps.bound()
 
     def _bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
-        if report.driven_m is not None:
-            self._bound, self._has_run_away = Bound(sigma_m, report.driven_m, wrong, by_gps), False
+        self._own.bind(sigma_m, report, wrong, by_gps=by_gps)
         self._integrity.contradict_nothing()
 
     @property
     def is_bounded(self) -> bool:
         """Whether GPS or a position of ours has bounded the autopilot's since its boot."""
-        return self._bound is not None
+        return self._own.bound is not None
 
     def uncertainty_m(self, report: Report) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing has ever bound it."""
-        return self._sigma_m(report, max(self._drift, self._velocity_error), report.accuracy_m)
+        return self._own.sigma_m(report, self._velocity_error, report.accuracy_m or 0.0)
 
     def bounded_m(self, report: Report) -> float | None:
         """The same by what bounded it and the distance driven since alone."""
-        return self._sigma_m(report, self._drift)
-
-    def _sigma_m(self, report: Report, drift: float, reported_m: float | None = None) -> float | None:
-        if self._bound is None or self._has_run_away or not report.is_aided:
-            return None
-        return self._bound.sigma_at(report.driven_m, drift, reported_m)
+        return self._own.sigma_m(report)
 
     def position_at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
@@ -192,8 +177,8 @@ class PositionEstimator:
     def _situation(
         self, fix: PlaceFix, displacement: Displacement | None, report: Report, last_sent_ns: int | None
     ) -> Situation:
-        reckoned = self._reckoned(fix, displacement, report)
-        own, sigma_m, bound = report.position, self.uncertainty_m(report), self._bound
+        reckoned = self._own.reckoned(fix, displacement, report)
+        own, sigma_m, bound = report.position, self.uncertainty_m(report), self._own.bound
         is_by_gps, wrong = (False, BOUND_WRONG) if bound is None else (bound.by_gps, bound.wrong)
         if not report.is_aided:  # its own position has run away, or is ours
             own = None
@@ -212,13 +197,6 @@ class PositionEstimator:
             report.is_aided,
             wrong,
         )
-
-    def _reckoned(self, fix: PlaceFix, displacement: Displacement | None, report: Report) -> Reckoned | None:
-        """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
-        if self._by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
-            return None
-        drift = max(self._drift, fix.velocity_error)
-        return self._by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))
 
     def line_of(self, match: PlaceMatch) -> LineMiddle | None:
         """Where the line of a believed match lies along the map's drive; None where it says nothing of that."""

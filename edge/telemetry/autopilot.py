@@ -20,7 +20,15 @@ from edge.telemetry import LinkStatus, encoders
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, NO_AID, VISION, LinkProtocol, StatusTexts, velocity_aid
+from edge.telemetry.link_protocol import (
+    FIRST_SYSTEM_ID,
+    NO_AID,
+    VISION,
+    LinkProtocol,
+    Publisher,
+    StatusTexts,
+    velocity_aid,
+)
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_messages import TimeBase
@@ -68,7 +76,7 @@ class AutopilotConnection:
         self.protocol = LinkProtocol(config, self.vehicle, asks_attitude=motion != "off")
         self._texts = StatusTexts()
         self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
-        self.positions = PositionSender(config, gates, self.vehicle, estimator, record, self._warn)
+        self.positions = PositionSender(config, gates, self.vehicle, estimator, Publisher(record, self._warn))
         replaced = Path(config.journal).with_suffix(".mission") if config.journal else None
         self.home = HomeRequests(home, self.vehicle, record, self.status_text, replaced)
         self.home.position = lambda: (self.vehicle.position(clock_ns()), self.uncertainty_m)

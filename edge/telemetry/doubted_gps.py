@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from edge.journal.records import GpsJudged, Record
+from edge.journal.records import GpsJudged
 from edge.localization import GpsVerdict
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
+from edge.telemetry.link_protocol import Publisher
 from edge.telemetry.vehicle import Vehicle
 
 VALUES_NS = 1_000_000_000
@@ -22,10 +21,8 @@ TEXTS = {
 class DoubtedGps:
     """The newest verdict, and what was published of it."""
 
-    def __init__(
-        self, vehicle: Vehicle, record: Callable[[Record], object], send_text: Callable[[str], object]
-    ) -> None:
-        self._vehicle, self._record, self._send_text = vehicle, record, send_text
+    def __init__(self, vehicle: Vehicle, publisher: Publisher) -> None:
+        self._vehicle, self._publisher = vehicle, publisher
         self.verdict: GpsVerdict | None = None
         self._published = ""
         self._values_ns = 0
@@ -40,9 +37,9 @@ class DoubtedGps:
             None if value is None else round(value, digits)
             for value, digits in ((verdict.east_m, 1), (verdict.north_m, 1), (verdict.doubt, 2))
         )
-        self._record(GpsJudged(verdict.state, east_m, north_m, doubt))
+        self._publisher.record(GpsJudged(verdict.state, east_m, north_m, doubt))
         if verdict.state in TEXTS and (verdict.state != "agrees" or before == "wrong"):
-            self._send_text(TEXTS[verdict.state].format(verdict.where))
+            self._publisher.warn(TEXTS[verdict.state].format(verdict.where))
         return verdict.state == "wrong"
 
     def due(self, now_ns: int) -> list[Message]:

@@ -7,12 +7,14 @@ requests. Streams are requested one by one, since an acknowledgement does not sa
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
+from edge.journal.records import Record
 from edge.localization import PlaceFix
 from edge.telemetry import encoders, stream_check
 from edge.telemetry.codec import EkfStatusReport, Message
@@ -195,6 +197,14 @@ class LinkProtocol:
             return False
         self._due_ns[what] = now_ns + period_ns
         return True
+
+
+@dataclass(frozen=True)
+class Publisher:
+    """Where what happens is published: a record in the journal, a warning to the pilot."""
+
+    record: Callable[[Record], object]
+    warn: Callable[[str], object]
 
 
 class StatusTexts:

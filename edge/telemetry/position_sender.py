@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen, Record
+from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     BOUND_WRONG,
     CORRELATION_M,
@@ -35,7 +34,7 @@ from edge.telemetry.acknowledgements import MOVED_NS
 from edge.telemetry.codec import Message
 from edge.telemetry.doubted_gps import DoubtedGps
 from edge.telemetry.encoders import Sending
-from edge.telemetry.link_protocol import velocity_aid
+from edge.telemetry.link_protocol import Publisher, velocity_aid
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage, TimeBase, suitable_message
 from edge.telemetry.position_use import PositionUse
 from edge.telemetry.remembered_bound import RememberedBound
@@ -57,24 +56,22 @@ class PositionSender:
         gates: GatesConfig,
         vehicle: Vehicle,
         estimator: PositionEstimator,
-        record: Callable[[Record], object],
-        send_text: Callable[[str], object],
+        publisher: Publisher,
     ) -> None:
         """estimator: decides on each position, and reads of the autopilot whether it used one."""
         self._telemetry = telemetry
         self._gates = gates
         self._estimator = estimator
         self._vehicle = vehicle
-        self._record = record
-        self._send_text = send_text
+        self._publisher = publisher
         self.message: PositionMessage | None = None
         self.why = ""
         remembered = Path(telemetry.journal) if telemetry.journal else None
-        self.sources = SourceSelection(vehicle, record, send_text, remembered and remembered.with_suffix(".sources"))
-        self.doubted_gps = DoubtedGps(vehicle, record, send_text)
+        self.sources = SourceSelection(vehicle, publisher, remembered and remembered.with_suffix(".sources"))
+        self.doubted_gps = DoubtedGps(vehicle, publisher)
         bound = remembered and remembered.with_suffix(".bound")
         self._remembered = RememberedBound(bound, gates.drift_percent)
-        self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, record, send_text)
+        self._use = PositionUse(vehicle, self._bind, telemetry.sensor_id, publisher)
         self._withheld: FixWithheld | None = None
         self._recorded_ns = 0
         self._start_over()
@@ -104,9 +101,9 @@ class PositionSender:
             message, why = POSITION_MESSAGES.get(emit), f"[telemetry] emit = {emit}"
         if (message, why) != (self.message, self.why):
             self.message, self.why = message, why
-            self._record(PositionMessageChosen(message.name if message else "report", why))
+            self._publisher.record(PositionMessageChosen(message.name if message else "report", why))
             if emit == "auto" and self._vehicle.version is not None:
-                self._send_text(f"Lookback: {why}")
+                self._publisher.warn(f"Lookback: {why}")
 
     @property
     def set_without_gps(self) -> int:
@@ -145,7 +142,7 @@ class PositionSender:
     def judge_gps(self, verdict: GpsVerdict, *, is_aided: bool) -> None:
         """What the places say of GPS now. is_aided: whether anything besides GPS measures the autopilot's velocity."""
         if self.doubted_gps.publish(verdict) and self._estimator.ignores_gps and not is_aided:
-            self._send_text("Lookback: no velocity aid, sends no position")
+            self._publisher.warn("Lookback: no velocity aid, sends no position")
 
     def due(self, now_ns: int) -> TimeBase | None:
         """The time base of the fix that is due now, None while none is."""
@@ -206,7 +203,7 @@ class PositionSender:
             return
         distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
         self._withheld = FixWithheld(fix.place, refused.reason + why, distance_m, fix.map)
-        self._record(self._withheld)
+        self._publisher.record(self._withheld)
 
     def _encode(
         self, fix: PlaceFix, now_ns: int, message: PositionMessage, decision: Decision, *, again: bool = False
@@ -234,7 +231,7 @@ class PositionSender:
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:
             self._recorded_ns = now_ns
             level_m = _level_m(decision.level)
-            self._record(
+            self._publisher.record(
                 FixSent(
                     fix.place,
                     message.name,
@@ -293,7 +290,7 @@ class PositionSender:
         receivers = vehicle.gps.receiver_state(now_ns)
         if self._had_gps and receivers == "not healthy" and not self._estimator.is_bounded:
             log.warning("GPS is lost, and the autopilot had not used it yet: nothing bounds its position")
-            self._send_text("Lookback: GPS lost before the autopilot used it")
+            self._publisher.warn("Lookback: GPS lost before the autopilot used it")
         self._had_gps = receivers == "healthy" or (self._had_gps and receivers == "unknown")
         self._choose_sources(works=receivers == "healthy")
         if self.sources.wanted is not None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from edge.backoff import BackOff
-from edge.journal.records import FixAnswered, FixChecked, Record
+from edge.journal.records import FixAnswered, FixChecked
 from edge.localization import AGREE_SIGMAS, PlaceFix, offset_m
 from edge.telemetry.acknowledgements import (
     ANSWER_NS,
@@ -19,8 +19,9 @@ from edge.telemetry.acknowledgements import (
     Jump,
     result_name,
 )
+from edge.telemetry.link_protocol import Publisher
 from edge.telemetry.position_messages import PositionMessage
-from edge.telemetry.stream_check import StreamCheck, unused_because
+from edge.telemetry.stream_check import StreamCheck
 from edge.telemetry.vehicle import Vehicle
 
 log = logging.getLogger(__name__)
@@ -30,16 +31,11 @@ class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        bind: Callable[[float, int], object],
-        sensor_id: int,
-        record: Callable[[Record], object],
-        send_text: Callable[[str], object],
+        self, vehicle: Vehicle, bind: Callable[[float, int], object], sensor_id: int, publisher: Publisher
     ) -> None:
         """bind: is called with the standard deviation of the autopilot's position where it has used one of ours."""
-        self._vehicle, self._bind, self._sensor_id = vehicle, bind, sensor_id
-        self._record, self._send_text = record, send_text
+        self._vehicle, self._bind, self._publisher = vehicle, bind, publisher
+        self._stream = StreamCheck(vehicle, sensor_id)
         self.reset_counter = 0
         """Of the positions of a stream: another number where they jump."""
         self.new_session()
@@ -51,7 +47,7 @@ class PositionUse:
         self.is_off = False
         """Whether the autopilot has refused positions for good."""
         self._jump: tuple[PlaceFix, Jump, int] | None = None  # and when it was accepted; 0: not yet
-        self._stream, self._unused = StreamCheck(), ""
+        self._stream.new_session()
 
     def allows(self, now_ns: int) -> bool:
         """Whether a position may be sent: none waits for its answer, nor is one refused for good or for a while."""
@@ -69,7 +65,10 @@ class PositionUse:
         if message.acknowledged:
             self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
-        self._publish_unused(unused_because(self._vehicle, message.name, self._sensor_id))
+        unused = self._stream.newly_unused(message.name)
+        if unused:
+            log.error("the autopilot uses no positions: %s; see firmware_config", unused)
+            self._publisher.warn(f"Lookback: positions unused: {unused}")
         moved = self._stream.add(distance_m, fix.sigma_m, now_ns)
         if moved is not None:
             self._publish_check(fix, distance_m, "fixes sent", moved=moved)
@@ -89,7 +88,7 @@ class PositionUse:
             return
         fix, _, _ = self._unanswered
         self._unanswered = None
-        self._record(FixAnswered(fix.place, result_name(result), fix.map))
+        self._publisher.record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
             self._back_off.reset()
             if self._jump is not None:  # its own position must move
@@ -100,7 +99,7 @@ class PositionUse:
         if verdict == "never":
             self.is_off = True
             log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
-            self._send_text(f"Lookback: positions {result_name(result)}, off")
+            self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
 
     def withdraw(self) -> None:
         """What was not answered is not sent again."""
@@ -119,7 +118,7 @@ class PositionUse:
         if self._unanswered is not None:
             fix, _, _ = self._unanswered
             self._unanswered = None
-            self._record(FixAnswered(fix.place, NO_ANSWER, fix.map))
+            self._publisher.record(FixAnswered(fix.place, NO_ANSWER, fix.map))
 
     def check(self, now_ns: int) -> None:
         """Once it has had time, the autopilot's position must have moved to an accepted one."""
@@ -143,13 +142,7 @@ class PositionUse:
             self._bind(max(fix.sigma_m, remaining_m), now_ns)
         return not moved
 
-    def _publish_unused(self, why: str) -> None:
-        if why and why != self._unused:
-            log.error("the autopilot uses no positions: %s; see firmware_config", why)
-            self._send_text(f"Lookback: positions unused: {why}")
-        self._unused = why
-
     def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
-        self._record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))
+        self._publisher.record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))
         if not moved:
-            self._send_text(f"Lookback: {what}, position {off_m:.0f} m off")
+            self._publisher.warn(f"Lookback: {what}, position {off_m:.0f} m off")

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable
 from pathlib import Path
 
 from edge.backoff import BackOff
-from edge.journal.records import Record, SourceSetAnswered
+from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import (
     ANSWER_NS,
@@ -23,6 +22,7 @@ from edge.telemetry.acknowledgements import (
     result_name,
 )
 from edge.telemetry.codec import Message
+from edge.telemetry.link_protocol import Publisher
 from edge.telemetry.vehicle import Vehicle
 
 GPS_SET, VISION_SET = 1, 2
@@ -33,16 +33,9 @@ log = logging.getLogger(__name__)
 class SourceSelection:
     """One command at a time, since an acknowledgement does not say which set it is for."""
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        record: Callable[[Record], object],
-        send_text: Callable[[str], object],
-        remembered: Path | None = None,
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, publisher: Publisher, remembered: Path | None = None) -> None:
         """remembered: a file that exists while set 2 may be selected by us."""
-        self._vehicle, self._remembered = vehicle, remembered
-        self._record, self._send_text = record, send_text
+        self._vehicle, self._publisher, self._remembered = vehicle, publisher, remembered
         self.wanted: int | None = None
         """The set to select; None until there is a reason for one, and the pilot's choice stays."""
         self._may_be_changed = remembered is not None and remembered.exists()
@@ -111,5 +104,5 @@ class SourceSelection:
         if f"{number} {result}" == self._published:
             return
         self._published = f"{number} {result}"
-        self._record(SourceSetAnswered(number, result))
-        self._send_text(f"Lookback: source set {number} {result}")
+        self._publisher.record(SourceSetAnswered(number, result))
+        self._publisher.warn(f"Lookback: source set {number} {result}")

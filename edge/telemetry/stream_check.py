@@ -33,10 +33,22 @@ def unused_because(vehicle: Vehicle, message: str, sensor_id: int) -> str:
 class StreamCheck:
     """Whether the autopilot's position comes nearer to those that are sent, once it is far from them."""
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: Vehicle, sensor_id: int) -> None:
+        """sensor_id: which PX4 must be set to use."""
+        self._vehicle, self._sensor_id = vehicle, sensor_id
+        self.new_session()
+
+    def new_session(self) -> None:
+        """The autopilot may be another one."""
         self._began_ns = self._last_ns = 0
         self._first_m = 0.0
         self._is_checked = self._was_far = False
+        self._unused = ""
+
+    def newly_unused(self, message: str) -> str:
+        """Why this autopilot uses no position that comes in that message; "" where that is not known, or said."""
+        before, self._unused = self._unused, unused_because(self._vehicle, message, self._sensor_id)
+        return self._unused if self._unused != before else ""
 
     def add(self, distance_m: float, sigma_m: float, now_ns: int) -> bool | None:
         """Whether it came nearer, once for each stream; None before and after, and while it is near.

@@ -12,8 +12,8 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import Decision, Displacement, Integrity, Limits, PlaceFix, ProtectionLevel, Situation
-from edge.localization.bound import Bound, Reckoned
+from edge.localization import Decision, Displacement, Integrity, Limits, PlaceFix, ProtectionLevel, Report, Situation
+from edge.localization.bound import OwnPosition, Reckoned
 from edge.localization.claims import Claim
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
 from edge.localization.refusals import RULES, Reason, as_table
@@ -251,12 +251,15 @@ def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:
 
 
 def test_uncertainty_grows_with_the_distance_since_it_was_bound() -> None:
-    bound = Bound(3.0, 100.0, wrong=0.1, by_gps=True)
-    assert bound.sigma_at(100.0, 0.05) == 3.0
-    assert bound.sigma_at(180.0, 0.05) == pytest.approx(5.0)
-    assert bound.sigma_at(180.0, 0.05, 9.0) == 9.0, "the larger one"
-    assert bound.sigma_at(180.0, 0.15, 9.0) == pytest.approx(math.hypot(3.0, 12.0))
-    assert bound.sigma_at(None, 0.05) is None
+    own = OwnPosition(0.05)
+    own.bind(3.0, Report(0, driven_m=100.0))
+    assert own.sigma_m(Report(0, driven_m=100.0)) == 3.0
+    assert own.sigma_m(Report(0, driven_m=180.0)) == pytest.approx(5.0)
+    assert own.sigma_m(Report(0, driven_m=180.0), least_m=9.0) == 9.0, "the larger one"
+    assert own.sigma_m(Report(0, driven_m=180.0), 0.15, 9.0) == pytest.approx(math.hypot(3.0, 12.0))
+    assert own.sigma_m(Report(0)) is None
+    own.watch_aid(Report(0, driven_m=190.0, is_aided=False))
+    assert own.sigma_m(Report(0, driven_m=190.0)) is None, "it has run away"
 
 
 def test_a_position_above_the_alert_limit_is_not_published() -> None:
@@ -311,7 +314,7 @@ def test_asking_changes_nothing_that_was_observed() -> None:
 
 
 def test_the_rules_are_checked_in_the_order_of_the_page_and_each_has_its_test() -> None:
-    rules = Integrity(GatesConfig()).rules(FIX, MOVING, Limits(1.0, 5.0), Claim(), ProtectionLevel(1.0, 1.0))
+    rules = Integrity(GatesConfig()).rules(FIX, MOVING, Limits(1.0, 5.0), Claim(), 1.0, ProtectionLevel(1.0, 1.0))
     assert tuple(reason for reason, _ in rules) == tuple(rule.reason for rule in RULES)
     assert {rule.reason for rule in RULES} == set(get_args(Reason))
     tests = "".join(path.read_text() for path in Path(__file__).parents[1].glob("*/test_*.py"))

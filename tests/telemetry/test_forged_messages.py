@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.journal.records import FixAnswered
 from edge.telemetry.confirmation import Origin
+from edge.telemetry.link_protocol import Publisher
 from edge.telemetry.source_selection import VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.rig import Rig
@@ -204,7 +205,7 @@ def test_a_forged_refusal_before_the_autopilots_answer_stops_positions_for_a_mom
 
 @pytest.mark.parametrize(("forged", "true"), [("ACCEPTED", "FAILED"), ("DENIED", "ACCEPTED")])
 def test_a_set_of_sources_is_asked_for_again_where_two_answers_differ(forged: str, true: str) -> None:
-    sources = SourceSelection(connect(Speaker()), lambda record: None, lambda text: None)
+    sources = SourceSelection(connect(Speaker()), Publisher(lambda record: None, lambda text: None))
     sources.wanted = VISION_SET
     assert len(sources.due(S)) == 1
     for second, answer in ((1.1, forged), (1.2, true)):

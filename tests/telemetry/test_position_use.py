@@ -7,6 +7,7 @@ import pytest
 from edge.geodesy import moved
 from edge.journal.records import PlaceFix, Record, SourceSetAnswered
 from edge.telemetry.acknowledgements import ANSWER_NS
+from edge.telemetry.link_protocol import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES
 from edge.telemetry.position_use import PositionUse
 from edge.telemetry.source_selection import VISION_SET, SourceSelection
@@ -29,7 +30,9 @@ def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follow
         velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
     )  # fmt: skip
     bound: list[float] = []
-    use = PositionUse(vehicle, lambda sigma_m, now_ns: bound.append(sigma_m), 1, lambda record: None, lambda text: None)
+    use = PositionUse(
+        vehicle, lambda sigma_m, now_ns: bound.append(sigma_m), 1, Publisher(lambda record: None, lambda text: None)
+    )
     use.expect(fix, POSITION_MESSAGES["vision_position"], 2 * S, again=False, is_new_stream=True)
     assert (bound == [pytest.approx(north_m, abs=0.1)]) is follows
     assert use.reset_counter == (0 if follows else 1)
@@ -37,7 +40,7 @@ def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follow
 
 def test_a_selection_of_sources_that_is_not_answered_for_a_second_is_recorded() -> None:
     records: list[Record] = []
-    selection = SourceSelection(Vehicle(), records.append, lambda text: None)
+    selection = SourceSelection(Vehicle(), Publisher(records.append, lambda text: None))
     selection.wanted = VISION_SET
     assert len(selection.due(S)) == 1
     selection.due(S + ANSWER_NS)
