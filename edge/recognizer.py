@@ -55,6 +55,42 @@ class _UsedFrame:
         return self.distance_m - before.distance_m
 
 
+class _UsedFrames:
+    """The newest used frame, and by how much the picture usually changes from one to the next."""
+
+    def __init__(self, config: Config) -> None:
+        self._spacing_m, self._standing_change = config.sampling.spacing_m, config.descriptor.standing_change
+        self.newest: _UsedFrame | None = None
+        self._changes: deque[float] = deque(maxlen=KEPT_CHANGES)  # from each to the next
+        self._ns_per_m: deque[float] = deque(maxlen=KEPT_CHANGES)  # of the same
+
+    def stands_still(self, frame: _UsedFrame) -> bool:
+        """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""
+        last = self.newest
+        if last is None or frame.driven_since_m(last) >= self._spacing_m / 2:
+            return False
+        return last.change_to(frame) <= self._standing_change
+
+    def is_carried(self, frame: _UsedFrame) -> bool:
+        """Whether the first frame after a halt shows another place than the last one before: on a tow, or a ferry.
+
+        Where it drove on before the next frame, the two cannot be compared, and it may have been carried.
+        """
+        last = self.newest
+        if last is None:
+            return False
+        change, driven_m = last.change_to(frame), frame.driven_since_m(last)
+        elapsed_ns = frame.stamp_ns - last.stamp_ns
+        if elapsed_ns >= STOOD_NS and driven_m <= 2 * self._spacing_m:
+            return len(self._changes) >= FEWEST_CHANGES and change > CARRIED * float(np.median(self._changes))
+        if elapsed_ns >= STOOD_NS and driven_m > 0 and self._ns_per_m:
+            return elapsed_ns - driven_m * float(np.median(self._ns_per_m)) >= STOOD_NS
+        self._changes.append(change)
+        if driven_m > 0:
+            self._ns_per_m.append(elapsed_ns / driven_m)
+        return False
+
+
 class PlaceRecognizer:
     """Recognizes the places of a reference map, or of a folder of maps, frame by frame; see `open_recognizer`."""
 
@@ -68,10 +104,8 @@ class PlaceRecognizer:
         self._stopwatch = stopwatch
         self.matcher = SequenceMatcher(map_set, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
-        self._last: _UsedFrame | None = None
-        self._unmoved = 0  # frames since then that showed no other place
-        self._changes: deque[float] = deque(maxlen=KEPT_CHANGES)  # from each used frame to the next
-        self._ns_per_m: deque[float] = deque(maxlen=KEPT_CHANGES)  # of the same
+        self._used = _UsedFrames(config)
+        self._unmoved = 0  # frames since the newest used one that showed no other place
         self.was_carried = False
         """Whether the vehicle was moved without its wheels before the newest frame, so that nothing before counts."""
         self.state: State = "warming up"
@@ -89,13 +123,15 @@ class PlaceRecognizer:
         raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, travel.distance_m)
         self.was_carried = False
-        if self._stands_still(frame):
+        if self._used.stands_still(frame):
+            # A feed whose every frame is a place has passed one, even if it looks like the last.
+            self._unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
             return None
-        self.was_carried = self._is_carried(frame)
+        self.was_carried = self._used.is_carried(frame)
         self._reset_after_gap(frame)
         travel = replace(travel, missed=travel.missed + self._unmoved)
-        self._last, self._unmoved = frame, 0
+        self._used.newest, self._unmoved = frame, 0
         match = self.matcher.push(raw, travel)
         if match is None:
             first, is_matched = self.matcher.first, travel.distance_m is not None or not self.matcher.needs_odometer
@@ -125,7 +161,8 @@ class PlaceRecognizer:
 
     def raw_of(self, stamp_ns: int) -> NDArray[np.float32] | None:
         """The raw descriptor (R, D) of the newest frame, None if it showed the same place as the one before it."""
-        return self._last.raw if self._last is not None and self._last.stamp_ns == stamp_ns else None
+        last = self._used.newest
+        return last.raw if last is not None and last.stamp_ns == stamp_ns else None
 
     @property
     def model_name(self) -> str:
@@ -152,7 +189,7 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._last, self._unmoved = None, 0
+        self._used.newest, self._unmoved = None, 0
         self.state = "warming up"
 
     def begin_way_back(self) -> None:
@@ -161,40 +198,10 @@ class PlaceRecognizer:
 
     def restart_odometer(self) -> None:
         """The distance driven before cannot be compared with what follows: the frames of both lie on no line."""
-        if self._last is not None:
-            self._last = replace(self._last, distance_m=None)
+        if self._used.newest is not None:
+            self._used.newest = replace(self._used.newest, distance_m=None)
         if self.matcher.needs_odometer:
             self.matcher.reset()
-
-    def _stands_still(self, frame: _UsedFrame) -> bool:
-        """Whether this frame shows what the last used one did: normalized, it would be all zero, or mere noise."""
-        last = self._last
-        if last is None or frame.driven_since_m(last) >= self.config.sampling.spacing_m / 2:
-            return False
-        if last.change_to(frame) > self.config.descriptor.standing_change:
-            return False
-        # A feed whose every frame is a place has passed one, even if it looks like the last.
-        self._unmoved += self.config.sampling.by == "frames"
-        return True
-
-    def _is_carried(self, frame: _UsedFrame) -> bool:
-        """Whether the first frame after a halt shows another place than the last one before: on a tow, or a ferry.
-
-        Where it drove on before the next frame, the two cannot be compared, and it may have been carried.
-        """
-        last = self._last
-        if last is None:
-            return False
-        change, driven_m = last.change_to(frame), frame.driven_since_m(last)
-        elapsed_ns = frame.stamp_ns - last.stamp_ns
-        if elapsed_ns >= STOOD_NS and driven_m <= 2 * self.config.sampling.spacing_m:
-            return len(self._changes) >= FEWEST_CHANGES and change > CARRIED * float(np.median(self._changes))
-        if elapsed_ns >= STOOD_NS and driven_m > 0 and self._ns_per_m:
-            return elapsed_ns - driven_m * float(np.median(self._ns_per_m)) >= STOOD_NS
-        self._changes.append(change)
-        if driven_m > 0:
-            self._ns_per_m.append(elapsed_ns / driven_m)
-        return False
 
     def _reset_after_gap(self, frame: _UsedFrame) -> None:
         """A line needs frames that follow each other: start a new one after a gap, or when time went back.
@@ -204,10 +211,11 @@ class PlaceRecognizer:
         if self.was_carried:
             self.matcher.reset()
             return
-        if self._last is None or 0 <= frame.stamp_ns - self._last.stamp_ns <= self.config.sequence.max_gap_s * 1e9:
+        last = self._used.newest
+        if last is None or 0 <= frame.stamp_ns - last.stamp_ns <= self.config.sequence.max_gap_s * 1e9:
             return
         stood_m = MOST_MISSED * self.config.sequence.length * self.config.sampling.spacing_m
-        if not (frame.stamp_ns > self._last.stamp_ns and 0 <= frame.driven_since_m(self._last) <= stood_m):
+        if not (frame.stamp_ns > last.stamp_ns and 0 <= frame.driven_since_m(last) <= stood_m):
             self.matcher.reset()
 
 

@@ -49,6 +49,40 @@ GLITCHES = {
 }
 
 
+class _Fix:
+    """Whether the fix of one receiver is healthy, by when it was good and when it was not."""
+
+    def __init__(self) -> None:
+        self.good_ns: int | None = None
+        """Since when it has been, None while it is not."""
+        self._bad_ns: int | None = None
+        self._lost_ns = LOST_NS
+        self.is_healthy = self._had_outage = False
+
+    def begin(self) -> None:
+        """Whoever reports now was silent before."""
+        self.good_ns, self._bad_ns, self._lost_ns = None, None, LOST_NS
+
+    def report(self, now_ns: int, *, is_good: bool) -> None:
+        """It was reported."""
+        if is_good:
+            self.good_ns, self._bad_ns = now_ns if self.good_ns is None else self.good_ns, None
+            return
+        if self.good_ns is not None:
+            was_followed = not self.is_healthy and now_ns - self.good_ns >= FOLLOWED_NS
+            self._lost_ns = RETURN_NS if was_followed else LOST_NS
+        self.good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
+
+    def state(self, now_ns: int, *, is_silent: bool) -> GpsState:
+        """The state now, of a receiver that was heard once."""
+        if is_silent or (self._bad_ns is not None and now_ns - self._bad_ns >= self._lost_ns):
+            self.is_healthy, self._had_outage = False, True
+            return "unknown" if is_silent else "not healthy"
+        if self.good_ns is not None and (not self._had_outage or now_ns - self.good_ns >= RETURN_NS):
+            self.is_healthy = True
+        return "healthy" if self.is_healthy else "unknown"
+
+
 class Receiver:
     """One receiver, by its messages; name: of the message."""
 
@@ -60,11 +94,8 @@ class Receiver:
         self.source: PositionSource = "unknown"
         self.at = (0.0, 0.0)
         """Latitude and longitude in degrees (WGS 84)."""
-        self._good_ns: int | None = None  # since when it has been
-        self._fix_ns: int | None = None  # of the newest good fix
-        self._bad_ns: int | None = None
-        self._lost_ns = LOST_NS
-        self._is_healthy = self._had_outage = False
+        self._fix = _Fix()
+        self._fix_ns: int | None = None  # of the newest good one
         self.alternation = Alternation(APART_M, LOST_NS)
 
     @property
@@ -76,21 +107,17 @@ class Receiver:
         """GPS_RAW_INT or GPS2_RAW."""
         self.state(now_ns)  # notices a silence before this message, which is an outage
         if self.is_silent(now_ns):
-            self._good_ns, self._bad_ns, self._lost_ns = None, None, LOST_NS
+            self._fix.begin()
         self.heard_ns = now_ns
         accuracy_m = message.h_acc / 1000  # 0 where it is not reported
         by_hdop_m = M_PER_HDOP * message.eph / 100 if message.eph != UNREPORTED else 0.0
-        is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._is_healthy else GOOD_M)
-        if is_good and (message.lat or message.lon):
+        is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._fix.is_healthy else GOOD_M)
+        is_good = is_good and bool(message.lat or message.lon)
+        if is_good:
             self._notice_turn(message, now_ns)
             self.at = message.lat / 1e7, message.lon / 1e7
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
-            self._good_ns, self._bad_ns = now_ns if self._good_ns is None else self._good_ns, None
-        else:
-            if self._good_ns is not None:
-                was_followed = not self._is_healthy and now_ns - self._good_ns >= FOLLOWED_NS
-                self._lost_ns = RETURN_NS if was_followed else LOST_NS
-            self._good_ns, self._bad_ns = None, now_ns if self._bad_ns is None else self._bad_ns
+        self._fix.report(now_ns, is_good=is_good)
 
     def _notice_turn(self, message: Message, now_ns: int) -> None:
         """Fixes in two places, or a fix and none, in turns: a stranger forges some of them."""
@@ -99,7 +126,7 @@ class Receiver:
         east_mps, north_mps = speed_mps * math.sin(course_rad), speed_mps * math.cos(course_rad)
         at = message.lat / 1e7, message.lon / 1e7
         self.alternation.add(VehiclePosition(now_ns, *at, 0.0, None, speed_mps, east_mps, north_mps), now_ns)
-        if self._good_ns is None and self._fix_ns is not None and now_ns - self._fix_ns <= LOST_NS:
+        if self._fix.good_ns is None and self._fix_ns is not None and now_ns - self._fix_ns <= LOST_NS:
             self.alternation.notice(now_ns)
         self._fix_ns = now_ns
 
@@ -109,15 +136,7 @@ class Receiver:
 
     def state(self, now_ns: int) -> GpsState:
         """By this receiver alone."""
-        if self.heard_ns is None:
-            return "unknown"
-        is_silent = self.is_silent(now_ns)
-        if is_silent or (self._bad_ns is not None and now_ns - self._bad_ns >= self._lost_ns):
-            self._is_healthy, self._had_outage = False, True
-            return "unknown" if is_silent else "not healthy"
-        if self._good_ns is not None and (not self._had_outage or now_ns - self._good_ns >= RETURN_NS):
-            self._is_healthy = True
-        return "healthy" if self._is_healthy else "unknown"
+        return "unknown" if self.heard_ns is None else self._fix.state(now_ns, is_silent=self.is_silent(now_ns))
 
 
 class Gps:
