@@ -21,7 +21,7 @@ from edge.feed import FeedWriter
 from edge.feed.recorder import Recorder, begun_feed
 from edge.files import named_by_time
 from edge.geodesy import first_known
-from edge.health.health import HealthMonitor, Links, StageTimes
+from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
 from edge.layers import DriveTally, Learner, learn_command

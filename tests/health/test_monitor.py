@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.camera import CameraHealth
 from edge.config import Config, MapConfig, TelemetryConfig
 from edge.errors import MapError
-from edge.health.health import HealthInputs, HealthMonitor, Links
+from edge.health.health import HealthInputs
+from edge.health.monitor import HealthMonitor, Links
 from edge.journal.records import StateChanged
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import MavlinkCodec
