@@ -281,9 +281,9 @@ class PlaceConsensus:
         leader = int(live.argmax())
         if live[leader] <= 0:
             return None
-        # Of drives that agree, the one with most to say is followed: its votes tell best how fast its places pass.
+        # Of drives that agree and go on, that with most to say is followed: its votes tell best how fast places pass.
         ways = 2 * votes["drive"] + (votes["sign"] > 0)
-        heaviest = np.bincount(ways, weights * self._agree[leader]).argmax()
+        heaviest = np.bincount(ways, weights * self._agree[leader] * (live > 0)).argmax()
         leader = int(np.where(ways == heaviest, live * self._agree[leader], -1.0).argmax())
         group, own = in_reach & (self._agree[leader] > 0), votes[leader]
         same = group & (ways == heaviest)

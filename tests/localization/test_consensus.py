@@ -265,6 +265,24 @@ def test_two_drives_over_one_road_speak_for_one_place() -> None:
     assert not _last(_drive(PlaceConsensus(SETTINGS, positions_m), elsewhere)).is_believed
 
 
+def test_where_one_of_two_drives_ends_the_other_is_followed() -> None:
+    """The one that ends was recognized better, and says nothing of where the vehicle is beyond its end."""
+
+    def positions_m(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([along_m, np.zeros(len(drives))])
+
+    ends = replace(STRONG, end_m=400.0)
+    goes_on = replace(STRONG, drive=1, uniqueness=1.1)
+    votes: list[PlaceVote | None] = []
+    for meters in range(302, 400, 2):
+        votes.append(replace(goes_on if meters % 10 == 0 else ends, along_m=float(meters)))
+    votes += _right(398.0, 40, goes_on)
+    beliefs = _drive(PlaceConsensus(SETTINGS, positions_m), votes)
+    assert _last(beliefs[:49]).drive == 0
+    assert all(belief is not None and belief.drive == 1 for belief in beliefs[49 + 16 :])
+    assert _last(beliefs).is_believed
+
+
 def test_a_vehicle_that_turned_off_the_road_is_soon_not_believed_to_be_on_it() -> None:
     """The old votes agree for 240 m, and those of an unknown road weigh little against them."""
     consensus = PlaceConsensus(SETTINGS)
