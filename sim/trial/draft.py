@@ -68,7 +68,8 @@ class Draft:
     another companion computer resets the autopilot. has_double: another vehicle ahead on the same radio has the same
     ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the camera, as if it was learned
     before, in true ones. shown_m: the arc length of the road in a picture, at that of the camera: of a camera that is
-    lower by a tenth it passes by a tenth faster. layers: each stretch is a map of a folder, which `map learn` learned.
+    lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a map of a folder, which
+    `map learn` learned.
     """
 
     rng: np.random.Generator

@@ -183,7 +183,9 @@ def build_course_map(draft: Draft, path: Path, network: Network, library: RoadLi
     regions = RegionsKey(config.regions, config.region_width, "set")
     rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
     numbers = range(len(draft.map))
-    for part in [[number] for number in numbers] if draft.layers else [numbers]:
+    cameras = dict.fromkeys(stretch.camera for stretch in draft.map)
+    by_camera = [[number for number in numbers if draft.map[number].camera == camera] for camera in cameras]
+    for part in by_camera if draft.layers else [numbers]:
         folder = path / f"{part[0]}" if draft.layers else path
         with MapBuilder(folder, model_key(network), regions, SamplingConfig()) as builder:
             for number in part:

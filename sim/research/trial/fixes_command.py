@@ -15,7 +15,8 @@ from typing import NamedTuple
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial.courses import CASES, COURSES, courses_of
-from sim.research.trial.table import HEADER, MARKS, CourseScore, in_short, line, put_between
+from sim.research.trial.courses.maps import on_layers
+from sim.research.trial.table import HEADER, LAYER_MARKS, MARKS, CourseScore, in_short, line, put_between
 from sim.trial.rules import Run
 from sim.trial.run import drive
 from sim.trial.views import RoadLibrary
@@ -26,11 +27,12 @@ LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
 class Planned(NamedTuple):
-    """A drive of a course; world: the seed of its road."""
+    """A drive of a course; world: the seed of its road. layers: of its map, see `on_layers`."""
 
     course: str
     seed: int
     world: int
+    layers: bool = False
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -43,7 +45,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         "--course", default="home", metavar="NAMES", help="courses, `all`, or `list` to print them (default home)"
     )
     what.add_argument(
-        "--case", metavar="LETTER", help=f"a case of courses, {min(CASES)} to {max(CASES)} or `all`: each seed has one"
+        "--case", metavar="LETTERS", help=f"cases of courses, {min(CASES)} to {max(CASES)} or `all`: each seed has one"
     )
     parser.add_argument(
         "--runs", type=int, default=5, metavar="N", help="seeded drives of each course, or of each case (default 5)"
@@ -58,6 +60,9 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         default=WORLDS,
         metavar="SEEDS",
         help=f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})",
+    )
+    parser.add_argument(
+        "--layers", action="store_true", help="drive each on a map of eight layers as well, and compare the cases"
     )
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
     parser.add_argument(
@@ -87,7 +92,7 @@ def _run(args: argparse.Namespace) -> int:
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     planned = plan(args)
     runs = drive_all(planned, args)
-    scores = judge(list(runs), runs)
+    scores = compare(runs) if args.layers else judge(list(runs), runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
@@ -96,7 +101,10 @@ def _run(args: argparse.Namespace) -> int:
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
         if len(runs) < len(planned):
             what += f" --minutes {args.minutes:g}"
-        put_between(MARKS, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{in_short(scores)}")
+        what += " --layers" * args.layers
+        table = "\n".join([HEADER, *(score.row() for score in scores)]) if args.layers else in_short(scores)
+        marks = LAYER_MARKS if args.layers else MARKS
+        put_between(marks, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
 
@@ -109,7 +117,10 @@ def plan(args: argparse.Namespace) -> list[Planned]:
         names = list(COURSES) if args.course == "all" else args.course.split(",")
         # Seed by seed, so that a trial that --minutes ends has driven all courses.
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
-    return [Planned(name, seed, args.worlds[turn % len(args.worlds)]) for name, seed, turn in drives]
+    maps = (False, True) if args.layers else (False,)
+    return [
+        Planned(name, seed, args.worlds[turn % len(args.worlds)], one) for name, seed, turn in drives for one in maps
+    ]
 
 
 def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
@@ -137,6 +148,27 @@ def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseSc
     )
 
 
+def compare(runs: dict[Planned, Run]) -> list[CourseScore]:
+    """All drives, each case, and each course that fails on layers: on one map, and on layers."""
+    pairs = {
+        one: (run, runs[one._replace(layers=True)]) for one, run in runs.items() if one._replace(layers=True) in runs
+    }
+    pairs = {one: both for one, both in pairs.items() if not one.layers}
+    named = {"**all**": list(pairs)}
+    named |= {
+        f"**{case}: {about}**": [one for one in pairs if COURSES[one.course].case == case]
+        for case, about in CASES.items()
+    }
+    failed = dict.fromkeys(one.course for one, (_, run) in pairs.items() if run.failures)
+    named |= {name: [one for one in pairs if one.course == name] for name in failed}
+    return [
+        CourseScore(f"{name}, {what}", tuple(pairs[one][which] for one in ones))
+        for name, ones in named.items()
+        if ones
+        for which, what in enumerate(("one map", "eight layers"))
+    ]
+
+
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, Run]:
     """Drive one after the other, or several roads side by side; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
@@ -162,8 +194,9 @@ def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s
                 break
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
-            runs[one] = drive(COURSES[one.course], one.seed, length_m, one.world, journals, library)
-            print(line(one.course, runs[one]), flush=True)
+            course = on_layers(COURSES[one.course]) if one.layers else COURSES[one.course]
+            runs[one] = drive(course, one.seed, length_m, one.world, journals, library)
+            print(line(f"{one.course}{', eight layers' * one.layers}", runs[one]), flush=True)
     finally:
         library.save()
         library.close()
@@ -179,7 +212,7 @@ def _check(args: argparse.Namespace) -> None:
     for name in args.course.split(","):
         if name not in ("all", *COURSES):
             raise ConfigError(f"--course: {name!r} is not a course; `--course list` prints them")
-    if args.case not in (None, "all", *CASES):
+    if args.case not in (None, "all") and not set(args.case) <= CASES.keys():
         raise ConfigError(f"--case: {args.case!r} is not one of {', '.join(CASES)} and all")
     if args.runs < 1:
         raise ConfigError("--runs: at least 1")

@@ -36,6 +36,7 @@ def line(name: str, run: Run) -> str:
 
 
 MARKS = "<!-- results: begin -->", "<!-- results: end -->"
+LAYER_MARKS = "<!-- layers: begin -->", "<!-- layers: end -->"
 
 
 @dataclass(frozen=True)

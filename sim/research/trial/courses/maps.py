@@ -9,7 +9,7 @@ from edge.config import GatesConfig
 from edge.localization.claims import SAME_RECORDING
 from sim.research.trial.course_rules import sends
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import Draft, Stretch
+from sim.trial.draft import Course, Draft, Stretch
 from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import along
 from sim.world.scenario import LightName, View
@@ -124,11 +124,28 @@ def _two_laps(draft: Draft) -> None:
     draft.rules = (within_sigmas, no_false_place)
 
 
+def on_layers(one: Course) -> Course:
+    """The course on DRIVES over what it has mapped: the first is as wrong as its map, the others are right."""
+
+    def lay(draft: Draft) -> None:
+        one.lay(draft)
+        if not draft.maps_live:
+            _as_layers(draft)
+
+    return replace(one, lay=lay)
+
+
+def _as_layers(draft: Draft) -> None:
+    right = [replace(stretch, off_m=(0.0, 0.0), recording="") for stretch in draft.map]
+    further = [replace(stretch, camera=camera) for camera in DRIVES[1:] for stretch in right]
+    draft.map = [*(replace(stretch, camera=DRIVES[0]) for stretch in draft.map), *further]
+    draft.layers = True
+
+
 @course("K", "layers-8")
 def _layers(draft: Draft) -> None:
     """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
-    draft.map = [Stretch(0.0, draft.length_m, camera=camera) for camera in DRIVES]
-    draft.layers = True
+    _as_layers(draft)
 
 
 @course("K", "layers-8-shifted")

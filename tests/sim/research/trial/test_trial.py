@@ -17,6 +17,7 @@ from edge.errors import ConfigError
 from sim.research.trial import course_rules
 from sim.research.trial import fixes_command as command
 from sim.research.trial.courses import CASES, COURSES, courses_of
+from sim.research.trial.courses.maps import DRIVES, on_layers
 from sim.research.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_between
 from sim.trial import rules
 from sim.trial.rules import Run, Sent, Track
@@ -266,6 +267,34 @@ def test_each_seed_of_a_case_drives_the_next_of_its_courses_on_the_next_road() -
 def test_the_drives_of_a_course_have_one_road_after_the_other() -> None:
     assert [one.world for one in command.plan(_options(["--runs", "6"]))] == [*command.WORLDS, command.WORLDS[0]]
     assert {one.world for one in command.plan(_options(["--world", "7", "--runs", "2"]))} == {7}
+
+
+def test_on_layers_the_first_drive_is_as_wrong_as_the_map_and_the_others_are_right() -> None:
+    alone, layered = (
+        drafted(one, 1, LENGTH_M, WORLD) for one in (COURSES["false-140"], on_layers(COURSES["false-140"]))
+    )
+    first, *others = ([one for one in layered.map if one.camera == camera] for camera in DRIVES)
+    assert first == alone.map and not all(one.is_true for one in first)
+    assert all(one.is_true for drive in others for one in drive)
+    assert [[one.start_m for one in drive] for drive in others] == [[one.start_m for one in first]] * 7
+    assert layered.layers
+    mapped_live = drafted(on_layers(COURSES["take-me-home-day"]), 1, LENGTH_M, WORLD)
+    assert mapped_live.maps_live and not mapped_live.layers
+
+
+def test_layers_are_compared_drive_by_drive_with_one_map() -> None:
+    planned = command.plan(_options(["--case", "AB", "--runs", "2", "--layers"]))
+    failed = replace(run_of(error_m=10.0), failures=(rules.Failure("close", "10 m"),))
+    runs = {one: failed if one.layers and one.course == "u-turn" else run_of() for one in planned}
+    rows = [(score.name, len(score.runs), bool(score.failures)) for score in command.compare(runs)]
+    both = [f"{name}, {what}" for name in ("**all**", *_bold("AB"), "u-turn") for what in ("one map", "eight layers")]
+    assert [name for name, _, _ in rows] == both
+    assert [count for _, count, _ in rows] == [4, 4, 2, 2, 2, 2, 1, 1]
+    assert [fails for _, _, fails in rows] == [False, True, False, False, False, True, False, True]
+
+
+def _bold(cases: str) -> list[str]:
+    return [f"**{case}: {CASES[case]}**" for case in cases]
 
 
 def test_in_short_courses_that_pass_are_only_named() -> None:
