@@ -25,7 +25,7 @@ from edge.config import Config
 from edge.errors import SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
-from edge.health.service import notify
+from edge.health.monitor import notify
 from edge.journal.records import Stopped
 from edge.localization import AGREE_SIGMAS, Limits
 from edge.localization.dead_reckoning import Displacement, TurnAround

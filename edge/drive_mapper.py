@@ -23,7 +23,7 @@ from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.feed.sampling import Sampler
 from edge.geodesy import VehiclePosition
-from edge.health.service import notify
+from edge.health.monitor import notify
 from edge.journal.records import MappingChanged, Record
 from edge.mapping import LiveMap, LogHeader, MappingStatus, MappingView
 from edge.reference_map import MapSoFar, ModelKey, RegionsKey

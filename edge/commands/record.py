@@ -17,12 +17,12 @@ from typing import Literal, TypeAlias
 from tqdm import tqdm
 
 from edge.camera.newest import NewestFrame
+from edge.commands.stop_signal import on_stop_signal
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
 from edge.feed import FeedWriter, Frame
 from edge.feed.recorder import DISK_FULL, Recorder, begun_feed, free_bytes_at
 from edge.feed.sampling import Sampler
-from edge.health.service import on_stop_signal
 from edge.telemetry.autopilot import AutopilotConnection
 
 TURN_S = 0.02  # at most this long between two reads of the MAVLink port

@@ -9,9 +9,9 @@ import signal
 import threading
 from pathlib import Path
 
+from edge.commands.stop_signal import on_stop_signal
 from edge.config import load_config, naming
 from edge.daemon import run
-from edge.health.service import on_stop_signal
 
 log = logging.getLogger(__name__)
 

@@ -1,1 +1,1 @@
-"""The state of the daemon: `health` decides it, `monitor` publishes it, and `service` is the link to systemd."""
+"""The state of the daemon: `health` decides it, and `monitor` publishes it, to systemd too."""

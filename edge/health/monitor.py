@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
+import socket
 import statistics
 import time
 from collections import deque
@@ -14,10 +16,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.camera import CameraHealth
 from edge.health.health import STARTING, Health, HealthInputs, HealthState, derive
-from edge.health.service import notify
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import JournalResumed, StateChanged
 
+MANAGER_S = 1.0
+"""A service manager that does not read fills its socket: do not wait for it any longer."""
 TEXT_NS = 5_000_000_000
 """At most one line about each state in this time: at the edge of a map it changes with every frame. As long on the map,
 a vehicle has had time for its first position."""
@@ -184,6 +187,25 @@ class HealthMonitor:
             self._link_down_ns = None if is_up else now_ns
             return 0.0
         return (now_ns - self._link_down_ns) / 1e9
+
+
+def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
+    """Send systemd one message, such as "READY=1", on the socket that it named (sd_notify); silent where there is none.
+
+    A message that is not read within `wait_s` seconds is dropped.
+    """
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address:
+        return
+    # A leading @ means the abstract namespace.
+    name = "\0" + address[1:] if address.startswith("@") else address
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
+        sock.settimeout(wait_s)
+        try:
+            sock.connect(name)
+            sock.sendall(state.encode())
+        except OSError:
+            return  # the service manager being away is no reason to stop recognizing places
 
 
 RECENT_FRAMES = 1000

@@ -141,7 +141,7 @@ NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib
 NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
 SPEAKS = {
     "commands/doctor_computer.py": {"serial"},  # which ports there are
-    "health/service.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
+    "health/monitor.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
     "page/coverage_job.py": {"asyncio"},  # to no network: a process of its own, over pipes
     "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
     "telemetry/port.py": {"socket"},  # the names of their hosts
