@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from edge.config import GatesConfig
+from edge.localization import CORRELATION_M
 from edge.localization.claims import SAME_RECORDING
 from sim.research.trial.course_rules import sends
 from sim.research.trial.courses.registry import course
@@ -84,19 +85,31 @@ def _alike(draft: Draft) -> None:
     draft.unsent = [(0.0, math.inf)]
 
 
-@course("C", "far-origin", least_m=1000.0)
+@course("C", "far-origin", least_m=1200.0)
 def _far_origin(draft: Draft) -> None:
     """No GPS from boot, and an origin that was set by hand 260 m off; a person drives, and the map is right."""
     _no_gps(draft)
     draft.origin_off_m = draft.side(260.0)
 
 
-@course("C", "no-gps", least_m=1000.0)
+@course("C", "no-gps", least_m=1200.0)
 def _no_gps(draft: Draft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
-    draft.unsent = [(0.0, SAME_RECORDING * GatesConfig().confirm_m + FIRST_LINE_M)]
+    draft.unsent = [(0.0, _confirmed_after_m(draft))]
     draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+
+
+def _confirmed_after_m(draft: Draft) -> float:
+    """Meters along the way until one recording has confirmed itself: as far apart by displacement, as `claims` asks.
+
+    The velocity may be too small by its scale, and observations are CORRELATION_M apart.
+    """
+    gates, way = GatesConfig(), draft.way
+    apart_m = SAME_RECORDING * gates.confirm_m * (1 + gates.drift_percent / 100) * (1 + abs(draft.errors.scale - 1))
+    first = way.at(FIRST_LINE_M)
+    off_m = (math.dist(way.at(at_m)[:2], first[:2]) for at_m in range(int(way.length_m)))
+    return next(at_m for at_m, off in enumerate(off_m) if at_m > FIRST_LINE_M and off >= apart_m + 2 * CORRELATION_M)
 
 
 @course("C", "shifted-40")
