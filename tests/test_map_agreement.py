@@ -157,6 +157,28 @@ def test_of_two_that_disagree_and_of_two_recordings_nobody_knows_which_is_wrong(
     assert outvoted_of(tmp_path / "maps") == {}, "a part of the recording that 0 is of"
 
 
+@pytest.mark.parametrize(
+    ("wrong", "third", "named"),
+    [
+        (Driven(east_m=15.0), Driven(view="front"), ["1"]),
+        (Driven(east_m=-15.0, wrong_from=60), Driven(view="front", east_m=3.0), ["1"]),
+        (Driven(north_m=15.0), Driven(view="front"), []),
+        (Driven(east_m=12.0), Driven(view="front", back=True), []),
+        (Driven(east_m=15.0), Driven(view="front", east_m=200.0), []),
+        (Driven(east_m=15.0), Driven(view="front", east_m=NAN), []),
+        (Driven(east_m=15.0), Driven(view="front", east_m=30.0), []),
+    ],
+    ids=["aside", "aside from there on", "along", "the other lane", "another road", "nowhere", "beside both"],
+)
+def test_of_two_that_disagree_the_one_beside_the_way_of_a_third_is_wrong(
+    wrong: Driven, third: Driven, named: list[str], tmp_path: Path
+) -> None:
+    """The third one looked another way, so that no picture of it can be compared."""
+    for number, drive in enumerate((Driven(), wrong, third)):
+        build(tmp_path / "maps" / str(number), [*[Driven(road=9, end=2)] * number, drive])
+    assert [path.name for path in outvoted_of(tmp_path / "maps")] == named
+
+
 def test_a_drive_without_positions_agrees_with_everything(tmp_path: Path) -> None:
     build(tmp_path / "map", [Driven(), Driven(east_m=NAN)])
     assert disagreements(open_map_set(tmp_path / "map")) == []
