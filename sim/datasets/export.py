@@ -7,16 +7,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from edge.errors import ConfigError, FeedError
-from edge.extras import install_command
+from edge.errors import FeedError
 from edge.geodesy import east_north
 from edge.journal.records import FrameUsed, PlaceFix
+from sim.ground_files import GroundLine, as_geojson, as_gpx, as_kml, write_by_suffix
 from sim.journal import JournalLine, read_journal
 
 
@@ -82,59 +83,33 @@ def _point(line: JournalLine) -> TrackPoint | None:
     return TrackPoint(stamp_ns, record.lat_deg, record.lon_deg, record.heading_deg, fields, is_event)
 
 
-def as_geojson(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
-    """RFC 7946, longitude first: a point for each event with all its fields, and a line through all points."""
-    features: list[dict[str, Any]] = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": [one.lon_deg, one.lat_deg]},
-            "properties": {"name": one.name, "time": one.time.isoformat(), **one.fields},
-        }
+def _events(points: Sequence[TrackPoint]) -> list[GroundLine]:
+    """A point for each event, with all its fields."""
+    return [
+        GroundLine(
+            one.name,
+            [(one.lat_deg, one.lon_deg)],
+            one.description,
+            [one.time],
+            {"name": one.name, "time": one.time.isoformat(), **one.fields},
+        )
         for one in points
         if one.is_event
     ]
-    if len(points) > 1:
-        line = {"type": "LineString", "coordinates": [[one.lon_deg, one.lat_deg] for one in points]}
-        features.append({"type": "Feature", "geometry": line, "properties": {"name": name}})
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
 
 
-def as_gpx(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
-    """A waypoint for each event, and a track of all points."""
-    import gpxpy.gpx
-
-    gpx = gpxpy.gpx.GPX()
-    gpx.creator = "lookback"
-    segment = gpxpy.gpx.GPXTrackSegment()
-    for one in points:
-        at: dict[str, Any] = {"latitude": one.lat_deg, "longitude": one.lon_deg, "time": one.time}
-        segment.points.append(gpxpy.gpx.GPXTrackPoint(**at))
-        if one.is_event:
-            gpx.waypoints.append(gpxpy.gpx.GPXWaypoint(**at, name=one.name, description=one.description))
-    gpx.tracks.append(gpxpy.gpx.GPXTrack(name=name))
-    gpx.tracks[0].segments.append(segment)
-    return str(gpx.to_xml())
+def _track(points: Sequence[TrackPoint], name: str) -> list[GroundLine]:
+    """A line through all points."""
+    degrees = [(one.lat_deg, one.lon_deg) for one in points]
+    return [GroundLine(name, degrees, times=[one.time for one in points], properties={"name": name})]
 
 
-def as_kml(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
-    """A placemark for each event, and a line through all points."""
-    import simplekml
-
-    kml = simplekml.Kml(name=name)
-    for one in points:
-        if one.is_event:
-            point = kml.newpoint(name=one.name, description=one.description, coords=[(one.lon_deg, one.lat_deg)])
-            point.timestamp.when = one.time.isoformat()
-    kml.newlinestring(name=name, coords=[(one.lon_deg, one.lat_deg) for one in points])
-    return str(kml.kml())
-
-
-def as_tum(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
-    """Lines `stamp_s x y z qx qy qz qw`, as evo reads them: meters east, north and up of `origin`, yaw as quaternion.
+def as_tum(points: Sequence[TrackPoint]) -> str:
+    """Lines `stamp_s x y z qx qy qz qw`, as evo reads them: meters east, north, up of the first point; yaw in those.
 
     Where no heading is known, the quaternion is that of looking east.
     """
-    degrees = np.array([(one.lat_deg, one.lon_deg) for one in (origin, *points)])
+    degrees = np.array([(one.lat_deg, one.lon_deg) for one in (points[0], *points)])
     lines = []
     for one, (east_m, north_m) in zip(points, east_north(*degrees.T)[1:].tolist(), strict=True):
         # Headings turn clockwise from north, yaw counterclockwise from east.
@@ -145,30 +120,21 @@ def as_tum(points: Sequence[TrackPoint], name: str, origin: TrackPoint) -> str:
     return "".join(lines)
 
 
-WRITERS: dict[str, Callable[[Sequence[TrackPoint], str, TrackPoint], str]] = {
-    ".geojson": as_geojson,
-    ".gpx": as_gpx,
-    ".kml": as_kml,
-    ".tum": as_tum,
+WRITERS: dict[str, Callable[[Sequence[TrackPoint], str], str]] = {
+    ".geojson": lambda points, name: as_geojson(_track(points, name) if len(points) > 1 else [], _events(points)),
+    ".gpx": lambda points, name: as_gpx(_track(points, name), _events(points)),
+    ".kml": lambda points, name: as_kml(_track(points, name), _events(points)),
+    ".tum": lambda points, name: as_tum(points),
 }
-"""By the suffix of the file: (points, name, origin) to its text."""
+"""By the suffix of the file: points and a name to its text."""
 
 
 def _run(args: argparse.Namespace) -> int:
-    writer = WRITERS.get(args.output.suffix.lower())
-    if writer is None:
-        raise ConfigError(f"--output: {args.output}: use a name that ends in one of {', '.join(WRITERS)}")
     points = [one for one in read_track(args.journal) if one.is_event or not args.events_only]
     if not points:
         raise FeedError(f"{args.journal}: no place with a position in it; a map without positions gives none")
-    try:
-        text = writer(points, args.journal.stem, points[0])
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"{args.output.suffix} needs {error.name}: {install_command('desk')}") from None
-    try:
-        args.output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"--output: {args.output}: cannot write it: {error.strerror}") from None
+    writers = {suffix: partial(writer, points, args.journal.stem) for suffix, writer in WRITERS.items()}
+    write_by_suffix(args.output, writers)
     events = sum(one.is_event for one in points)
     print(f"{args.output}: {events} events, {len(points) - events} further frames")
     return 0

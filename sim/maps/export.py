@@ -7,17 +7,17 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import ConfigError, MapError
-from edge.extras import install_command
+from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import MapSet, open_map_set
+from sim.ground_files import GroundLine, as_geojson, as_gpx, as_kml, write_by_suffix
 
 COLUMNS = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "route_m", "position_sigma_m")
 """Of a place, in a CSV file."""
@@ -63,48 +63,27 @@ def lines_of(maps: MapSet) -> Iterator[Line]:
                 yield Line(*about, int(part[0]) - maps.index.starts[number], maps.places[part], stale[part])
 
 
-def as_geojson(lines: Sequence[Line]) -> str:
-    """RFC 7946, longitude first: a line for each drive, one for each stretch that is no longer there."""
-    features = []
+def _on_ground(lines: Sequence[Line]) -> list[GroundLine]:
+    """A line for each drive."""
+    return [GroundLine(line.name, line.points, f"{line.view}, {line.recording}") for line in lines]
+
+
+def _pieces(lines: Sequence[Line]) -> list[GroundLine]:
+    """A line for each drive, and one for each stretch of it that is no longer there."""
+    found = []
     for line in lines:
-        for first, end, is_stale in _pieces(line.is_stale):
-            places = line.places[first:end]
+        borders = [0, *(np.flatnonzero(np.diff(line.is_stale)) + 1).tolist(), len(line.is_stale)]
+        for first, end in pairwise(borders):
             properties = {
                 "map": line.name,
                 "view": line.view,
                 "recording": line.recording,
                 "first_place": line.first + first,
-                "is_stale": is_stale,
-                "sigma_m": _median(places["position_sigma_m"]),
+                "is_stale": bool(line.is_stale[first]),
+                "sigma_m": _median(line.places["position_sigma_m"][first:end]),
             }
-            points = [(lon, lat) for lat, lon in line.points[first:end]]
-            geometry = {"type": "LineString", "coordinates": points if len(points) > 1 else points * 2}
-            features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
-
-
-def as_gpx(lines: Sequence[Line]) -> str:
-    """A track for each drive."""
-    import gpxpy.gpx
-
-    gpx = gpxpy.gpx.GPX()
-    gpx.creator = "lookback"
-    for line in lines:
-        points = [gpxpy.gpx.GPXTrackPoint(lat_deg, lon_deg) for lat_deg, lon_deg in line.points]
-        gpx.tracks.append(gpxpy.gpx.GPXTrack(name=line.name, description=f"{line.view}, {line.recording}"))
-        gpx.tracks[-1].segments.append(gpxpy.gpx.GPXTrackSegment(points))
-    return str(gpx.to_xml())
-
-
-def as_kml(lines: Sequence[Line]) -> str:
-    """A line for each drive."""
-    import simplekml
-
-    kml = simplekml.Kml()
-    for line in lines:
-        points = [(lon_deg, lat_deg) for lat_deg, lon_deg in line.points]
-        kml.newlinestring(name=line.name, description=f"{line.view}, {line.recording}", coords=points)
-    return str(kml.kml())
+            found.append(GroundLine(line.name, line.points[first:end], properties=properties))
+    return found
 
 
 def as_csv(lines: Sequence[Line]) -> str:
@@ -121,18 +100,12 @@ def as_csv(lines: Sequence[Line]) -> str:
 
 
 WRITERS: dict[str, Callable[[Sequence[Line]], str]] = {
-    ".geojson": as_geojson,
-    ".gpx": as_gpx,
-    ".kml": as_kml,
+    ".geojson": lambda lines: as_geojson(_pieces(lines)),
+    ".gpx": lambda lines: as_gpx(_on_ground(lines)),
+    ".kml": lambda lines: as_kml(_on_ground(lines)),
     ".csv": as_csv,
 }
 """By the suffix of the file."""
-
-
-def _pieces(is_stale: NDArray[np.bool_]) -> Iterator[tuple[int, int, bool]]:
-    borders = [0, *(np.flatnonzero(np.diff(is_stale)) + 1).tolist(), len(is_stale)]
-    for first, end in pairwise(borders):
-        yield first, end, bool(is_stale[first])
 
 
 def _median(sigma_m: NDArray[np.float32]) -> float | None:
@@ -141,17 +114,9 @@ def _median(sigma_m: NDArray[np.float32]) -> float | None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    writer = WRITERS.get(args.output.suffix.lower())
-    if writer is None:
-        raise ConfigError(f"--output: {args.output}: use a name that ends in one of {', '.join(WRITERS)}")
     lines = list(lines_of(open_map_set(args.map)))
     if not lines:
         raise MapError(f"{args.map}: none of its places has a position")
-    try:
-        args.output.write_text(writer(lines), encoding="utf-8")
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"{args.output.suffix} needs {error.name}: {install_command('desk')}") from None
-    except OSError as error:
-        raise ConfigError(f"--output: {args.output}: cannot write it: {error.strerror}") from None
+    write_by_suffix(args.output, {suffix: partial(writer, lines) for suffix, writer in WRITERS.items()})
     print(f"{args.output}: {sum(len(line.places) for line in lines)} places in {len(lines)} lines")
     return 0
