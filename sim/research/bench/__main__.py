@@ -14,7 +14,7 @@ import cv2
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, LookbackError
 from edge.recognizer import model_key
-from sim.research.bench import frame_rows, learning_rows, map_rows, mapping_rows, motion_rows, network_rows, search_rows
+from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, network_rows, search_rows
 from sim.research.bench.machine import Machine, measure_machine
 from sim.research.bench.rows import Section, page
 
@@ -32,7 +32,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", type=int, metavar="F", help="frames of whole-frame runs")
     parser.add_argument("--folder", type=Path, help="where to put simulated maps meanwhile (default: temporary files)")
     parser.add_argument(
-        "--only", nargs="+", metavar="PART", help="network, motion, matching, search, frames, mapping, learning, maps"
+        "--only", nargs="+", metavar="PART", help="network, motion, matching, search, frames, mapping, maps"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the page there as well")
     return parser
@@ -74,7 +74,6 @@ def _sections(args: argparse.Namespace, machine: Machine, folder: Path, rounds: 
         "search": lambda: search_rows.measure(places, rounds),
         "frames": lambda: frame_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "mapping": lambda: mapping_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
-        "learning": lambda: learning_rows.measure(folder, usual, args.frames or (60 if args.quick else 300)),
         "maps": lambda: map_rows.measure(folder, maps, rounds, model),
     }
     unknown = set(args.only or ()) - set(sections)

@@ -7,8 +7,9 @@ folder of maps. Descriptors are kept in FOLDER. Tables:
 
 learned   A front camera drives over the folder the same way by dusk, and home by night; before and after learning
 rebuilt   a tenth of the road looks like that of the next seed from some day on: recall there, by dusk
-shifted   one front drive is recorded 15 m aside, or from half of the road on: what `map learn` says, and who moves
+shifted   one drive is recorded 15 m aside, or from half of the road on: what `map learn` says, and who moves
 hundred   as many drives: what is searched, how long learning takes
+frames    of the recognizer while learning runs, and without
 
 --picture FILE draws the layers of a road of which 200 m were rebuilt.
 """
@@ -39,6 +40,7 @@ from edge.sequence_matcher import SequenceMatcher
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
+from sim.research.evaluation.learning_frames import frames_rows
 from sim.research.pictures import note_sources
 from sim.research.trial.courses.maps import DRIVES
 from sim.research.trial.table import put_between
@@ -60,8 +62,8 @@ NEW: tuple[tuple[View, LightName, int], ...] = (("front", "snow", 15), ("front",
 REBUILT = slice(180, 220)
 GRAY: dict[LightName, int] = {"day": 120, "dusk": 60, "night": 20, "rain": 100, "snow": 140}
 ORIGIN, SIGMA_M, LANE_M = (0.0, 8.0), 1.5, 1.75
-ASIDE_M, SHIFTED = 15.0, (2, 3, 6)
-"""How far which drives are off, of DRIVES: by day, by night, and in snow."""
+ASIDE_M, SHIFTED = 15.0, (1, 2, 3, 6)
+"""How far which drives are off, of DRIVES: one of two rear ones, by day, by night, and in snow."""
 PICTURED = slice(150, 250)
 """Places that look otherwise in the picture: two stretches that are counted."""
 HUNDRED = 100
@@ -300,11 +302,18 @@ def _positions(
         return lesson, [east_north(one["lat_deg"], one["lon_deg"], ORIGIN) for one in places]
 
 
+def while_learning_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
+    """Rows of `learning_frames`, on maps of random numbers."""
+    with tempfile.TemporaryDirectory() as temporary:
+        yield from frames_rows(Path(temporary), Network.load())
+
+
 TABLES: dict[str, Callable[[Sequence[int], Scene], Iterator[str]]] = {
     "learned": learned_rows,
     "rebuilt": rebuilt_rows,
     "shifted": shifted_rows,
     "hundred": hundred_rows,
+    "frames": while_learning_rows,
 }
 
 

@@ -16,7 +16,7 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_layers
-from sim.research.trial.table import HEADER, LAYER_MARKS, MARKS, CourseScore, in_short, line, put_between
+from sim.research.trial.table import HEADER, MARKS, CourseScore, in_short, layer_marks, line, put_between
 from sim.trial.rules import Run
 from sim.trial.run import drive
 from sim.trial.views import RoadLibrary
@@ -103,7 +103,7 @@ def _run(args: argparse.Namespace) -> int:
             what += f" --minutes {args.minutes:g}"
         what += " --layers" * args.layers
         table = "\n".join([HEADER, *(score.row() for score in scores)]) if args.layers else in_short(scores)
-        marks = LAYER_MARKS if args.layers else MARKS
+        marks = layer_marks("cases" if args.case else driven) if args.layers else MARKS
         put_between(marks, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 

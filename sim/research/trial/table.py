@@ -36,7 +36,11 @@ def line(name: str, run: Run) -> str:
 
 
 MARKS = "<!-- results: begin -->", "<!-- results: end -->"
-LAYER_MARKS = "<!-- layers: begin -->", "<!-- layers: end -->"
+
+
+def layer_marks(what: str) -> tuple[str, str]:
+    """Of a table of drives on one map and on layers: of `cases`, or of some courses."""
+    return f"<!-- layers {what}: begin -->", f"<!-- layers {what}: end -->"
 
 
 @dataclass(frozen=True)

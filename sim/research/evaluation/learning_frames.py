@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import time
@@ -11,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.config import Config, MapConfig
 from edge.descriptor.network import Network
@@ -19,22 +21,28 @@ from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.sequence import Travel
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.simulated_map import SPACING_M, write_simulated_map
-from sim.bench.timing import Times, time_ms, wall_ns
-from sim.research.bench.rows import Row, Section, Target
+from sim.bench.timing import time_ms, wall_ns
 
-DRIVES, LAYERS = 8, 4
+DRIVES, LAYERS, PLACES = 8, 4, 10_000
+"""Places that are searched; each drive that is learned from has a fourth of them, 5 km."""
 FRAME_S, BLOCK = 0.05, 20
-ROUNDS = 5
-TAIL, MOST_TIMES = 0.99, 1.5
+ROUNDS, FRAMES = 7, 200
+TAIL = 0.99
+Floats = NDArray[np.float64]
 
 
 class Learning:
     """The command, begun anew whenever it has ended, and stopped between blocks."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, layers: int = LAYERS) -> None:
         """folder: of maps."""
-        self._command = learn_command(folder, LAYERS)
+        self._command = learn_command(folder, layers)
         self._process = self._begun()
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
 
     def _begun(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(self._command, stdout=subprocess.DEVNULL)
@@ -47,11 +55,11 @@ class Learning:
     @contextmanager
     def stopped(self) -> Iterator[None]:
         """Let it stand still meanwhile."""
-        os.kill(self._process.pid, signal.SIGSTOP)
+        os.kill(self.pid, signal.SIGSTOP)
         try:
             yield
         finally:
-            os.kill(self._process.pid, signal.SIGCONT)
+            os.kill(self.pid, signal.SIGCONT)
 
     def close(self) -> None:
         """End it."""
@@ -82,49 +90,45 @@ class _Frames:
         self._recognizer.observe(picture, frame * 50_000_000, Travel(frame * SPACING_M))
 
 
-def measure(folder: Path, places: int, frames: int) -> Section:
-    """The rows, and the target: the slowest of 100 frames takes at most MOST_TIMES a frame of one that runs alone."""
-    network = Network.load()
+def frames_rows(folder: Path, network: Network, frames: int = FRAMES) -> Iterator[str]:
+    """A row for what runs beside the frames: medians of the rounds. frames: in each round, of both."""
     for drive in range(DRIVES):
-        write_simulated_map(folder / "learned" / f"{drive}", places // LAYERS + drive, model_key(network))
-    path = folder / f"learning_{places}.map"
-    write_simulated_map(path, places, model_key(network))
-    recognizer = open_recognizer(Config(map=MapConfig(path=str(path), places_per_frame=2 * places)), network=network)
+        write_simulated_map(folder / "learned" / f"{drive}", PLACES // LAYERS + drive, model_key(network))
+    path = folder / "searched"
+    write_simulated_map(path, PLACES, model_key(network))
+    recognizer = open_recognizer(Config(map=MapConfig(path=str(path), places_per_frame=2 * PLACES)), network=network)
     rng = np.random.default_rng(1)
-    source, learning = (
-        _Frames(recognizer, [smooth_picture(rng, SIZE_PX) for _ in range(64)]),
-        Learning(folder / "learned"),
-    )
-    rounds: list[tuple[list[float], list[float]]] = []
+    source = _Frames(recognizer, [smooth_picture(rng, SIZE_PX) for _ in range(64)])
+    learning = Learning(folder / "learned")
+    rounds: list[Floats] = []
+    used_s, learning_s = _used_by_children_s(), 0.0
     try:
         source.block(learning)
         for _ in range(ROUNDS):
-            alone, beside = [], []
+            blocks = []
             for _ in range(max(1, frames // BLOCK)):
                 with learning.stopped():
-                    alone += source.block(None)
-                beside += source.block(learning)
-            rounds.append((alone, beside))
+                    alone_ms = source.block(None)
+                began_s = time.monotonic()
+                blocks.append((alone_ms, source.block(learning)))
+                learning_s += time.monotonic() - began_s
+            rounds.append(np.array(blocks).swapaxes(0, 1).reshape(2, -1))
     finally:
         learning.close()
-    return _section(rounds)
+    yield from table(np.array(rounds), (_used_by_children_s() - used_s) / learning_s)
 
 
-def _section(rounds: Sequence[tuple[list[float], list[float]]]) -> Section:
-    """Of the frames of each round, alone and beside the command."""
-    rows: list[Row] = []
-    tails: list[float] = []
-    for number, what in enumerate(("frame, `map learn` stopped", "frame, `map learn` runs")):
-        times = Times(tuple(float(np.median(one[number])) for one in rounds))
-        over = [float(np.quantile(one[number], TAIL) / np.median(one[0])) for one in rounds]
-        tails.append(float(np.median(over)))
-        ratio = times.ratio(Times(rows[0].times.runs_ms)) if rows and rows[0].times else None
-        note = f"wall-clock; 99 % of frames within {tails[-1]:.2f} times the median of those beside nothing"
-        rows.append(Row(what, times, "stopped" if number else "", ratio, note))
-    target = Target(
-        "99 % of frames while `map learn` runs, against the median of those without",
-        f"{MOST_TIMES:g}x or less",
-        f"{tails[1]:.2f}x ({tails[0]:.2f}x without)",
-        tails[1] <= MOST_TIMES,
-    )
-    return Section("Frames while `map learn` runs", rows, [target])
+def _used_by_children_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def table(rounds_ms: Floats, share: float) -> Iterator[str]:
+    """rounds_ms: (rounds, 2, frames), without the command and with it. share: of a core, that it had."""
+    yield "| `map learn` | median frame | over that without | 99 % of frames, over the median without |"
+    yield "|---|---|---|---|"
+    medians_ms = np.median(rounds_ms, axis=2)
+    tails = np.quantile(rounds_ms, TAIL, axis=2) / medians_ms[:, :1]
+    for number, what in enumerate(("is stopped", f"runs, with {share:.2f} of a core")):
+        ms, over = np.median(medians_ms[:, number]), np.median(medians_ms[:, number] / medians_ms[:, 0])
+        yield f"| {what} | {ms:.0f} ms | {over:.2f} | {np.median(tails[:, number]):.2f} |"
