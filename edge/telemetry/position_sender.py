@@ -226,6 +226,7 @@ class PositionSender:
             vehicle.origin,
             down_m,
             self._use.reset_counter,
+            self._use.is_ignored and vehicle.is_aided and vehicle.autopilot == mavlink.MAV_AUTOPILOT_PX4,
         )
         values: list[Message] = []
         if message.acknowledged or now_ns - self._recorded_ns >= STEADY_RECORD_NS:

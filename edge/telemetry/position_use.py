@@ -47,6 +47,8 @@ class PositionUse:
         self.is_off = False
         """Whether the autopilot has refused positions for good."""
         self._jump: tuple[PlaceFix, Jump, int] | None = None  # and when it was accepted; 0: not yet
+        self.is_ignored = False
+        """Whether the newest position that was accepted, and checked, has not moved the autopilot's own."""
         self._stream.new_session()
 
     def allows(self, now_ns: int) -> bool:
@@ -63,7 +65,9 @@ class PositionUse:
         east_m, north_m = offset_m(own, fix)
         distance_m = math.hypot(east_m, north_m)
         if message.acknowledged:
-            self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
+            # One that was accepted is followed to its end: the next position comes before that.
+            if self._jump is None or not self._jump[2]:
+                self._jump = fix, Jump(own, east_m, north_m, fix.sigma_m), 0
             return
         unused = self._stream.newly_unused(message.name)
         if unused:
@@ -91,10 +95,10 @@ class PositionUse:
         self._publisher.record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict == "accepted":
             self._back_off.reset()
-            if self._jump is not None:  # its own position must move
+            if self._jump is not None and not self._jump[2]:  # its own position must move
                 self._jump = *self._jump[:2], now_ns
             return
-        self._jump = None
+        self._drop_jump()
         self._back_off.failed(now_ns)
         if verdict == "never":
             self.is_off = True
@@ -118,7 +122,13 @@ class PositionUse:
         if self._unanswered is not None:
             fix, _, _ = self._unanswered
             self._unanswered = None
+            self._drop_jump()
             self._publisher.record(FixAnswered(fix.place, NO_ANSWER, fix.map))
+
+    def _drop_jump(self) -> None:
+        """What was not accepted moves nothing."""
+        if self._jump is not None and not self._jump[2]:
+            self._jump = None
 
     def check(self, now_ns: int) -> None:
         """Once it has had time, the autopilot's position must have moved to an accepted one."""
@@ -135,7 +145,7 @@ class PositionUse:
         moved = jump.happened(own)
         if not moved and now_ns - accepted_ns < MOVED_NS:
             return False
-        self._jump = None
+        self._jump, self.is_ignored = None, not moved
         remaining_m = jump.remaining_m(own)
         self._publish_check(fix, remaining_m, "fix accepted", moved=moved)
         if moved:

@@ -28,7 +28,7 @@ class Firmware:
     fix is computed from its send time on the boot clock, or set half a second back if that is wrong.
     accepts_fix_as_long: also as COMMAND_LONG, with float32 degrees. denies_height: a fix with a height is denied.
     fuses_sensor: GLOBAL_POSITION_SENSOR is fused. fuses_vision: VISION_POSITION_ESTIMATE is fused, on the second set of
-    sources. resets_softly: a fix within 5 sigma is fused, and only one beyond resets. noise: of its filter.
+    sources. resets_softly: a fix within 5 sigma is fused; one beyond, or of below 1 m, resets. noise: of its filter.
     needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period of its
     own TIMESYNC requests.
     """

@@ -17,7 +17,7 @@ from sim.vehicle.firmware import Firmware
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
 VISION_SET = 2
-SOFT_GATE = 5.0
+SOFT_GATE, ALWAYS_RESETS_M = 5.0, 1.0  # Ekf::resetGlobalPosToExternalObservation
 EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.5, 0.1, 0.9, 0.15
 """EKF2_EVV_NOISE and VISO_DELAY_MS as in firmware_config, EK3_VIS_VERR_MIN and _MAX as shipped."""
 
@@ -140,7 +140,8 @@ class PositionInputs:
 
     def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
         before_m = self._estimate.error_m
-        if self._firmware.resets_softly and moment.gps_lost_s < math.inf:
+        is_weighed = self._firmware.resets_softly and not sigma_m < ALWAYS_RESETS_M
+        if is_weighed and moment.gps_lost_s < math.inf:
             self._estimate.fuse(east_m, north_m, moment.now_s - age_s, sigma_m, reset_gate=SOFT_GATE)
         else:
             self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
