@@ -1,6 +1,6 @@
 """What `lookback map learn` makes of eight drives over one road, by descriptors of simulated worlds.
 
-    python -m sim.research.evaluation.layers --seeds 701 702 703 704 --cache FOLDER --page docs/living-maps.md
+    python -m sim.research.evaluation.layers --seeds 811 812 813 --cache FOLDER --page docs/living-maps.md
 
 Eight drives, two of a rear camera (day, dusk) and six of a front camera (day, night, dusk, rain, snow, day), become a
 folder of maps. Descriptors are kept in FOLDER. Tables:

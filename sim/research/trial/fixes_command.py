@@ -149,23 +149,24 @@ def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseSc
 
 
 def compare(runs: dict[Planned, Run]) -> list[CourseScore]:
-    """All drives, each case, and each course that fails on layers: on one map, and on layers."""
-    pairs = {
-        one: (run, runs[one._replace(layers=True)]) for one, run in runs.items() if one._replace(layers=True) in runs
-    }
-    pairs = {one: both for one, both in pairs.items() if not one.layers}
+    """All drives, each case, and each course that fails on layers; or each road of one course: one map, and layers."""
+    pairs = {one: one._replace(layers=True) for one in runs if one._replace(layers=True) in runs and not one.layers}
     named = {"**all**": list(pairs)}
-    named |= {
-        f"**{case}: {about}**": [one for one in pairs if COURSES[one.course].case == case]
-        for case, about in CASES.items()
-    }
-    failed = dict.fromkeys(one.course for one, (_, run) in pairs.items() if run.failures)
-    named |= {name: [one for one in pairs if one.course == name] for name in failed}
+    if len({one.course for one in pairs}) == 1:
+        roads = sorted({one.world for one in pairs})
+        named |= {f"road {road}": [one for one in pairs if one.world == road] for road in roads}
+    else:
+        named |= {
+            f"**{case}: {about}**": [one for one in pairs if COURSES[one.course].case == case]
+            for case, about in CASES.items()
+        }
+        failed = dict.fromkeys(one.course for one, layered in pairs.items() if runs[layered].failures)
+        named |= {name: [one for one in pairs if one.course == name] for name in failed}
     return [
-        CourseScore(f"{name}, {what}", tuple(pairs[one][which] for one in ones))
+        CourseScore(f"{name}, {what}", tuple(runs[pairs[one] if layers else one] for one in ones))
         for name, ones in named.items()
         if ones
-        for which, what in enumerate(("one map", "eight layers"))
+        for layers, what in ((False, "one map"), (True, "eight layers"))
     ]
 
 

@@ -293,6 +293,12 @@ def test_layers_are_compared_drive_by_drive_with_one_map() -> None:
     assert [fails for _, _, fails in rows] == [False, True, False, False, False, True, False, True]
 
 
+def test_layers_are_compared_road_by_road_over_one_course() -> None:
+    planned = command.plan(_options(["--course", "home", "--runs", "4", "--worlds", "5,11,63", "--layers"]))
+    names = [score.name for score in command.compare({one: run_of() for one in planned})]
+    assert names[::2] == [f"{one}, one map" for one in ("**all**", "road 5", "road 11", "road 63")]
+
+
 def _bold(cases: str) -> list[str]:
     return [f"**{case}: {CASES[case]}**" for case in cases]
 
