@@ -240,10 +240,8 @@ def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> 
 
 def _row(cut: Cut, judged: list[Judged]) -> str:
     cells = []
-    for kind, threshold in (
-        ("uniqueness", AcceptanceConfig().uniqueness_min),
-        ("belief", AcceptanceConfig().confidence_min),
-    ):
+    acceptance = AcceptanceConfig()
+    for kind, threshold in (("uniqueness", acceptance.uniqueness_min), ("belief", acceptance.confidence_min)):
         answers: list[Answers] = [getattr(one, kind) for one in judged]
         at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
         precision, recall = at_threshold(joined(answers), threshold)
@@ -253,8 +251,21 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
     return f"| {cut} | {' | '.join(cells)} | {np.median(first_m):.0f} m | {again} |"
 
 
+def reliability(answers: Answers, foreign: Floats) -> Iterator[str]:
+    """Of each tenth of confidence: frames over mapped roads, the share of them that is right, and frames elsewhere.
+
+    foreign: confidence (n,) of frames whose road is on no map.
+    """
+    yield from ("| confidence | frames | right | on other roads |", "|---|---|---|---|")
+    tenths = np.ceil(10 * np.nan_to_num(answers.confidence)).astype(int)
+    for tenth in range(1, 11):
+        claimed, others = tenths == tenth, int((np.ceil(10 * foreign) == tenth).sum())
+        right = f"{answers.correct[claimed].mean():.3f}" if claimed.any() else "-"
+        yield f"| {(tenth - 1) / 10:.1f} to {tenth / 10:.1f} | {claimed.sum()} | {right} | {others} |"
+
+
 def main() -> None:
-    """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
+    """Print a table for the seeds: R@P100, precision and recall at the default, the first belief; and reliability."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True)
@@ -279,8 +290,10 @@ def main() -> None:
         if other is not road
         for drive in ds.values()
     ]
-    wrong = sum(int((one.confidence >= AcceptanceConfig().confidence_min).sum()) for one in foreign)
-    print(f"on other roads: {wrong} of {sum(len(one.confidence) for one in foreign)} frames believed")
+    elsewhere = np.concatenate([np.zeros(0), *(one.confidence for one in foreign)])
+    wrong = int((elsewhere >= AcceptanceConfig().confidence_min).sum())
+    print(f"on other roads: {wrong} of {len(elsewhere)} frames believed, at most {elsewhere.max(initial=0):.2f}\n")
+    print("\n".join(reliability(joined([one.belief for cut in CUTS for one in judged[cut]]), elsewhere)))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
-from sim.research.evaluation.belief import Cut, Described, believe, judge, kept
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.belief import Cut, Described, believe, judge, kept, reliability
 from sim.research.evaluation.spacing import FRAMES, LOST, Case, rows_used
 
 PLACES, SPACING_M = 220, 2.0
@@ -46,6 +47,15 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, 
 def test_another_road_is_not_believed() -> None:
     beliefs = believe(road(1), way_home(road(2)), "whole")
     assert beliefs.confidence.max() < AcceptanceConfig().confidence_min
+
+
+def test_reliability_counts_each_tenth_of_confidence() -> None:
+    confidence, right = np.array([np.nan, 0.45, 0.5, 0.5, 0.91]), np.array([False, True, True, False, True])
+    rows = list(reliability(Answers(confidence, right, np.ones(5, dtype=bool)), np.array([0.0, 0.11, 0.2, 1.0])))[2:]
+    assert rows[1] == "| 0.1 to 0.2 | 0 | - | 2 |"
+    assert rows[4] == "| 0.4 to 0.5 | 3 | 0.667 | 0 |"
+    assert rows[9] == "| 0.9 to 1.0 | 1 | 1.000 | 1 |"
+    assert len(rows) == 10
 
 
 def test_a_cut_map_keeps_what_its_name_says() -> None:
