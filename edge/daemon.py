@@ -137,7 +137,7 @@ class Daemon:
     def _compare_motion(self, match: PlaceMatch | None) -> None:
         """Compare the distance that the camera measures with that between the places which it recognizes."""
         motion = self.parts.motion
-        if motion is None:
+        if motion is None or not self._recognizer.is_in_line:
             return
         line = None if match is None else self._estimator.line_of(match)
         if match is None or line is None:
@@ -173,9 +173,9 @@ class Daemon:
     ) -> None:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
         report, gps = self._autopilot.report(), self._autopilot.gps_fix(stamp_ns)
-        stands = self._recognizer.state == "standing"
-        verdict = self._estimator.update(match, stamp_ns, displacement, report, gps, missed=missed, stands=stands)
-        if not stands:
+        in_line = self._recognizer.is_in_line
+        verdict = self._estimator.update(match, stamp_ns, displacement, report, gps, missed=missed, in_line=in_line)
+        if in_line:
             self._autopilot.judge_gps(verdict)
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:

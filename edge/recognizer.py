@@ -61,6 +61,8 @@ class _UsedFrames:
     def __init__(self, config: Config) -> None:
         self._spacing_m, self._standing_change = config.sampling.spacing_m, config.descriptor.standing_change
         self.newest: _UsedFrame | None = None
+        self.unmoved = 0
+        """Frames since then that showed no other place."""
         self._changes: deque[float] = deque(maxlen=KEPT_CHANGES)  # from each to the next
         self._ns_per_m: deque[float] = deque(maxlen=KEPT_CHANGES)  # of the same
 
@@ -105,9 +107,10 @@ class PlaceRecognizer:
         self.matcher = SequenceMatcher(map_set, config, stopwatch)
         self._hold_off = HoldOff(config.acceptance.hold_off_s)
         self._used = _UsedFrames(config)
-        self._unmoved = 0  # frames since the newest used one that showed no other place
         self.was_carried = False
         """Whether the vehicle was moved without its wheels before the newest frame, so that nothing before counts."""
+        self.is_in_line = False
+        """Whether a line may lead through the newest frame: it shows another place, so far from the last one."""
         self.state: State = "warming up"
 
     @property
@@ -122,20 +125,21 @@ class PlaceRecognizer:
         """
         raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, travel.distance_m)
-        self.was_carried = False
+        self.was_carried = self.is_in_line = False
         if self._used.stands_still(frame):
             # A feed whose every frame is a place has passed one, even if it looks like the last.
-            self._unmoved += self.config.sampling.by == "frames"
+            self._used.unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
             return None
         self.was_carried = self._used.is_carried(frame)
         self._reset_after_gap(frame)
-        travel = replace(travel, missed=travel.missed + self._unmoved)
-        self._used.newest, self._unmoved = frame, 0
+        travel = replace(travel, missed=travel.missed + self._used.unmoved)
+        self._used.newest, self._used.unmoved = frame, 0
+        self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
         match = self.matcher.push(raw, travel)
         if match is None:
-            first, is_matched = self.matcher.first, travel.distance_m is not None or not self.matcher.needs_odometer
-            off_the_map = is_matched and first.has_lines
+            first = self.matcher.first
+            off_the_map = self.is_in_line and first.has_lines
             self.state = "off the map" if off_the_map else "searching" if first.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
@@ -189,7 +193,7 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._used.newest, self._unmoved = None, 0
+        self._used.newest, self._used.unmoved = None, 0
         self.state = "warming up"
 
     def begin_way_back(self) -> None:

@@ -122,6 +122,18 @@ def test_standing_still_changes_nothing(network: Network, street_map: ReferenceM
     assert drive(halting, frames[20:30], 21 * FRAME_NS)[-1] == expected[-1]
 
 
+def test_a_line_leads_through_no_frame_that_stands_or_whose_distance_is_not_known(
+    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+) -> None:
+    config = msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="distance"))
+    recognizer = recognizer_of(network, street_map, config)
+    for index, (picture, driven_m, is_in_line) in enumerate(
+        [(0, 0.0, True), (0, 0.2, False), (1, 2.0, True), (2, None, False), (3, 6.0, True)]
+    ):
+        recognizer.observe(frames[picture], index * FRAME_NS, Travel(driven_m))
+        assert recognizer.is_in_line == is_in_line, picture
+
+
 def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_without_a_frame(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:

@@ -34,8 +34,6 @@ estimate stayed on the road while the vehicle left it: 32 m off and 5 sigma; wit
 night and dusk one position of 559 rests on one."""
 MAP_LEAST_M = 1.0
 """The least error of the map's positions in each direction: of the antenna's place, time, and optimistic receivers."""
-MOVED_M = 0.05
-"""A frame that is nearer to the last one than this is in no line."""
 
 
 def position_on_route(route: Route, place_index: int, offset_m: float, direction: Direction) -> Position | None:
@@ -173,9 +171,8 @@ class LineReadings:
         return len(self._readings)
 
     def add(self, reading: NDArray[np.float64]) -> None:
-        """A frame was used there."""
-        if not self._readings or np.abs(reading - self._readings[-1]).max() > MOVED_M:
-            self._readings.append(reading)
+        """A frame that a line may lead through was exposed there."""
+        self._readings.append(reading)
 
     def back(self, frames: float) -> NDArray[np.float64]:
         """The reading so many frames before the newest, between two of them by interpolation."""

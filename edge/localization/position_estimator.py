@@ -72,16 +72,17 @@ class PositionEstimator:
         gps: GpsFix | None = None,
         *,
         missed: int = 0,
-        stands: bool = False,
+        in_line: bool = True,
     ) -> GpsVerdict:
         """Use the answer to one frame; what the places say of GPS since: "wrong" until it agrees again.
 
-        displacement, gps: at its exposure. missed: see `RouteFilter.update`. stands: it shows what the last one did.
+        displacement, gps: at its exposure. missed: see `RouteFilter.update`. in_line: whether a line may
+        lead through the frame, see `PlaceRecognizer`.
         """
         assert self._filter is not None
         believed = self._gps.believed(report)
-        self._filter.update(match, stamp_ns, displacement, missed)
-        if not stands and self._gps.update(match, gps, displacement, believed, self._own.by_gps, missed):
+        self._filter.update(match, stamp_ns, displacement, missed, in_line=in_line)
+        if in_line and self._gps.update(match, gps, displacement, believed, self._own.by_gps, missed):
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
         own, sigma_m = believed.position, believed.gps_sigma_m
@@ -90,7 +91,7 @@ class PositionEstimator:
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == stamp_ns:
             self.observe(fix, report, displacement)
-        return self._gps.verdict if stands else self.use_verdict(self._gps.verdict, report)
+        return self.use_verdict(self._gps.verdict, report) if in_line else self._gps.verdict
 
     def observe(self, fix: PlaceFix, report: Report, displacement: Displacement | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""

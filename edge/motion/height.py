@@ -37,7 +37,6 @@ CONTRADICTS = 2.0
 """Standard deviations that places may differ from what GPS said before: it is as uncertain as that asks for, since the
 mount may have slipped. Of a tenth, half is found within 250 m, and all but 3 % within 400."""
 STRETCHED = 0.25  # the most that the height may be wrong by before two places are not of one drive
-MOVED = 0.03  # heights; a frame that is nearer to the last one is in no line, see MOVED_M of edge.localization
 SPANNED_NS = 2_000_000_000
 """After so long without a motion, how far it drove is not known; 0.3 m too far at braking of 1 m/s^2 until then."""
 SAVED_NS = 60_000_000_000  # between writes of the file
@@ -120,7 +119,7 @@ class CameraHeight:
             self._behind.start(partial(_save, self._path, msgspec.json.encode(self.kept)))
 
     def use_frame(self, line: PassedLine | None) -> None:
-        """A frame was used, of which lines are made; line: that of its match, None where none is believed."""
+        """A frame that lines may lead through; line: that of its match, None where none is believed."""
         self._places.use_frame(line)
         self._combine()
 
@@ -172,9 +171,8 @@ class _ByPlaces:
             self._driven += (before_per_s + heights_per_s) / 2 * (now_ns - before_ns) / 1e9
 
     def use_frame(self, line: PassedLine | None) -> None:
-        """A frame was used here."""
-        if not self._frames or abs(self._driven - self._frames[-1]) > MOVED:
-            self._frames.append(self._driven)
+        """A frame that lines may lead through was exposed here."""
+        self._frames.append(self._driven)
         at = -1.0 if line is None else len(self._frames) - 1 - line.back
         heights = float(np.interp(at, range(len(self._frames)), self._frames))
         if line is None or at < 0 or heights < self._since:

@@ -71,7 +71,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
         if item.distance_m is None:
             readings.clear()
-        else:
+        elif recognizer.is_in_line:
             readings.add(np.array([item.distance_m]))
         if match is not None:
             sign = 1 if match.direction == "forward" else -1

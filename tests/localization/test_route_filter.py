@@ -207,6 +207,17 @@ def test_without_a_displacement_there_is_no_position(open_filter: Callable[..., 
     assert drive.filter.at_exposure() is None
 
 
+def test_a_frame_that_no_line_leads_through_moves_none(open_filter: Callable[..., RouteFilter]) -> None:
+    """As one whose distance is not known, after which a gap of seven places follows."""
+    expected, drive = warm(open_filter()), warm(open_filter())
+    for number in range(4):
+        drive.filter.update(None, drive.stamp_ns + number, drive.displacement(2.0 * number), in_line=False)
+    for one in (expected, drive):
+        one.place, one.frames = one.place + 7, one.frames + 7
+        one.go(LENGTH // 2)
+    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(expected.north_m(expected.filter.at_exposure()))
+
+
 def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., RouteFilter]) -> None:
     few, many = (warm(open_filter(), frames=frames).filter.at_exposure() for frames in (1, 30))
     assert few is not None and many is not None

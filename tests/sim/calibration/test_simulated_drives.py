@@ -134,7 +134,8 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
         lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
         assert lat_deg is not None and lon_deg is not None
         began = began or (lat_deg, lon_deg)
-        tracker.update(match, item.frame.stamp_ns, Displacement(1, *east_north_of(lat_deg, lon_deg, began)))
+        moved = Displacement(1, *east_north_of(lat_deg, lon_deg, began))
+        tracker.update(match, item.frame.stamp_ns, moved, in_line=recognizer.is_in_line)
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
             east_m, north_m, _ = pymap3d.geodetic2enu(found.lat_deg, found.lon_deg, 0, lat_deg, lon_deg, 0)
