@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+import urllib.request
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -94,10 +95,15 @@ def write_page_picture(folder: Path) -> None:
 
 
 def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
-    """The live page as a browser shows it; False, and a line in the log, where there is no Chromium."""
+    """The live page as a browser shows it; False, and a line in the log, without Chromium or without an answer."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
         log.warning("no picture of the live page: Chromium is not installed")
+        return False
+    try:
+        urllib.request.urlopen(url, timeout=SHOT_S).close()
+    except OSError as error:  # Chromium would photograph a page of its own that says so
+        log.warning("no picture of the live page: %s does not answer: %s", url, error)
         return False
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as profile:
