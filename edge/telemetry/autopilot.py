@@ -172,7 +172,7 @@ class AutopilotConnection:
                 self.protocol.opened(now_ns)
                 self._set_state("waiting", str(self._port.connection))
             self._receive(now_ns)
-            self.vehicle.is_aided = self._is_velocity_aided(now_ns)
+            self._notice_aid(now_ns)
             self._send_due(now_ns)
         self._notice_loss()
         for link in self._report_links:
@@ -303,13 +303,17 @@ class AutopilotConnection:
     def _velocity_aid(self) -> str | None:
         return velocity_aid(self.vehicle, self.positions.set_without_gps)
 
-    def _is_velocity_aided(self, now_ns: int) -> bool:
-        """Whether something besides our positions is known to measure the autopilot's velocity.
+    def _notice_aid(self, now_ns: int) -> None:
+        """Whether something besides our positions is known to measure the autopilot's velocity, and whether we do.
 
         Where no positions are sent its parameters are not requested, and nothing of ours can come back.
         """
         is_by_gps = self.vehicle.gps.state(now_ns) == "healthy" and not self._estimator.ignores_gps
-        return is_by_gps or not self.positions.enabled or self._is_aided(now_ns)
+        self.vehicle.is_aided = is_by_gps or not self.positions.enabled or self._is_aided(now_ns)
+        is_px4 = self.vehicle.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        self.vehicle.is_aided_by_camera = (
+            is_px4 and not is_by_gps and self.velocity.is_on and self._velocity_aid == VISION
+        )
 
     def _is_aided(self, now_ns: int) -> bool:
         """Whether anything besides GPS measures it; the camera of ours only while it sees the road."""

@@ -34,11 +34,13 @@ def flying(folder: Path, firmware: str, *, is_on: bool = True, emit: str = "auto
     return Rig(folder, emit, LENIENT, motion=motion, firmware=firmware, errors=RUNS_AWAY, gps_fails_s=fails_s)
 
 
-def see(rig: Rig, seconds: float, mps: float = SPEED_MPS) -> None:
-    """The camera measures ten times a second."""
+def see(rig: Rig, seconds: float, mps: float = SPEED_MPS, followed_mps: float | None = None) -> None:
+    """The camera measures ten times a second. followed_mps: what the positions are made with, if that differs."""
     for _ in range(round(10 * seconds)):
         rig.run(0.1)
-        rig.connection.send_velocity(speed(rig.now_ns, mps))
+        measured = speed(rig.now_ns, mps)
+        rig.connection.vehicle.use_speed(measured.stamp_ns, followed_mps or measured.speed_mps)
+        rig.connection.send_velocity(measured)
 
 
 @pytest.mark.parametrize(("firmware", "kind"), [("px4", "ODOMETRY"), ("ardupilot", "VISION_POSITION_DELTA")])
@@ -50,6 +52,22 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
     assert rig.connection.vehicle.is_aided
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
+
+
+@pytest.mark.parametrize(("firmware", "moved_m"), [("px4", 18.0), ("ardupilot", 24.0)])
+def test_px4_moves_as_the_camera_measures_and_not_as_its_filter_makes_of_it(
+    firmware: str, moved_m: float, tmp_path: Path
+) -> None:
+    """The vehicle drives at 8 m/s, and so PX4's filter has it; the camera is made to measure 6."""
+    rig = flying(tmp_path, firmware)
+    see(rig, 12.0)
+    found = []
+    for _ in range(2):
+        see(rig, 3.0, followed_mps=6.0)
+        found.append(rig.connection.vehicle.displacement(rig.now_ns))
+    before, after = found
+    assert before is not None and after is not None
+    assert math.hypot(after.east_m - before.east_m, after.north_m - before.north_m) == pytest.approx(moved_m, abs=1.0)
 
 
 @pytest.mark.parametrize("motion", ["report", "off"])
