@@ -6,23 +6,21 @@ the vehicle then is:
 
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
     weight = min(uniqueness - 1, 0.15) * sharpness * sqrt(row support)
-    live = sum of agreeing weights * (share of the weights that agree)^2 * stays^(lines before the change-point)
+    live = sum of agreeing weights * (share of the recent weights that agree)^2
     confidence = (live - others) / (live + others + prior)
                  * (1 - overrun / slack) * min(1, 2 * pace) * min(1, support / 0.4)
 
-Sums and shares are of the votes since a change-point, at which the vehicle joined the map or another drive of it: the
-one, of the last four lengths of a sequence, with which a vote has most to say. Two votes agree if they lie in one
-drive, run in one direction, and their offsets differ by at most the slack and the drift of the odometer between them;
-votes in two drives, if they put the vehicle on one spot of the ground. Overrun is how far the place lies beyond its
-drive's end; where the drive is closed, it goes on at its beginning. Pace is the share of the odometer's motion that the
-agreeing votes went along with: the variance of driven less that of offset, over the variance of driven plus (slack /
-4)^2; 0 of a match that stays where it is, and little of a few meters; without an odometer also 0 of places that advance
-slower or faster than the lines that are searched. Support is the share of the newest frames (half a sequence) that are
-like the place of their match, and whose match is where the others are: a vehicle that turned off the mapped road must
-not be believed on it for as long as the old votes count. Of two cameras, the frames of the first one count here, by
-whose lines the vehicle is followed, and its own votes must weigh a tenth of the prior: what only the second one
-recognizes is not believed. The weight of a second camera's vote is multiplied by the square of the share of its recent
-votes that agree with it.
+Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
+drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
+how far the place lies beyond its drive's end; where the drive is closed, it goes on at its beginning. Pace is the share
+of the odometer's motion that the agreeing votes went along with: the variance of driven less that of offset, over the
+variance of driven plus (slack / 4)^2; 0 of a match that stays where it is, and little of a few meters; without an
+odometer also 0 of places that advance slower or faster than the lines that are searched. Support is the share of the
+newest frames (half a sequence) that are like the place of their match, and whose match is where the others are: a
+vehicle that turned off the mapped road must not be believed on it for as long as the old votes count. Of two cameras,
+the frames of the first one count here, by whose lines the vehicle is followed, and its own votes must weigh a tenth of
+the prior: what only the second one recognizes is not believed. The weight of a second camera's vote is multiplied by
+the square of the share of its recent votes that agree with it.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -53,10 +51,6 @@ FEWEST_OF_CAMERA = 5
 """Votes that a second camera counts as having had at least, when it is asked how many of them agree."""
 LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
-STAYS = 0.8
-"""Probability that a vehicle did not join the map within a length of a sequence. On two worlds with the middle third
-off the map, the belief on the last third came after 124 m (164 m without change-points), with as many frames believed
-on 61 km of foreign road (392, 384); with .85 after 95 m, and 461."""
 FEWER_LINES = 1.4
 """By how much more evidence is held against every place where lines against the course are not searched: fewer are left
 to be as good by chance. In 10 km of foreign road the highest confidence was .49 with all lines, .56 without those
@@ -87,11 +81,11 @@ class ConsensusSettings:
     """Lengths in the unit of `PlaceVote.along_m`: meters, or places of a map that knows no meters.
 
     length: frames of a sequence. spacing_m: from one place to the next. step: places from one frame to the next.
-    slopes: places a step of the flattest and the steepest line that is searched without an odometer. reach_lines,
-    recent_lines: how far back votes count, and those of a second camera are asked whether they agree, in lengths of a
-    sequence. slack_m, drift: by how much two agreeing votes may differ, in all and per meter of odometer. blind_drift:
-    the same per meter that was not measured. prior: evidence, in weight per frame of a sequence, that is held against
-    every place. threshold: confidence from which the place is believed.
+    slopes: places a step of the flattest and the steepest line that is searched without an odometer.
+    reach_lines, recent_lines: how far back votes count, and matches are recent, in lengths of a sequence. slack_m,
+    drift: by how much two agreeing votes may differ, in all and per meter of odometer. blind_drift: the same per meter
+    that was not measured. prior: evidence, in weight per frame of a sequence, that is held against every place.
+    threshold: confidence from which the place is believed.
     """
 
     length: int = 40
@@ -279,10 +273,10 @@ class PlaceConsensus:
     def _believe(self) -> PlaceBelief | None:
         settings, votes = self.settings, self._votes
         in_reach = self._within(settings.reach_lines)
-        weights = votes["weight"] * in_reach
+        weights, recent = votes["weight"] * in_reach, votes["weight"] * self._within(settings.recent_lines)
         now_m = self._now_m()
         overrun_m = self._overrun_m(now_m)
-        live, joined = self._since_joining()
+        live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
         live *= (weights > 0) & (overrun_m <= settings.slack_m)  # one that says nothing leads nowhere
         leader = int(live.argmax())
         if live[leader] <= 0:
@@ -299,7 +293,6 @@ class PlaceConsensus:
         along_m = float(middle_m + _within_lap(along_m - middle_m, own["lap_m"]))
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
         others = in_reach & ~group & ~(votes["was_believed"] & (overrun_m > settings.slack_m))
-        others &= self._within(1.0 + joined[leader])
         agreeing, against = float(live[leader]), float(weights[others].sum())
         prior = settings.prior * settings.length
         confidence = max(0.0, (agreeing - against) / (agreeing + against + prior))
@@ -314,15 +307,6 @@ class PlaceConsensus:
         votes["was_believed"] |= group & is_believed
         direction: Direction = "forward" if own["sign"] > 0 else "reverse"
         return PlaceBelief(int(own["drive"]), along_m, direction, confidence, is_believed)
-
-    def _since_joining(self) -> tuple[Floats, NDArray[np.intp]]:
-        """What speaks for each vote (N,) since its best change-point, and how many lines ago that is, less 1."""
-        lines = np.arange(1.0, self.settings.reach_lines + 1)
-        weights = np.stack([self._votes["weight"] * self._within(back) for back in lines], axis=1)
-        agreeing = self._agree @ weights
-        share = agreeing / np.maximum(1e-9, weights.sum(axis=0))
-        live = agreeing * np.square(share) * STAYS ** (lines[-1] - lines)
-        return live.max(axis=1), live.argmax(axis=1)
 
     def _support(self, leader: int, along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""

@@ -163,15 +163,6 @@ def test_belief_ends_when_the_matches_go_elsewhere() -> None:
     assert not belief.is_believed
 
 
-def test_votes_from_before_a_vehicle_joined_another_stretch_hardly_hold_it_back() -> None:
-    """With the share of the votes of the last three lengths of a sequence it was believed there after 226 m."""
-    consensus = PlaceConsensus(SETTINGS)
-    _drive(consensus, _right(100.0, 160))
-    joined = _drive(consensus, _right(700.0, 120), from_m=320.0)
-    there = [frame for frame in _believed(joined) if (belief := joined[frame]) and belief.along_m > 650.0]
-    assert 2.0 * there[0] < 160.0
-
-
 def test_belief_ends_with_the_drive() -> None:
     consensus = PlaceConsensus(SETTINGS)
     assert _last(_drive(consensus, _right(780.0, 100))).is_believed
