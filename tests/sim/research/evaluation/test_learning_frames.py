@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from pathlib import Path
 
@@ -25,6 +27,7 @@ def test_it_stands_still_only_while_it_is_stopped_and_begins_anew(tmp_path: Path
             while _state(first) != "T":
                 assert time.monotonic() < ends_s
         assert _state(first) != "T"
+        os.kill(first, signal.SIGKILL)  # at the lowest priority it may take minutes to end by itself
         while learning.pid == first:
             assert time.monotonic() < ends_s
             learning.keep_running()
