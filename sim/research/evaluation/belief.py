@@ -1,12 +1,13 @@
 """How far the place belief can be trusted: simulated worlds, front against rear, all of the road mapped or part of it.
 
-    python -m sim.research.evaluation.belief --seeds 911 923 --cache FOLDER
+    python -m sim.research.evaluation.belief --seeds 911 923 --cache FOLDER [--page docs/evaluation.md]
 
 Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
 and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
 vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day), as
 is the parallax of the lane home.
 Believed frames of the other seeds' drives, whose road is on no map, are counted below the table.
+--page writes all of it between the marks of a page.
 With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
@@ -33,6 +34,7 @@ from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.research.trial.table import put_between
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import LightName, Scenario
@@ -272,28 +274,38 @@ def main() -> None:
     parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
     parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
     parser.add_argument("--both-cameras", action="store_true", help="a rear camera recognizes as well")
+    parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
     args = parser.parse_args()
-    judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     args.cache.mkdir(parents=True, exist_ok=True)
     seen = list(worlds(args.seeds, args.length, args.cache, both=args.both_cameras))
+    rows = list(tables(seen, args.odometer))
+    print("\n".join(rows))
+    if args.page:
+        put_between(("<!-- belief: begin -->", "<!-- belief: end -->"), args.page, "\n".join(rows))
+
+
+def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> Iterator[str]:
+    """Each part of the roads mapped, drives over roads that are on no map, and the reliability of the confidence."""
+    judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     for road, drives in seen:
-        for cut, one in judge_world(road, drives, args.odometer):
+        for cut, one in judge_world(road, drives, odometer):
             judged[cut].append(one)
-    print("| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |")
-    print("|---|---|---|---|---|")
-    for cut in CUTS:
-        print(_row(cut, judged[cut]))
-    foreign = [
-        believe(road, drive.front, "whole")
+    yield "| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |"
+    yield "|---|---|---|---|---|"
+    yield from (_row(cut, judged[cut]) for cut in CUTS)
+    elsewhere = [
+        (drive.front, believe(road, drive.front, "whole").confidence)
         for road, _ in seen
         for other, ds in seen
         if other is not road
         for drive in ds.values()
     ]
-    elsewhere = np.concatenate([np.zeros(0), *(one.confidence for one in foreign)])
-    wrong = int((elsewhere >= AcceptanceConfig().confidence_min).sum())
-    print(f"on other roads: {wrong} of {len(elsewhere)} frames believed, at most {elsewhere.max(initial=0):.2f}\n")
-    print("\n".join(reliability(joined([one.belief for cut in CUTS for one in judged[cut]]), elsewhere)))
+    foreign = np.concatenate([np.zeros(0), *(confidence for _, confidence in elsewhere)])
+    believed, most = foreign >= AcceptanceConfig().confidence_min, foreign.max(initial=0.0)
+    km = sum(one.driven_m[-1] for one, _ in elsewhere) / 1000
+    what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.2f}"
+    yield f"\nOn {km:.0f} km of other roads {what}.\n"
+    yield from reliability(joined([one.belief for cut in CUTS for one in judged[cut]]), foreign)
 
 
 if __name__ == "__main__":
