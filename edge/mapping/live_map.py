@@ -34,6 +34,7 @@ RESUMED_AT_ONCE = 256
 LINE_POINTS = 500
 SLOWEST_S = 0.01
 """For a place of an earlier drive, on a small computer with a slow card; it took 0.0003 s on a desk's."""
+SLOW_DISK = "the disk is too slow"
 GPS_MOVES = "GPS moves otherwise than the vehicle"
 BY_GPS = ("gps", "dgps", "rtk_float", "rtk_fixed", "ppp", "estimate", "survey")
 log = logging.getLogger(__name__)
@@ -115,7 +116,9 @@ class LiveMap:
             return
         route_m = self._route_m(distance_m)
         try:
-            self._begin_if_new(route_m)
+            if not self._begin_if_new(route_m):
+                self._why = SLOW_DISK
+                return
             now = MappedPlace(raw, self._place(position, route_m, thumbnail(image)))
             for passed in missed_places(self._last, now, missed) if self._last else ():
                 self._add(passed)
@@ -194,8 +197,11 @@ class LiveMap:
         self._driven_m = max(self._driven_m, distance_m)
         return self._base_m + distance_m
 
-    def _begin_if_new(self, route_m: float) -> None:
-        """Begin a file with the first place, and a drive with the first one after a gap. OSError."""
+    def _begin_if_new(self, route_m: float) -> bool:
+        """Begin a file with the first place, and a drive with the first one after a gap. OSError.
+
+        False where the disk is too far behind: the drive begins when it has caught up.
+        """
         if self._log is None:
             file = create_log(log_of(self._path), self._header)
             self._log = PlaceLog(file, self._config.min_free_mb * 1e6)
@@ -203,12 +209,12 @@ class LiveMap:
         since_m = route_m - self._last.place.route_m if self._last is not None else -1.0
         if 0 <= since_m <= apart_m:
             self._mapped_m += since_m
-            return
+            return True
         self._last = None
-        if self._log.begin_drive(DriveBegun(self._view)):
+        begun = self._log.begin_drive(DriveBegun(self._view))
+        if begun:
             self._growing.begin_segment(source_of(self._path), self._view)
-        else:
-            raise OSError(0, "the disk is too slow")
+        return begun
 
     def _add(self, new: MappedPlace) -> None:
         """To the file and to the memory, or, where the disk is behind or the map is full, to neither. OSError."""

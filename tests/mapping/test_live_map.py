@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import resource
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -349,3 +351,29 @@ def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp
     without = make_drive(tmp_path, 1000.0)
     assert delete_oldest(tmp_path, 1.5 * stored_maps(tmp_path, [])[0].size_bytes) == [by_clock]
     assert without.is_dir()
+
+
+def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path) -> None:
+    """The thread that writes runs only when nothing else does, on one processor: the disk seems slow."""
+    mapped, row = live(tmp_path), 20
+    drive(mapped, range(row))
+    (writer,) = (thread for thread in threading.enumerate() if thread.name == "mapping")
+    mine = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(mine)})
+    os.sched_setaffinity(writer.native_id or 0, {min(mine)})
+    os.sched_setscheduler(writer.native_id or 0, os.SCHED_IDLE, os.sched_param(0))
+    try:
+        while mapped.status.state == "mapping" and row < 5000:
+            mapped.add(raw_of(row), IMAGE, replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800), row * 2.0)
+            row += 1
+    finally:
+        os.sched_setaffinity(0, mine)
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "the disk is too slow")
+    while mapped.waiting:
+        time.sleep(0.01)
+    drive(mapped, range(row, row + 20))
+    assert mapped.status.state == "mapping"
+    mapped.close()
+    again = live(tmp_path)
+    assert again.status.places == mapped.status.places
+    again.close()
