@@ -70,7 +70,8 @@ def test_a_day(
         f"{frames} frames in {took_s:.0f} s, {events} events, {messages} messages; {grown:.3f} objects and "
         f"{grown_bytes:.1f} bytes (RSS) more a frame"
     )
-    assert len(set(descriptors)) == 1
+    # Not of every lap: a thread may just be writing a file.
+    assert min(descriptors[-ROUND_LAPS:]) <= min(descriptors[:ROUND_LAPS])
     assert events > frames / 40
     assert messages > frames / 5
     assert grown < BLOCKS_PER_FRAME
