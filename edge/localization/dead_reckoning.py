@@ -30,6 +30,8 @@ DOUBTED_M = 60.0
 """Meters driven in which such a change is in doubt unless it is taken back: then places have shown what it was."""
 TAKEN_BACK = 0.5
 """Share of it that may remain when it is taken back, since the vehicle's own speed changes meanwhile."""
+SLOW_MPS = 1.0
+"""A speed below counts as this: by which factor it changes from almost nothing says nothing."""
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 """Used frames of which the first and the last third are held against each other, the distance that gives a course, and
 how far it must have turned."""
@@ -41,16 +43,16 @@ BACKED_M = 30.0
 class Displacement:
     """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
-    unknown_m: the most by which it may be wrong for all times between two legs.
-    doubtful_m: those that it is too far by if a change of the velocity that no vehicle can make, `STRONGEST_MPS2`, was
-    none.
+    unknown_m: the most by which it may be wrong for all times between two legs. doubtful_east_m, doubtful_north_m: what
+    of it was not driven if a change of the speed that no vehicle can make, `STRONGEST_MPS2`, was none.
     """
 
     leg: int
     east_m: float
     north_m: float
     unknown_m: float = 0.0
-    doubtful_m: float = 0.0
+    doubtful_east_m: float = 0.0
+    doubtful_north_m: float = 0.0
 
     def unknown_since(self, before: Displacement) -> float:
         """The most by which the displacement from another one to this may be wrong, while its velocity was unknown."""
@@ -121,29 +123,28 @@ class Integral:
         return tuple(value + share * (end - value) for value, end in zip(before, after, strict=True))
 
 
-class _Doubt:
-    """By how much the velocity has changed that no vehicle can make, until it changes back or DOUBTED_M are driven."""
+class _Slip:
+    """By which factor the speed has changed as no vehicle's can, until it changes back or DOUBTED_M are driven.
 
-    def __init__(self, velocity_mps: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._velocity_mps = velocity_mps
-        self._doubted_mps = 0.0, 0.0
-        self._most_mps = self._driven_m = 0.0
+    A factor of the speed, not a difference of velocities: wheels lose their hold in one heading at one speed, and find
+    it again in another at another. As a difference, a spin in a bend left doubt that took that of the spin away again:
+    positions were 16 m (5.1 sigma) off.
+    """
 
-    def of(self, elapsed_ns: int, velocity_mps: tuple[float, float]) -> float:
-        """What is doubtful of the velocity ahead, which was reported so long after the last one."""
-        before_mps, doubted_mps = self._velocity_mps, self._doubted_mps
-        self._velocity_mps = velocity_mps
-        self._driven_m += math.hypot(*before_mps) * elapsed_ns / 1e9
-        if math.dist(velocity_mps, before_mps) > STRONGEST_MPS2 * elapsed_ns / 1e9:
-            east_mps, north_mps = (
-                d + now - then for d, now, then in zip(doubted_mps, velocity_mps, before_mps, strict=True)
-            )
-            self._doubted_mps = east_mps, north_mps
-            self._most_mps, self._driven_m = max(self._most_mps, math.hypot(east_mps, north_mps)), 0.0
-        elif math.hypot(*doubted_mps) < TAKEN_BACK * self._most_mps or self._driven_m > DOUBTED_M:
-            self._doubted_mps, self._most_mps = (0.0, 0.0), 0.0
-        ahead = sum(d * v for d, v in zip(self._doubted_mps, velocity_mps, strict=True))
-        return ahead / max(math.hypot(*velocity_mps), STANDING_MPS)
+    def __init__(self, speed_mps: float = 0.0) -> None:
+        self._speed_mps = speed_mps
+        self._log = self._most = self._driven_m = 0.0
+
+    def doubtful(self, elapsed_ns: int, speed_mps: float) -> float:
+        """The share of the speed, which was reported so long after the last one, that is in doubt."""
+        before_mps, self._speed_mps = self._speed_mps, speed_mps
+        self._driven_m += before_mps * elapsed_ns / 1e9
+        if abs(speed_mps - before_mps) > STRONGEST_MPS2 * elapsed_ns / 1e9:
+            self._log += math.log(max(speed_mps, SLOW_MPS) / max(before_mps, SLOW_MPS))
+            self._most, self._driven_m = max(self._most, abs(self._log)), 0.0
+        elif abs(self._log) < TAKEN_BACK * self._most or self._driven_m > DOUBTED_M:
+            self._log = self._most = 0.0
+        return 1 - math.exp(-self._log)
 
 
 class DeadReckoning:
@@ -154,7 +155,7 @@ class DeadReckoning:
         self._displacement = Integral(LONGEST_GAP_NS)
         self._legs = 0
         self._unknown_m, self._is_leg_over = 0.0, True
-        self._doubt = _Doubt()
+        self._slip = _Slip()
         self.gaps = 0
         """How often speeds came so late that the distance driven meanwhile is not known."""
         self._speed_mps = self._furthest_m = 0.0
@@ -199,33 +200,33 @@ class DeadReckoning:
         """
         if not math.hypot(east_mps, north_mps) <= MAX_SPEED_MPS:
             return
-        last_ns = self._displacement.last_ns
+        last_ns, speed_mps = self._displacement.last_ns, math.hypot(*(reported_mps or (east_mps, north_mps)))
         if last_ns is not None and stamp_ns <= last_ns:
             return
-        if last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS:
-            self._begin_leg(stamp_ns, east_mps, north_mps, reported_mps or (east_mps, north_mps))
+        begins_leg = last_ns is None or self._is_leg_over or stamp_ns - last_ns > LONGEST_GAP_NS
+        if begins_leg or not may_slip:
+            self._slip = _Slip(speed_mps)
+        if last_ns is None or begins_leg:
+            self._begin_leg(stamp_ns, east_mps, north_mps)
         else:
-            if not may_slip:
-                self._doubt = _Doubt((east_mps, north_mps))
-            doubtful_mps = self._doubt.of(stamp_ns - last_ns, reported_mps or (east_mps, north_mps))
-            self._displacement.add(stamp_ns, east_mps, north_mps, doubtful_mps)
+            share = self._slip.doubtful(stamp_ns - last_ns, speed_mps)
+            self._displacement.add(stamp_ns, east_mps, north_mps, share * east_mps, share * north_mps)
 
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
         """The next velocity is of another filter, as after a reboot, or even of another vehicle."""
         self._is_leg_over = True
         self._unknown_m += 0.0 if is_same_vehicle else ELSEWHERE_M
 
-    def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float, reported_mps: tuple[float, float]) -> None:
+    def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
         """Nobody knows how the vehicle moved since the last leg: at most as fast as before or after it."""
         last_ns, total, rate = self._displacement.last_ns, self._displacement.total, self._displacement.rate
         if last_ns is not None and total is not None:
             silent_s = (stamp_ns - last_ns) / 1e9
             most_mps = max(math.hypot(*rate[:2]), math.hypot(east_mps, north_mps), LEAST_SILENT_MPS)
             self._unknown_m += most_mps * silent_s
-            ends = zip(total, rate, (east_mps, north_mps, 0.0), strict=True)
+            ends = zip(total, rate, (east_mps, north_mps, 0.0, 0.0), strict=True)
             total = tuple(moved_m + (before + after) / 2 * silent_s for moved_m, before, after in ends)
-        self._doubt = _Doubt(reported_mps)
-        self._displacement.begin(stamp_ns, total or (0.0, 0.0, 0.0), east_mps, north_mps, 0.0)
+        self._displacement.begin(stamp_ns, total or (0.0,) * 4, east_mps, north_mps, 0.0, 0.0)
         self._legs, self._is_leg_over = self._legs + 1, False
 
     @property
@@ -255,8 +256,8 @@ class DeadReckoning:
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
         if moved is None:
             return None
-        east_m, north_m, doubtful_m = moved
-        return Displacement(self._legs, east_m, north_m, unknown_m=self._unknown_m, doubtful_m=doubtful_m)
+        east_m, north_m, *doubtful_m = moved
+        return Displacement(self._legs, east_m, north_m, self._unknown_m, *doubtful_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""

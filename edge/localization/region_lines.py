@@ -59,7 +59,7 @@ class RegionLine(NamedTuple):
 class Passed(NamedTuple):
     """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
 
-    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (3,) how the vehicle moved since, see
+    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since, see
     `route_estimate`.
     """
 

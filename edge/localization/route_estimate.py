@@ -8,7 +8,7 @@
     correction along the road by the line of a match, or along and across it by the lines of its two regions; without
                those, the position across is never less certain than the road is wide, see `keep_on_road`
 
-A displacement is (3,): meters east, meters north, and how many of them are doubtful, see `Displacement`. All but
+A displacement is (4,): meters east and north, and what is doubtful of them, see `Displacement`. All but
 position and share are first-order Gauss-Markov processes over the distance. The last three are what makes matches
 within a correlation length of each other about one observation.
 """
@@ -157,16 +157,16 @@ class RouteEstimate:
         return float(np.hypot(self.mean[2], self.mean[3]))
 
     def truly(self, displacement_m: Vector) -> Vector:
-        """Meters (..., 2) of displacements (..., 3) without the errors that were found."""
-        doubtful_m = float(self.mean[DOUBT]) * displacement_m[..., 2:] * _direction(displacement_m)
-        return (1 + float(self.mean[3])) * _turned(displacement_m[..., :2], float(self.mean[2])) + doubtful_m
+        """Meters (..., 2) of displacements (..., 4) without the errors that were found."""
+        moved_m = displacement_m[..., :2] + float(self.mean[DOUBT]) * displacement_m[..., 2:]
+        return (1 + float(self.mean[3])) * _turned(moved_m, float(self.mean[2]))
 
     def predict(self, displacement_m: Vector) -> None:
-        """Move on by a displacement (3,)."""
+        """Move on by a displacement (4,)."""
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_regions_m += driven_m
-        begins_doubt, self._is_doubtful = displacement_m[2] != 0 and not self._is_doubtful, displacement_m[2] != 0
-        if begins_doubt:
+        was_doubtful, self._is_doubtful = self._is_doubtful, bool(displacement_m[2:].any())
+        if self._is_doubtful and not was_doubtful:
             self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
             self.mean[DOUBT], self.covariance[DOUBT, DOUBT] = DOUBTFUL[0], DOUBTFUL[1] ** 2
         self.mean[:2] += self.truly(displacement_m)
@@ -272,7 +272,7 @@ class RouteEstimate:
         self.mean[2:MATCH] = self.covariance[2:MATCH, :] = self.covariance[:, 2:MATCH] = 0.0
         self.covariance[2:MATCH, 2:MATCH] = np.diag(self._variances[: MATCH - 2])
         for direction in np.eye(2):
-            row = self._row(direction, np.zeros(3), OF_ROAD)
+            row = self._row(direction, np.zeros(4), OF_ROAD)
             variance = float(row @ self.covariance @ row)
             if variance > sigma_m**2:
                 off_m = float(direction @ (position_m - self.position_m))
@@ -285,9 +285,9 @@ class RouteEstimate:
 
     def _slopes(self, displacement_m: Vector) -> NDArray[np.float64]:
         """Of `truly` against heading error, scale error and the share of what is doubtful, (2, 3)."""
-        turned = _turned(displacement_m[:2], self.mean[2])
-        doubtful_m = displacement_m[2] * _direction(displacement_m)
-        return np.column_stack([(1 + self.mean[3]) * np.array([turned[1], -turned[0]]), turned, doubtful_m])
+        scale, doubtful_m = 1 + self.mean[3], _turned(displacement_m[2:], self.mean[2])
+        turned = _turned(displacement_m[:2], self.mean[2]) + self.mean[DOUBT] * doubtful_m
+        return np.column_stack([scale * np.array([turned[1], -turned[0]]), turned, scale * doubtful_m])
 
     def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:
         """How a measurement along `direction` depends on the state; errors: on those of matches."""
@@ -312,12 +312,6 @@ def _each(lines: RegionLines) -> tuple[tuple[RegionLine, int, float], ...]:
 def left_of(along: Vector) -> Vector:
     """The unit vectors (..., 2) to the left of others."""
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)
-
-
-def _direction(displacement_m: Vector) -> Vector:
-    """Unit vectors (..., 2) of displacements (..., 3); zero for none."""
-    length_m = np.hypot(displacement_m[..., :1], displacement_m[..., 1:2])
-    return displacement_m[..., :2] / np.where(length_m > 0, length_m, 1.0)
 
 
 def _turned(vector: Vector, clockwise_rad: float) -> Vector:

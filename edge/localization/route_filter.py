@@ -251,4 +251,5 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
 
 
 def _vector(displacement: Displacement) -> Vector:
-    return np.array([displacement.east_m, displacement.north_m, displacement.doubtful_m])
+    doubtful_m = displacement.doubtful_east_m, displacement.doubtful_north_m
+    return np.array([displacement.east_m, displacement.north_m, *doubtful_m])

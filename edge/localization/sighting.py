@@ -97,7 +97,7 @@ class Sightings:
         self._readings.clear()
 
     def add(self, displacement_m: Vector) -> None:
-        """A frame was used there (3,)."""
+        """A frame was used there (4,)."""
         self._readings.add(displacement_m)
 
     def local(self, position: Position | VehiclePosition) -> Vector:
@@ -167,7 +167,7 @@ class Sightings:
         if parallax is None or not self._rig.parallax:
             return None
         spacing_m = self._route.drive(match.place_index).spacing_m
-        in_doubt = self._since(float(parallax.ages.max()))[2] != 0
+        in_doubt = bool(self._since(float(parallax.ages.max()))[2:].any())
         rows = parallax.ages[: ROWS_IN_DOUBT if in_doubt else None]
         ages = np.append(rows, rows.mean())
         passed = self._passed_at(match, line, ages)
@@ -183,7 +183,8 @@ class Sightings:
         along_m = np.einsum("nd,nd->n", passed.along, off_m)
         left_m = np.einsum("nd,nd->n", left_of(seen.along), seen_off_m)
         driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
-        further_m, priors = _further(driven_m, passed.since_m[:, 2], scale_sigma, doubt_sigma)
+        doubtful_m = np.einsum("nd,nd->n", passed.along, passed.since_m[:, 2:])
+        further_m, priors = _further(driven_m, doubtful_m, scale_sigma, doubt_sigma)
         found = []
         for costs, side in zip(parallax.costs[:, : len(rows)], SIDES, strict=True):
             lies_m = along_m + side * self._rig.parallax * left_m
@@ -213,7 +214,7 @@ class Sightings:
         return Passed(place_m, along, np.array([self._since(age) for age in ages]))
 
     def _since(self, frames: float) -> Vector:
-        """The displacement (3,) since so many frames ago; of the future, as it goes on."""
+        """The displacement (4,) since so many frames ago; of the future, as it goes on."""
         if frames < 0:
             return frames / STRAIGHT * (self._readings.back(0) - self._readings.back(STRAIGHT))
         return self._readings.back(0) - self._readings.back(frames)

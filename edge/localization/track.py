@@ -35,7 +35,7 @@ class Track:
         return not self.contradicts_reckoning or self.driven_m - self.since_m >= CORRELATION_M
 
     def move(self, displacement_m: Vector) -> None:
-        """Move on by a displacement (3,) of the autopilot's velocity; see `RouteEstimate.predict`."""
+        """Move on by a displacement (4,) of the autopilot's velocity; see `RouteEstimate.predict`."""
         self.estimate.predict(displacement_m)
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_m += driven_m

@@ -250,7 +250,10 @@ class Bench:
         return found
 
     def _heading(self, s: float) -> float:
-        return float(self.heading[min(int(s), len(self.heading) - 1)])
+        """Between two meters it turns evenly: in steps, a vehicle beside the road would leap in a bend."""
+        at = min(int(s), len(self.heading) - 2)
+        turns = math.remainder(float(self.heading[at + 1] - self.heading[at]), math.tau)
+        return float(self.heading[at]) + (s - at) * turns
 
     def _truth(self, s: float, at: Points | None) -> Points:
         if at is not None:

@@ -191,7 +191,22 @@ def test_a_change_of_the_velocity_that_no_vehicle_makes_is_doubtful_until_it_is_
     moved = motion.displacement(99 * S // 10)
     assert moved is not None
     assert moved.north_m == pytest.approx(8.0 * 9.9 + 3.0 * faster_mps, abs=0.1)
-    assert moved.doubtful_m == pytest.approx(doubtful_m, abs=0.5)
+    assert moved.doubtful_north_m == pytest.approx(doubtful_m, abs=0.5)
+
+
+def test_wheels_that_spin_in_a_bend_are_doubtful_in_the_directions_that_were_driven() -> None:
+    """They lose their hold slowly heading north, and find it fast heading east: no doubt remains that points back."""
+    motion = DeadReckoning()
+    spun_m = [0.0, 0.0]
+    for tenth in range(150):
+        turned = min(max(0.0, tenth / 10 - 2.0) / 3.0, 1.0)
+        speed_mps, heading_rad, spins = 3.0 + 5.0 * turned, math.radians(90) * turned, 20 <= tenth < 50
+        ahead = math.sin(heading_rad), math.cos(heading_rad)
+        motion.add_velocity(tenth * S // 10, *((1.5 if spins else 1.0) * speed_mps * one for one in ahead))
+        spun_m = [meters + spins * 0.5 * speed_mps * one / 10 for meters, one in zip(spun_m, ahead, strict=True)]
+    moved = motion.displacement(149 * S // 10)
+    assert moved is not None
+    assert (moved.doubtful_east_m, moved.doubtful_north_m) == pytest.approx(spun_m, abs=0.5)
 
 
 def test_a_velocity_that_stays_changed_is_doubtful_for_60_m() -> None:
@@ -200,7 +215,7 @@ def test_a_velocity_that_stays_changed_is_doubtful_for_60_m() -> None:
         motion.add_velocity(tenth * S // 10, 0.0, 8.0 if tenth < 20 else 12.0)
     moved = motion.displacement(299 * S // 10)
     assert moved is not None
-    assert moved.doubtful_m == pytest.approx(DOUBTED_M / 3, abs=1.0), "4 of 12 m/s"
+    assert moved.doubtful_north_m == pytest.approx(DOUBTED_M / 3, abs=1.0), "4 of 12 m/s"
 
 
 def test_a_velocity_by_rounded_positions_is_not_in_doubt() -> None:
@@ -212,5 +227,5 @@ def test_a_velocity_by_rounded_positions_is_not_in_doubt() -> None:
             motion.add_velocity(number * 16_000_000, 8.0 + 0.7 * (number % 2), 0.0, (8.0, 0.0) if reported else None)
         found = motion.displacement(49 * 16_000_000)
         assert found is not None
-        doubtful_m.append(found.doubtful_m)
+        doubtful_m.append(found.doubtful_east_m)
     assert doubtful_m[0] == 0 != doubtful_m[1]

@@ -38,7 +38,7 @@ def drive(seed: int, places: int = 400) -> tuple[RouteEstimate, NDArray[np.float
     sin, cos = np.sin(heading_rad), np.cos(heading_rad)
     steps = np.diff(points, axis=0, prepend=points[:1])
     reckoned = np.cumsum(steps @ np.array([[cos, sin], [-sin, cos]]) / (1 + scale), axis=0)
-    reckoned = np.column_stack([reckoned, np.zeros(places)])
+    reckoned = np.column_stack([reckoned, np.zeros((places, 2))])
     stays_m, wander_m, kept = rng.normal(0, MATCH_M / 2), rng.normal(0, MATCH_M), np.exp(-2 / CORRELATION_M)
     estimate = None
     for at in range(BEHIND, places):
@@ -66,24 +66,24 @@ def test_the_covariance_is_that_of_the_errors() -> None:
 
 def test_matches_of_one_correlation_length_are_about_one_observation() -> None:
     along, points = winding(40)
-    estimate = RouteEstimate.on_road(Passed(points[0], along[0], np.zeros(3)), 2.0, ERRORS)
+    estimate = RouteEstimate.on_road(Passed(points[0], along[0], np.zeros(4)), 2.0, ERRORS)
     sigmas_m = []
     for at in range(30):
-        estimate.predict(np.array([*(2 * along[at]), 0.0]) if at else np.zeros(3))
-        estimate.correct(Passed(points[at], along[at], np.zeros(3)), JITTER_M)
+        estimate.predict(np.array([*(2 * along[at]), 0.0, 0.0]) if at else np.zeros(4))
+        estimate.correct(Passed(points[at], along[at], np.zeros(4)), JITTER_M)
         sigmas_m.append(np.sqrt(along[at] @ estimate.covariance[:2, :2] @ along[at]))
     assert MATCH_M <= sigmas_m[-1] <= sigmas_m[0] <= 1.3 * sigmas_m[-1]
 
 
 def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
-    passed = Passed(np.zeros(2), np.array([0.0, 1.0]), np.zeros(3))
+    passed = Passed(np.zeros(2), np.array([0.0, 1.0]), np.zeros(4))
     estimate = RouteEstimate.on_road(passed, 1.0, ERRORS)
     estimate.correct(passed, JITTER_M)
     for _ in range(100):
         estimate.keep_on_road(passed, 3.0)
     assert estimate.covariance[0, 0] == pytest.approx(1.0), "it was better known before"
     for _ in range(100):
-        estimate.predict(np.array([0.0, 5.0, 0.0]))
+        estimate.predict(np.array([0.0, 5.0, 0.0, 0.0]))
         passed = passed._replace(place_m=passed.place_m + np.array([0.0, 5.0]))
         estimate.keep_on_road(passed, 3.0)
     assert estimate.covariance[0, 0] == pytest.approx(9.0)
@@ -96,7 +96,7 @@ def lines(*at_m: float, here: float = 0.0, contrast: float = 0.4) -> RegionLines
     anywhere = np.full(129, 1 / 129)
     each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
     left, right = (RegionLine(likely, contrast) for likely in each)
-    passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(3))
+    passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(4))
     return RegionLines(passed, passed, 2.0, beyond_m, left, right)
 
 
@@ -140,7 +140,7 @@ def test_a_vehicle_far_beside_its_lane_to_which_faint_lines_show_the_lane_stays_
     for contrast in (0.06, 0.4):
         estimate = RouteEstimate(np.array([4.0, 0.0]), 33.0 * np.eye(2), ERRORS)
         for at in range(1, 6):
-            estimate.predict(np.array([0.0, 17.0, 0.0]))
+            estimate.predict(np.array([0.0, 17.0, 0.0, 0.0]))
             estimate.correct_by_regions(lines(0.0, 0.0, here=17.0 * at, contrast=contrast))
         sigmas.append((7.0 - float(estimate.position_m[0])) / float(np.sqrt(estimate.covariance[0, 0])))
     faint, clear = sigmas
@@ -187,7 +187,7 @@ def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> Non
 def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -> None:
     estimate = RouteEstimate(np.array([20.0, 0.0]), 30.0**2 * np.eye(2), ERRORS)
     for _ in range(200):
-        estimate.predict(np.array([0.0, 5.0, 0.0]))
+        estimate.predict(np.array([0.0, 5.0, 0.0, 0.0]))
         estimate.bound(np.array([0.0, 5.0 * (_ + 1)]), 3.0)
     assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(3.0, rel=0.01), "however often it is seen"
     assert estimate.position_m == pytest.approx([0.0, 1000.0], abs=0.5)
@@ -208,19 +208,19 @@ def test_another_drive_has_an_error_of_its_own() -> None:
 def test_displacements_are_turned_clockwise_and_scaled() -> None:
     estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
     estimate.mean[2:4] = np.pi / 2, 0.1
-    assert estimate.truly(np.array([0.0, 10.0, 0.0])) == pytest.approx([11.0, 0.0])
+    assert estimate.truly(np.array([0.0, 10.0, 0.0, 0.0])) == pytest.approx([11.0, 0.0])
 
 
 def test_what_is_doubtful_was_driven_or_not_and_only_what_was_passed_since_it_began_says_which() -> None:
     """Reckoned are 40 m, of which wheels that spun are 12: the vehicle is between 28 and 40 m further."""
     for passed_m, since_m, sigma_m, at_m in (
-        (0.0, (0.0, 40.0, 12.0), (5.5, 7.0), (33.0, 35.0)),
-        (28.0, (0.0, 0.0, 0.0), (0.5, 1.5), (28.0, 29.0)),
+        (0.0, (0.0, 40.0, 0.0, 12.0), (5.5, 7.0), (33.0, 35.0)),
+        (28.0, (0.0, 0.0, 0.0, 0.0), (0.5, 1.5), (28.0, 29.0)),
     ):
         errors = VelocityErrors(HEADING_RAD, 0.01, MatchErrors(1.0))
         estimate = RouteEstimate(np.zeros(2), np.eye(2), errors)
         for _ in range(20):
-            estimate.predict(np.array([0.0, 2.0, 0.6]))
+            estimate.predict(np.array([0.0, 2.0, 0.0, 0.6]))
         estimate.correct(Passed(np.array([0.0, passed_m]), np.array([0.0, 1.0]), np.array(since_m)), 0.5)
         assert at_m[0] <= estimate.position_m[1] <= at_m[1]
         assert sigma_m[0] <= np.sqrt(estimate.covariance[1, 1]) <= sigma_m[1]

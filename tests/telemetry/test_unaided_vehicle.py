@@ -98,7 +98,7 @@ def test_wheels_may_slip_but_a_camera_that_saw_nothing_has_missed_a_braking(whee
             vehicle.use_speed(now_ns - S // 20, mps)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), now_ns)
     moved = vehicle.displacement(8 * S)
-    assert moved is not None and (moved.doubtful_m != 0) == doubtful
+    assert moved is not None and (moved.doubtful_north_m != 0) == doubtful
 
 
 def test_wheels_count_before_the_camera() -> None:
