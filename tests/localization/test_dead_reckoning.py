@@ -201,9 +201,10 @@ def test_wheels_that_spin_in_a_bend_are_doubtful_in_the_directions_that_were_dri
     for tenth in range(150):
         turned = min(max(0.0, tenth / 10 - 2.0) / 3.0, 1.0)
         speed_mps, heading_rad, spins = 3.0 + 5.0 * turned, math.radians(90) * turned, 20 <= tenth < 50
-        ahead = math.sin(heading_rad), math.cos(heading_rad)
-        motion.add_velocity(tenth * S // 10, *((1.5 if spins else 1.0) * speed_mps * one for one in ahead))
-        spun_m = [meters + spins * 0.5 * speed_mps * one / 10 for meters, one in zip(spun_m, ahead, strict=True)]
+        mps = (1.5 if spins else 1.0) * speed_mps
+        motion.add_velocity(tenth * S // 10, mps * math.sin(heading_rad), mps * math.cos(heading_rad))
+        spun_m[0] += (mps - speed_mps) * math.sin(heading_rad) / 10
+        spun_m[1] += (mps - speed_mps) * math.cos(heading_rad) / 10
     moved = motion.displacement(149 * S // 10)
     assert moved is not None
     assert (moved.doubtful_east_m, moved.doubtful_north_m) == pytest.approx(spun_m, abs=0.5)
