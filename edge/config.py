@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,8 @@ from edge.toml_file import convert_toml, read_text, toml_values
 
 log = logging.getLogger(__name__)
 MOST_CROPPED = 0.9
+SEQUENCE_M = 80.0  # of section IV-D; docs/evaluation.md, "Any spacing"
+FEWEST_FRAMES, MOST_FRAMES = 40, 80  # most: as far as it was measured, with frames each meter
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 START_TOML = Path(__file__).with_name("start.toml")
 
@@ -128,9 +131,9 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[sequence]: the search of eq. 2 and 3."""
+    """[sequence]: the search of eq. 2 and 3. Config.sequence_frames is the length where the file has none."""
 
-    length: Annotated[int, Meta(ge=2, le=500)] = 40
+    length: Annotated[int, Meta(ge=2, le=500)] | UnsetType = UNSET
     slope_limit_rad: Annotated[float, Meta(ge=0, le=0.6)] = 0.2
     slopes: Annotated[int, Meta(ge=1, le=101)] = 21
     directions: Literal["both", "forward", "reverse"] = "both"
@@ -330,6 +333,17 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("[mapping] recognize: needs a second camera; add [mapping.camera], or set it to false")
         if self.mapping.recognize and self.descriptor.regions != "left-right":
             raise ValueError('[mapping] recognize: needs [descriptor] regions = "left-right"')
+
+    @property
+    def sequence_frames(self) -> int:
+        """Frames of a sequence: the file's, or enough for the 80 m of the paper, between FEWEST_FRAMES and MOST_FRAMES.
+
+        Sequences of 40 m are wrong too often: docs/evaluation.md, "Any spacing".
+        """
+        if self.sequence.length is not UNSET:
+            return self.sequence.length
+        frames = math.ceil(SEQUENCE_M / self.sampling.spacing_m) if self.sampling.by == "distance" else FEWEST_FRAMES
+        return min(max(frames, FEWEST_FRAMES), MOST_FRAMES)
 
 
 def load_config(path: Path) -> Config:

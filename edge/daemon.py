@@ -202,7 +202,7 @@ class Daemon:
 
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
-        behind = self._recognizer.map_set.folders_behind(match.place_index, self.parts.config.sequence.length)
+        behind = self._recognizer.map_set.folders_behind(match.place_index, self.parts.config.sequence_frames)
         while not self.parts.verification.checksums.is_verified(behind):
             if not self._check_maps(behind):
                 return False

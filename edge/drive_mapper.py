@@ -50,7 +50,7 @@ class DriveMapper:
     ) -> None:
         """Open the camera and the file; SetupError for the camera. `parts` closes them. frames: of that camera."""
         self._autopilot, self._record, self._clock_ns = autopilot, record, clock_ns
-        self._line_m = config.sequence.length * config.sampling.spacing_m
+        self._line_m = config.sequence_frames * config.sampling.spacing_m
         self._drift = config.gates.drift_percent / 100
         camera = config.mapping.camera
         view = config.camera.view if camera is UNSET else camera.view

@@ -218,7 +218,7 @@ class PlaceRecognizer:
         last = self._used.newest
         if last is None or 0 <= frame.stamp_ns - last.stamp_ns <= self.config.sequence.max_gap_s * 1e9:
             return
-        stood_m = MOST_MISSED * self.config.sequence.length * self.config.sampling.spacing_m
+        stood_m = MOST_MISSED * self.config.sequence_frames * self.config.sampling.spacing_m
         if not (frame.stamp_ns > last.stamp_ns and 0 <= frame.driven_since_m(last) <= stood_m):
             self.matcher.reset()
 

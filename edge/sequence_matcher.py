@@ -52,7 +52,7 @@ class CameraMatcher:
         """config: with [camera] view of that camera. `stopwatch(stage)` is called after each stage of a frame."""
         self._config, self._stopwatch = config, stopwatch
         self._normalizer = OnlineNormalizer(
-            config.sequence.length,
+            config.sequence_frames,
             renormalize_ring=config.descriptor.renormalize_ring,
             enabled=config.descriptor.normalization == "online",
         )
@@ -103,7 +103,7 @@ class CameraMatcher:
 
     def ends_sequence(self, step: float, usual: float) -> bool:
         """Whether a step between two frames is too long for a line to run over; usual: step of this camera's frames."""
-        return step > (1 + MOST_MISSED * self._config.sequence.length) * usual
+        return step > (1 + MOST_MISSED * self._config.sequence_frames) * usual
 
     def push(
         self,
@@ -235,7 +235,7 @@ class SequenceMatcher:
     @property
     def lacks_odometer(self) -> bool:
         """Whether frames of a whole sequence came without a known distance."""
-        return (self._unmeasured or 0) >= self._config.sequence.length
+        return (self._unmeasured or 0) >= self._config.sequence_frames
 
     @property
     def spacing(self) -> str:
@@ -315,5 +315,5 @@ def _as_second(config: Config) -> Config:
     camera = config.mapping.camera
     assert camera is not UNSET
     descriptor = msgspec.structs.replace(config.descriptor, renormalize_ring=False)
-    sequence = msgspec.structs.replace(config.sequence, length=max(2, config.sequence.length // SECOND_EVERY))
+    sequence = msgspec.structs.replace(config.sequence, length=max(2, config.sequence_frames // SECOND_EVERY))
     return msgspec.structs.replace(config, camera=camera, descriptor=descriptor, sequence=sequence)

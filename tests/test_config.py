@@ -134,6 +134,22 @@ def test_paths_are_relative_to_the_file() -> None:
     assert config.descriptor.model == ""  # "" stays the shipped model
 
 
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("", 40),
+        ("[sampling]\nspacing_m = 1.0", 80),
+        ("[sampling]\nspacing_m = 1.5", 54),
+        ("[sampling]\nspacing_m = 0.1", 80),
+        ("[sampling]\nspacing_m = 6.0", 40),
+        ('[sampling]\nby = "frames"\nspacing_m = 1.0', 40),
+        ("[sampling]\nspacing_m = 1.0\n[sequence]\nlength = 20", 20),
+    ],
+)
+def test_a_sequence_spans_80_m_unless_the_file_says_otherwise(text: str, frames: int) -> None:
+    assert parse_config(text, HERE).sequence_frames == frames
+
+
 def test_an_option_out_of_range_names_the_option() -> None:
     assert checked_option(SequenceConfig(), "--sequence-length", length=40).length == 40
     with pytest.raises(ConfigError, match=r"^--sequence-length: expected `int` >= 2$"):

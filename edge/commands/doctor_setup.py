@@ -99,7 +99,7 @@ def check_map(examined: Examined) -> Iterator[Found]:
     yield good(f"{path}: map of {maps}, all checksums match")
     for excluded in maps.excluded:
         yield note(f"{excluded.why}; excluded", "the others are used; build or copy this one again")
-    places, length = maps.index.places, config.sequence.length
+    places, length = maps.index.places, config.sequence_frames
     if places < 2 * length:
         found = bad if places < length else note  # with fewer places than frames no sequence ends anywhere
         words = f"{places} places are too few for sequences of {length}"

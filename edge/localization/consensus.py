@@ -106,7 +106,7 @@ class ConsensusSettings:
 
         some_excluded: whether lines against the vehicle's course were not searched.
         """
-        length, limit_rad, spacing_m = config.sequence.length, config.sequence.slope_limit_rad, drives.spacing_m
+        length, limit_rad, spacing_m = config.sequence_frames, config.sequence.slope_limit_rad, drives.spacing_m
         slack_m = min(length * spacing_m * step / 4, SLACK_M if drives.is_metric else math.inf)
         slopes = math.tan(math.pi / 4 - limit_rad), math.tan(math.pi / 4 + limit_rad)
         prior = cls.prior * (FEWER_LINES if some_excluded else 1.0)

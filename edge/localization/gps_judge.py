@@ -41,7 +41,7 @@ class GpsJudge:
 
     def __init__(self, config: Config) -> None:
         gates = config.gates
-        self._rig, self._length = config.rig, config.sequence.length
+        self._rig, self._length = config.rig, config.sequence_frames
         self._acts = gates.doubted_gps != "report"
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
         self._route: Route | None = None

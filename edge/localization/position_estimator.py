@@ -203,7 +203,7 @@ class PositionEstimator:
         """Where the line of a believed match lies along the map's drive; None where it says nothing of that."""
         assert self._route is not None
         is_sure = match.accepted and match.uniqueness >= 1
-        return line_middle(match, self._route, self._config.sequence.length) if is_sure else None
+        return line_middle(match, self._route, self._config.sequence_frames) if is_sure else None
 
     def place_fix(self, match: PlaceMatch, stamp_ns: int) -> PlaceFix:
         """An event: with the position of the vehicle if it is followed, else with the place's own."""

@@ -46,7 +46,7 @@ class RouteFilter:
 
     def __init__(self, route: Route, config: Config) -> None:
         self._config, self._rig = config.tracking, config.rig
-        self._length = config.sequence.length
+        self._length = config.sequence_frames
         self._sightings = Sightings(route, config)
         self.reset()
 

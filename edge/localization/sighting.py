@@ -85,7 +85,7 @@ class Sightings:
 
     def __init__(self, route: Route, config: Config) -> None:
         self._route, self._rig = route, config.rig
-        self._length = config.sequence.length
+        self._length = config.sequence_frames
         self._readings = LineReadings(self._length)
         self._drift = config.tracking.scale_error_percent / 100
         self._sees_m = SEES_M if config.camera.view == "front" else -SEES_M

@@ -71,7 +71,7 @@ class CameraMotion:
             f"{camera.source} {camera.view} {camera.preprocessing} {motion}",
             math.radians(motion.pitch_deg),
         )
-        self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence.length, path)
+        self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence_frames, path)
         self._view: GroundView | None = None
         self._seen: tuple[NDArray[np.uint8], int] | None = None
         self._step: Step | None = None

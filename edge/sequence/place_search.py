@@ -79,7 +79,7 @@ class PlaceSearch:
         self._lags = lags_of(config, Drives(map_set, config.sampling.spacing_m).spacing_m)
         self._driven = [0.0]
         """Places, at each row of the ring and the one before, the oldest first."""
-        self._span: float = config.sequence.length  # the most places that lines have room for
+        self._span: float = config.sequence_frames  # the most places that lines have room for
         self._is_whole = map_set.index.places <= self._most
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
@@ -88,8 +88,8 @@ class PlaceSearch:
         self._is_fresh = True  # the part was matched with no row of the ring yet
         self._unbelieved = 0  # frames since a place was believed
         self._is_position_known = False  # of the autopilot, at the newest frame
-        self._measured_frames = config.sequence.length  # in a row of which the distance driven is known
-        self._is_regular = is_regular(map_set, config.sequence.length)
+        self._measured_frames = config.sequence_frames  # in a row of which the distance driven is known
+        self._is_regular = is_regular(map_set, config.sequence_frames)
         self._search(self._everything(), None)
         orders = map_set.headers[0].regions.count
         self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
@@ -109,7 +109,7 @@ class PlaceSearch:
         """Drop all rows (after a gap): the next line begins with the next row."""
         self._scan.restart()
         self._driven = self._driven[-1:]
-        self._count_measured(self._config.sequence.length)
+        self._count_measured(self._config.sequence_frames)
         if self._is_whole and self.part:
             self.part.clear()
         else:
@@ -187,7 +187,7 @@ class PlaceSearch:
     @property
     def _is_doubtful(self) -> bool:
         """Whether nothing was believed for so long that other places must be searched."""
-        return self._unbelieved > 2 * self._config.sequence.length
+        return self._unbelieved > 2 * self._config.sequence_frames
 
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
         if self.part is None:
@@ -274,11 +274,11 @@ class PlaceSearch:
 
     @property
     def _is_measured(self) -> bool:
-        return self._measured_frames >= self._config.sequence.length
+        return self._measured_frames >= self._config.sequence_frames
 
     def _drive(self, step: float) -> None:
         """Count what was driven; lines that pass more places than they have room for need another part."""
-        length = self._config.sequence.length
+        length = self._config.sequence_frames
         self._driven = [*self._driven, self._driven[-1] + step][-length - 1 :]
         span = length * (self._driven[-1] - self._driven[0]) / (len(self._driven) - 1)
         if span > self._span + EXACT:

@@ -54,7 +54,7 @@ class RowMatcher:
         planes, possible = _planes(segments, views, regions, config, stale)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
-            segments, planes, config.sequence.length, slopes, possible, span=span, open_ends=open_ends, laps=laps
+            segments, planes, config.sequence_frames, slopes, possible, span=span, open_ends=open_ends, laps=laps
         )
         self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
 
@@ -254,7 +254,7 @@ class GlobalSearch:
         span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`. course_rad: see
         `Travel`.
         """
-        if len(ring) < self._config.sequence.length:
+        if len(ring) < self._config.sequence_frames:
             return None
         end = min(self._next + self._slice, self._map_set.index.places)
         # Lines that end in the slice may begin before it, or after it on the way back.
@@ -279,7 +279,7 @@ class GlobalSearch:
             return None
         best = min(self._found, key=lambda match: match.distance)
         # Neighboring slices overlap, and the same place is not elsewhere.
-        overlap = 2 * self._config.sequence.length
+        overlap = 2 * self._config.sequence_frames
         others = [match.distance for match in self._found if abs(match.place_index - best.place_index) > overlap]
         uniqueness = min([best.uniqueness, *(other / max(best.distance, 1 / COST_ONE) for other in others)])
         return replace(best, uniqueness=uniqueness)

@@ -106,7 +106,7 @@ def _run(args: argparse.Namespace) -> int:
         off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
         lines |= {**rig_lines(offsets), **_parallax_lines(seen)}
-        curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence.length)
+        curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence_frames)
         print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     else:
         curve = curve_of_map(reference_map, config)
@@ -115,7 +115,7 @@ def _run(args: argparse.Namespace) -> int:
         print("remain accepted in other light: that needs a drive):")
     if not curve.answers:
         raise LookbackError(
-            f"{args.map}: no whole sequence of {config.sequence.length} places, so there is nothing to measure"
+            f"{args.map}: no whole sequence of {config.sequence_frames} places, so there is nothing to measure"
         )
     chosen = choose(curve, off_map, args.precision)
     threshold = float(np.ceil(chosen * 1e4) / 1e4)

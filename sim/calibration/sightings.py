@@ -66,7 +66,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig(parallax=1.0))
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
-    route, readings = Route(recognizer.map_set), LineReadings(config.sequence.length)
+    route, readings = Route(recognizer.map_set), LineReadings(config.sequence_frames)
     for item in traverse(feed, config.sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
         if item.distance_m is None:

@@ -84,7 +84,7 @@ def curve_of_map(reference_map: ReferenceMap, config: Config) -> Curve:
     """From the map alone: each place matched without its surroundings."""
     wrong = -np.sort([-confidence for confidence in _confidence_off_map(reference_map, config)])
     accepted = np.arange(1, len(wrong) + 1)
-    return Curve(wrong, 1 - accepted / max(len(wrong), 1), accepted, len(wrong), len(wrong) // config.sequence.length)
+    return Curve(wrong, 1 - accepted / max(len(wrong), 1), accepted, len(wrong), len(wrong) // config.sequence_frames)
 
 
 def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator[float]:

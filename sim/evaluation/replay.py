@@ -64,7 +64,7 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
     for item in traverse(feed, sampling):
         match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
         if match is not None and match.accepted:
-            behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence.length)
+            behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence_frames)
             if _exclude_damaged(recognizer, checksums, behind):
                 match, route = None, Route(recognizer.map_set)
         yield frame_used(item.frame.index, item.frame.stamp_ns, match, route, recognizer.config.rig, item.missed)

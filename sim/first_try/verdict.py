@@ -215,7 +215,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
 
 def _length_advice(tried: Tried) -> Iterator[str]:
     """Of recordings with few places, and how to get more."""
-    enough = 2 * tried.config.sequence.length
+    enough = 2 * tried.config.sequence_frames
     for feed, count in ((tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))):
         if count < enough:
             more = ", or use more of its frames: --spacing-frames 1" if len(feed.rows) >= enough else ""

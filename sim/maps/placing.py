@@ -210,7 +210,7 @@ def _seen(one: ReferenceMap, segment: Segment, maps: MapSet) -> Iterator[_Seen]:
     """What a drive recognizes of the others."""
     config = config_as_mapped(one.header)
     config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, view=segment.view))
-    matcher, route, length = SequenceMatcher(maps, config), Route(maps), config.sequence.length
+    matcher, route, length = SequenceMatcher(maps, config), Route(maps), config.sequence_frames
     raw, routes_m = one.raw(), _along_m(one)
     for row in range(segment.start, segment.end):
         at_m = float(routes_m[row])

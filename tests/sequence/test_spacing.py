@@ -97,10 +97,10 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
     with temporary_map([MappedDrive(road[::4], places, "front")], model, DescriptorConfig()) as maps:
         matcher = SequenceMatcher(maps, config)
         lacks = []
-        for raw in road[: config.sequence.length]:
+        for raw in road[: config.sequence_frames]:
             matcher.push(raw)
             lacks.append(matcher.lacks_odometer)
-        assert lacks == [False] * (config.sequence.length - 1) + [True]
+        assert lacks == [False] * (config.sequence_frames - 1) + [True]
         assert matcher.spacing == "a frame every 0.5 s, and the map has a place every 4 m"
         matcher.push(road[0], Travel(0.0))
         assert not matcher.lacks_odometer

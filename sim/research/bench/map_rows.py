@@ -33,7 +33,7 @@ class Drive:
         self.map_set = map_set
         config = Config()
         self.search = PlaceSearch(map_set, config)
-        self._length = config.sequence.length
+        self._length = config.sequence_frames
         self._known = known
         self._place = start
         self._ring: list[np.ndarray] = []

@@ -145,7 +145,7 @@ def believe(
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.parallax is not None:
                 found[frame, 4] = lag_places(match.parallax) * SPACING_M
-            if matcher.best is not None and frame >= config.sequence.length - 1:
+            if matcher.best is not None and frame >= config.sequence_frames - 1:
                 found[frame, 2:4] = route_m[matcher.best.place_index], matcher.best.uniqueness
     return Beliefs(*found.T)
 

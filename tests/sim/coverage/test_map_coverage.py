@@ -239,7 +239,7 @@ def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pyte
     """The prediction knows the map alone; what is found is a second recording of the corridor."""
     corridor, journal = tmp_path / "corridor", tmp_path / "journal.jsonl"
     config = tmp_path / "config.toml"
-    config.write_text('[sampling]\nby = "distance"\nspacing_m = 1.0\n')
+    config.write_text('[sampling]\nby = "distance"\nspacing_m = 1.0\n[sequence]\nlength = 40\n')
     feeds, options = shared / "feeds", ["--config", str(config)]
     assert main(["map", "build", str(feeds / "corridor_reference"), "-o", str(corridor), *options]) == 0
     query = ["--map", str(corridor), "--all", "-o", str(journal), *options]
