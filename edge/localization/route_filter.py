@@ -27,7 +27,7 @@ from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
-from edge.localization.track import Track
+from edge.localization.track import RecentInnovations, Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
@@ -48,6 +48,7 @@ class RouteFilter:
         self._config, self._rig = config.tracking, config.rig
         self._length = config.sequence_frames
         self._sightings = Sightings(route, config)
+        self._innovations = RecentInnovations()
         self.reset()
 
     def reset(self) -> None:
@@ -160,6 +161,7 @@ class RouteFilter:
         now_m = _vector(displacement)
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
+            self._innovations.move(float(np.hypot(*moved_m[:2])))
             if self._track is not None:
                 self._track.move(moved_m)
             for estimate in self._reckoned:
@@ -171,6 +173,7 @@ class RouteFilter:
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
         elif track.agrees(sighting, self._rig.sigma_across_m):
+            self._innovations.add(track.innovation(sighting))
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
         else:
             track.disagreeing += 1
@@ -184,8 +187,11 @@ class RouteFilter:
         tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
         for track in tracks:
             track.estimate.begin_drive(sighting.errors)
-        agreeing = (one for one in tracks if one.agrees(sighting, road_sigma_m))
-        track = next(agreeing, Track(estimate, sighting, stamp_ns))
+        track = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
+        if track is None:
+            track = Track(estimate, sighting, stamp_ns)
+        else:
+            self._innovations.add(track.innovation(sighting))
         track.contradicts_reckoning = bool(tracks) and track is not tracks[0]
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
@@ -214,7 +220,7 @@ class RouteFilter:
         lat_deg, lon_deg = moved(*origin, float(estimate.position_m[0]), float(estimate.position_m[1]))
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        covariance = estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
+        covariance = self._innovations.factor**2 * estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
         covariance += _line_variance(estimate, newest) * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(

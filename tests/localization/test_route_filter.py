@@ -218,6 +218,26 @@ def test_a_frame_that_no_line_leads_through_moves_none(open_filter: Callable[...
     assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(expected.north_m(expected.filter.at_exposure()))
 
 
+def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrated(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    """Each 60 m, faint matches are as far ahead as the last ones were behind, as in light that is unlike the map's."""
+
+    def after(apart_places: int) -> tuple[float, float]:
+        drive = Drive(open_filter(), 40)
+        for number in range(4):
+            drive.go(25, lambda _: None)
+            further = apart_places if number % 2 else -apart_places
+            drive.go(5, lambda place, further=further: match(place + further, sharpness=0.06))
+        fix = drive.filter.at_exposure()
+        assert fix is not None
+        return drive.north_m(fix) - drive.place * SPACING_M, fix.sigma_along_m
+
+    (_, usual_m), (off_m, sigma_m) = after(1), after(6)
+    assert sigma_m > 1.15 * usual_m
+    assert abs(off_m) < sigma_m
+
+
 def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., RouteFilter]) -> None:
     few, many = (warm(open_filter(), frames=frames).filter.at_exposure() for frames in (1, 30))
     assert few is not None and many is not None
