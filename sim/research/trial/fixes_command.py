@@ -16,7 +16,16 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_layers
-from sim.research.trial.table import HEADER, MARKS, CourseScore, in_short, layer_marks, line, put_between
+from sim.research.trial.table import (
+    HEADER,
+    MARKS,
+    CourseScore,
+    in_short,
+    layer_marks,
+    layers_in_short,
+    line,
+    put_between,
+)
 from sim.trial.rules import Run
 from sim.trial.run import drive
 from sim.trial.views import RoadLibrary
@@ -102,7 +111,7 @@ def _run(args: argparse.Namespace) -> int:
         if len(runs) < len(planned):
             what += f" --minutes {args.minutes:g}"
         what += " --layers" * args.layers
-        table = "\n".join([HEADER, *(score.row() for score in scores)]) if args.layers else in_short(scores)
+        table = layers_in_short(scores) if args.layers else in_short(scores)
         marks = layer_marks("cases" if args.case else driven) if args.layers else MARKS
         put_between(marks, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
@@ -161,7 +170,11 @@ def compare(runs: dict[Planned, Run]) -> list[CourseScore]:
             for case, about in CASES.items()
         }
         failed = dict.fromkeys(one.course for one, layered in pairs.items() if runs[layered].failures)
-        named |= {name: [one for one in pairs if one.course == name] for name in failed}
+        named |= {
+            name: [one for one in pairs if one.course == name]
+            for name in failed
+            if len(courses_of(COURSES[name].case)) > 1
+        }
     return [
         CourseScore(f"{name}, {what}", tuple(runs[pairs[one] if layers else one] for one in ones))
         for name, ones in named.items()

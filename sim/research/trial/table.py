@@ -68,22 +68,40 @@ class CourseScore:
             for failure in run.failures:
                 counted.setdefault(failure.rule, []).append(f"{run.world}")
         found = [f"{rule} ({len(worlds)}, road {', '.join(dict.fromkeys(worlds))})" for rule, worlds in counted.items()]
-        sigmas = self.sigmas
-        if not len(sigmas):
-            return found
-        if (sigmas > BEYOND_SIGMAS).mean() > BEYOND_SHARE:
-            found.append(f"{1000 * (sigmas > BEYOND_SIGMAS).mean():.0f} in 1,000 beyond 3 sigma")
-        least = RMS[0] if len(self.runs) >= ENOUGH_RUNS else 0.0
-        if not least <= _rms(sigmas) <= RMS[1]:
-            found.append(f"rms {_rms(sigmas):.2f} sigma")
+        if self.beyond > BEYOND_SHARE:
+            found.append(f"{1000 * self.beyond:.0f} in 1,000 beyond 3 sigma")
+        if self.odd_rms:
+            found.append(f"{self.odd_rms} sigma")
         return found
+
+    @property
+    def beyond(self) -> float:
+        """The share of positions beyond three sigmas."""
+        return float((self.sigmas > BEYOND_SIGMAS).mean()) if len(self.sigmas) else 0.0
+
+    @property
+    def odd_rms(self) -> str:
+        """The rms of the errors in sigmas where it is not as required, else nothing."""
+        rms = _rms(self.sigmas) if len(self.sigmas) else 1.0
+        least = RMS[0] if len(self.runs) >= ENOUGH_RUNS else 0.0
+        return "" if least <= rms <= RMS[1] else f"rms {rms:.2f}"
+
+    @property
+    def passed(self) -> int:
+        """How many drives are as required."""
+        return sum(not run.failures for run in self.runs)
+
+    @property
+    def passes(self) -> bool:
+        """Whether each drive is as required, and no more positions than allowed are beyond three sigmas."""
+        return self.passed == len(self.runs) and self.beyond <= BEYOND_SHARE
 
     def row(self) -> str:
         """A row of the table."""
         runs, sigmas = self.runs, self.sigmas
         cells = (
             self.name,
-            f"{sum(not run.failures for run in runs)} of {len(runs)}",
+            f"{self.passed} of {len(runs)}",
             f"{len(sigmas)}",
             _spread(np.concatenate([run.sent.error_m for run in runs])),
             f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
@@ -96,10 +114,31 @@ class CourseScore:
 
 
 def in_short(scores: Sequence[CourseScore]) -> str:
-    """A table of cases and of courses that did not pass; and a list of those that did, with their drives."""
-    passed = ", ".join(f"`{one.name}`" for one in scores if not one.is_several and not one.failures)
-    rows = [one.row() for one in scores if one.is_several or one.failures]
-    return "\n".join([HEADER, *rows, "", f"All drives of these courses pass: {passed or 'none'}."])
+    """A table of cases and of courses that did not pass; and a list of those that did."""
+    passed = (one for one in scores if one.passes and not one.is_several)
+    names = ", ".join(f"`{one.name}`" + f" ({one.odd_rms})" * bool(one.odd_rms) for one in passed)
+    rows = [one.row() for one in scores if one.is_several or not one.passes]
+    return "\n".join([HEADER, *rows, "", f"All drives of these courses pass: {names or 'none'}."])
+
+
+def layers_in_short(scores: Sequence[CourseScore]) -> str:
+    """A table of all drives, and of what is worse on layers; and a list of what fails on them and is not worse.
+
+    scores: pairs, of one map and of layers.
+    """
+    every, *pairs = zip(scores[::2], scores[1::2], strict=True)
+    worse = [pair for pair in pairs if _is_worse(*pair)]
+    rows = [one.row() for pair in (every, *worse) for one in pair]
+    others = ", ".join(
+        alone.name.rpartition(",")[0] for alone, layered in pairs if not _is_worse(alone, layered) and layered.failures
+    )
+    return "\n".join([HEADER, *rows, "", f"Fails on layers, and no less on one map: {others or 'nothing'}."])
+
+
+def _is_worse(alone: CourseScore, layered: CourseScore) -> bool:
+    """Whether drives on layers fail that pass on one map, or their positions are as wrong as none on it may be."""
+    beyond = layered.beyond > BEYOND_SHARE >= alone.beyond
+    return layered.passed < alone.passed or beyond or bool(layered.odd_rms and not alone.odd_rms)
 
 
 def put_between(marks: tuple[str, str], page: Path, text: str) -> None:

@@ -18,7 +18,16 @@ from sim.research.trial import course_rules
 from sim.research.trial import fixes_command as command
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import DRIVES, on_layers
-from sim.research.trial.table import ENOUGH_RUNS, HEADER, MARKS, CourseScore, in_short, line, put_between
+from sim.research.trial.table import (
+    ENOUGH_RUNS,
+    HEADER,
+    MARKS,
+    CourseScore,
+    in_short,
+    layers_in_short,
+    line,
+    put_between,
+)
 from sim.trial import rules
 from sim.trial.rules import Run, Sent, Track
 from sim.trial.run import JOURNAL, drafted, drive, map_scenario
@@ -310,6 +319,25 @@ def test_in_short_courses_that_pass_are_only_named() -> None:
     found = in_short(scores).splitlines()
     assert [row.split(" | ")[0] for row in found[2:4]] == ["| **all**", "| tow"]
     assert found[4:] == ["", "All drives of these courses pass: `home`."]
+
+
+def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_three_sigmas_does_not() -> None:
+    odd, beyond = CourseScore("home", (run_of(error_m=3.6),)), CourseScore("tow", (run_of(error_m=9.3),))
+    assert odd.failures == ["rms 1.20 sigma"]
+    *rows, _, passed = in_short([odd, beyond]).splitlines()
+    assert len(rows) == 3 and rows[2].startswith("| tow | 1 of 1 |")
+    assert passed == "All drives of these courses pass: `home` (rms 1.20)."
+
+
+def test_in_short_layers_show_what_is_worse_on_them() -> None:
+    failed = replace(run_of(), failures=(rules.Failure("close", "10 m"),))
+    names = ("**all**", "worse", "odd", "no worse", "fine")
+    alone = [CourseScore(f"{name}, one map", (failed if name == "no worse" else run_of(),)) for name in names]
+    on_layers = {"worse": failed, "odd": run_of(error_m=3.6), "no worse": failed}
+    layered = [CourseScore(f"{name}, eight layers", (on_layers.get(name, run_of()),)) for name in names]
+    *rows, _, others = layers_in_short([one for pair in zip(alone, layered, strict=True) for one in pair]).splitlines()
+    assert [row.split(", ")[0] for row in rows[2::2]] == ["| **all**", "| worse", "| odd"]
+    assert others == "Fails on layers, and no less on one map: no worse."
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
