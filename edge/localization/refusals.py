@@ -127,5 +127,5 @@ class Refusal:
 
 def as_table() -> str:
     """The rules for people, as a table in Markdown."""
-    rows = (f"| {number} | {one.reason} | {one.when} | {one.hazard} |" for number, one in enumerate(RULES, start=1))
-    return "\n".join(["| | reason | when | what it prevents |", "| --- | --- | --- | --- |", *rows])
+    rows = (f"| {one.reason} | {one.when} | {one.hazard} |" for one in RULES)
+    return "\n".join(["| reason | when | what it prevents |", "|---|---|---|", *rows])

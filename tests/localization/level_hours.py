@@ -163,19 +163,20 @@ def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
     """What was shown, for people."""
     estimate, bound = rate(found)
     count = len(found["right"])
-    counted = "; ".join(
-        f"{name}: {sum(one.exceeded for one in of_class)} in {sum(one.hours for one in of_class):.0f} h"
+    counted = ", ".join(
+        f"{sum(one.exceeded for one in of_class)} in {sum(one.hours for one in of_class):.0f} h ({name})"
         for name, of_class in found.items()
     )
-    medians = " and ".join(
-        f"{along_m:.1f} m along, {across_m:.1f} m across {how} parallax"
+    medians = ", ".join(
+        f"{along_m:.1f} and {across_m:.1f} m {how} parallax"
         for how, parallax in (("with", True), ("without", False))
         for along_m, across_m in [median_level_m(found["right"], parallax)]
     )
     text = (
-        f"`python -m tests.localization.level_hours --drives {count} --seed {first_seed}`: errors exceeded their "
-        f"levels so often: {counted}. Weighted by how often such drives occur, that is {estimate:.4f} in an hour, "
-        f"and at 95 % confidence below {bound:.4f}. The median level on right maps is {medians}."
+        f"`python -m tests.localization.level_hours --drives {count} --seed {first_seed}`: levels were exceeded so "
+        f"often: {counted}. "
+        f"As such drives occur, that is {estimate:.4f} an hour, below {bound:.4f} at 95 % confidence. "
+        f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)
 

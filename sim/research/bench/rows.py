@@ -69,9 +69,8 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         f" {machine.macs_per_ms / 1e6:.0f} G multiply-accumulates a second. A floor is the least time that a stage's"
         " bytes and products take at these rates.",
         "",
-        "Times are medians of one thread's CPU time, unless a row says otherwise. Each row was run alternately with the"
-        " one it is compared with, in one process. A ratio is the median of the ratios of consecutive runs: over 1 is"
-        " slower than the row that stands beside it.",
+        "Times are medians of one thread's CPU time, unless a row says otherwise. A ratio is the median of the ratios"
+        " of runs in turns with the row that stands beside it: over 1 is slower.",
         "",
         OTHER_PROCESSORS,
         "",

@@ -157,38 +157,47 @@ def keep_lesson(folder: Path) -> Lesson:
 
 
 def learned_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
-    """A row for each folder."""
-    yield "| seed | folder | places searched | dusk, same way | home at night |\n|---|---|---|---|---|"
+    """A row for each folder, with the roads side by side."""
+    yield "| folder | places searched | dusk, same way | home at night | least precision |\n|---|---|---|---|---|"
+    found: dict[str, list[list[list[float]]]] = {}
     for seed in seeds:
         made = _eight(seed, scene)
         queries: list[tuple[Described, LightName]] = [(scene(seed, "front", "dusk", 21), "dusk")]
         queries.append((scene(seed, "front", "night", 22, "reverse"), "night"))
 
-        def row(what: str, folder: Path, seed: int = seed, queries: list[tuple[Described, LightName]] = queries) -> str:
-            cells = []
+        def judge(what: str, folder: Path, queries: list[tuple[Described, LightName]] = queries) -> None:
+            results = []
             for query, light in queries:
                 with closing(DriveTally(folder, "front", time.time(), f"{light}-{what}")) as tally:
-                    first_m, recall, precision, places = drive_over(folder, query, light, tally)
-                cells.append(f"{first_m:.0f} m, {recall:.2f}, {precision:.3f}")
-            return f"| {seed} | {what} | {places:.0f} | {cells[0]} | {cells[1]} |"
+                    results.append(drive_over(folder, query, light, tally))
+            found.setdefault(what, []).append(results)
 
         with tempfile.TemporaryDirectory() as temporary:
-            yield row("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
+            judge("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
             folder = folder_of(Path(temporary) / "all", made)
-            yield row("all eight", folder)
+            judge("all eight", folder)
             for what in ("learned", "learned, after counting"):
                 keep_lesson(folder)
-                yield row(what, folder)
+                judge(what, folder)
+    for what, roads in found.items():
+        cells = (
+            f"{', '.join(f'{first_m:.0f}' for first_m, *_ in way)} m; {', '.join(f'{one[1]:.2f}' for one in way)}"
+            for way in zip(*roads, strict=True)
+        )
+        precision = min(way[2] for road in roads for way in road)
+        yield f"| {what} | {roads[0][0][3]:.0f} | {' | '.join(cells)} | {precision:.3f} |"
 
 
 def rebuilt_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
-    """A row for each drive since the road was rebuilt."""
-    yield "| seed | drives since then | places searched | recall on the rebuilt tenth |\n|---|---|---|---|"
+    """A row for each road: recall after each drive since it was rebuilt."""
+    drives = ", ".join(f"{number}" for number in range(len(NEW) + 1))
+    yield f"| seed | places searched | recall on the rebuilt tenth after {drives} drives |\n|---|---|---|"
     for seed, other in zip(seeds, [*seeds[1:], seeds[0]], strict=True):
 
         def after(view: View, light: LightName, drive: int, seed: int = seed, other: int = other) -> Described:
             return rebuild(scene(seed, view, light, drive), scene(other, view, light, drive))
 
+        recalls, most_places = [], 0.0
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             for view, light, drive in OLD:
@@ -199,38 +208,40 @@ def rebuilt_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
                     keep_lesson(folder)
                 for run in range(2):
                     with closing(DriveTally(folder, "front", time.time(), f"{number}-{run}")) as tally:
-                        results = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
-                yield f"| {seed} | {number} | {results[3]:.0f} | {results[1]:.2f} |"
+                        _, recall, _, places = drive_over(folder, after("front", "dusk", 21), "dusk", tally, REBUILT)
+                recalls.append(recall)
+                most_places = max(most_places, places)
+        yield f"| {seed} | {most_places:.0f} | {', '.join(f'{recall:.2f}' for recall in recalls)} |"
 
 
 def shifted_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
-    """A row for each drive that is wrong, of eight whose receivers are off by SIGMA_M."""
+    """A row for each road: drives that are wrong, one at a time, of eight whose receivers are off by SIGMA_M."""
     yield (
-        "| seed | wrong drive | named | others moved by it, at most | errors of the others, as recorded and learned |\n"
-        "|---|---|---|---|---|"
+        "| seed | wrong drives, of which it alone was named | others moved by it, at most |"
+        " errors of the others, as recorded and learned |\n|---|---|---|---|"
     )
     for seed in seeds:
         made, rng = _eight(seed, scene), np.random.default_rng(seed)
         off_m = [SIGMA_M / np.sqrt(2) * receiver_errors(len(one.route_m), 2.0, 200.0, rng) for *_, one in made]
+        named: list[bool] = []
+        moved_m, before_m, after_m = [], [], []
         for number in SHIFTED:
             others = [one for one in range(len(made)) if one != number]
             _, without = _positions([made[one] for one in others], [off_m[one] for one in others])
-            before = _rms([off_m[one] for one in others])
+            before_m.append(_rms([off_m[one] for one in others]))
             for half in (False, True):
                 wrong = list(off_m)
                 rows = np.arange(len(wrong[number])) >= (len(wrong[number]) // 2 if half else 0)
                 wrong[number] = wrong[number] + np.outer(rows, (ASIDE_M, 0.0))
                 lesson, now = _positions(made, wrong)
-                named = [
-                    lesson.drives[one].path.name for one, why in lesson.choice.retired.items() if "from where" in why
-                ]
-                moved_m = [np.hypot(*(now[one] - at).T).max() for one, at in zip(others, without, strict=True)]
-                after = _rms([now[one] - _true(made[one][2]) for one in others])
-                what = f"{number}, {made[number][1]}{', from half of the road on' if half else ''}"
-                yield (
-                    f"| {seed} | {what} | {', '.join(named) or '-'} | {max(moved_m):.2f} m"
-                    f" | {before:.2f}, {after:.2f} m |"
-                )
+                retired = [one for one, why in lesson.choice.retired.items() if "from where" in why]
+                named.append([lesson.drives[one].path.name.partition("-")[0] for one in retired] == [f"{number}"])
+                moved_m += [np.hypot(*(now[one] - at).T).max() for one, at in zip(others, without, strict=True)]
+                after_m.append(_rms([now[one] - _true(made[one][2]) for one in others]))
+        yield (
+            f"| {seed} | {len(named)}, {sum(named)} | {max(moved_m):.2f} m"
+            f" | {min(before_m):.2f} to {max(before_m):.2f}, {min(after_m):.2f} to {max(after_m):.2f} m |"
+        )
 
 
 def hundred_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:

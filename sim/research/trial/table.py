@@ -122,17 +122,35 @@ def in_short(scores: Sequence[CourseScore]) -> str:
 
 
 def layers_in_short(scores: Sequence[CourseScore]) -> str:
-    """A table of all drives, and of what is worse on layers; and a list of what fails on them and is not worse.
+    """The rows of all drives; and lists of what is worse on layers, and of what fails on them and is not worse.
 
-    scores: pairs, of one map and of layers.
+    scores: pairs, of one map and of layers; first those of all drives.
     """
     every, *pairs = zip(scores[::2], scores[1::2], strict=True)
-    worse = [pair for pair in pairs if _is_worse(*pair)]
-    rows = [one.row() for pair in (every, *worse) for one in pair]
-    others = ", ".join(
-        alone.name.rpartition(",")[0] for alone, layered in pairs if not _is_worse(alone, layered) and layered.failures
+    worse = [
+        f"- {_name(alone)}: {layered.passed} of {len(layered.runs)} pass, on one map {alone.passed};"
+        f" {'; '.join(layered.failures)}"
+        for alone, layered in pairs
+        if _is_worse(alone, layered)
+    ]
+    others = [_name(alone) for alone, layered in pairs if layered.failures and not _is_worse(alone, layered)]
+    table = [HEADER, *(one.row() for one in every)]
+    return "\n".join(
+        [
+            *table,
+            "",
+            "Worse on layers:",
+            "",
+            *worse,
+            "",
+            f"Fails on both, and no less on one map: {'; '.join(others) or 'none'}.",
+        ]
     )
-    return "\n".join([HEADER, *rows, "", f"Fails on layers, and no less on one map: {others or 'nothing'}."])
+
+
+def _name(score: CourseScore) -> str:
+    """What was driven, without the map."""
+    return score.name.rpartition(",")[0]
 
 
 def _is_worse(alone: CourseScore, layered: CourseScore) -> bool:

@@ -1,6 +1,6 @@
 """The simulated autopilot's estimate against recorded flights: the same truth and the same positions, replayed.
 
-`python -m tests.sim.vehicle.flight_comparison` prints the table of docs/trial.md.
+`python -m tests.sim.vehicle.flight_comparison` prints the table that docs/trial.md sums up.
 """
 
 from __future__ import annotations

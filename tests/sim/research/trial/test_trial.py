@@ -335,9 +335,17 @@ def test_in_short_layers_show_what_is_worse_on_them() -> None:
     alone = [CourseScore(f"{name}, one map", (failed if name == "no worse" else run_of(),)) for name in names]
     on_layers = {"worse": failed, "odd": run_of(error_m=3.6), "no worse": failed}
     layered = [CourseScore(f"{name}, eight layers", (on_layers.get(name, run_of()),)) for name in names]
-    *rows, _, others = layers_in_short([one for pair in zip(alone, layered, strict=True) for one in pair]).splitlines()
-    assert [row.split(", ")[0] for row in rows[2::2]] == ["| **all**", "| worse", "| odd"]
-    assert others == "Fails on layers, and no less on one map: no worse."
+    found = layers_in_short([one for pair in zip(alone, layered, strict=True) for one in pair]).splitlines()
+    assert [row.split(", ")[0] for row in found[2:4]] == ["| **all**", "| **all**"]
+    assert found[4:] == [
+        "",
+        "Worse on layers:",
+        "",
+        "- worse: 0 of 1 pass, on one map 1; close (1, road 21)",
+        "- odd: 1 of 1 pass, on one map 1; rms 1.20 sigma",
+        "",
+        "Fails on both, and no less on one map: no worse.",
+    ]
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
