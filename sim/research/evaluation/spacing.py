@@ -112,7 +112,7 @@ def _cells(found: list[dict[Cut, Answers]]) -> str:
     threshold = AcceptanceConfig().confidence_min
     precision = at_threshold(joined([one[cut] for one in found for cut in CUTS]), threshold)[0]
     recalls = (at_threshold(joined([one[cut] for one in found]), threshold)[1] for cut in CUTS)
-    return f"{precision:.4f} / " + " / ".join(f"{recall:.2f}" for recall in recalls)
+    return f"{precision:.3f}, " + ", ".join(f"{recall:.2f}" for recall in recalls)
 
 
 def main() -> None:

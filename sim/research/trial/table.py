@@ -118,7 +118,7 @@ def in_short(scores: Sequence[CourseScore]) -> str:
     passed = (one for one in scores if one.passes and not one.is_several)
     names = ", ".join(f"`{one.name}`" + f" ({one.odd_rms})" * bool(one.odd_rms) for one in passed)
     rows = [one.row() for one in scores if one.is_several or not one.passes]
-    return "\n".join([HEADER, *rows, "", f"All drives of these courses pass: {names or 'none'}."])
+    return "\n".join([_short(HEADER), *map(_short, rows), "", f"All drives of these courses pass: {names or 'none'}."])
 
 
 def layers_in_short(scores: Sequence[CourseScore]) -> str:
@@ -134,7 +134,7 @@ def layers_in_short(scores: Sequence[CourseScore]) -> str:
         if _is_worse(alone, layered)
     ]
     others = [_name(alone) for alone, layered in pairs if layered.failures and not _is_worse(alone, layered)]
-    table = [HEADER, *(one.row() for one in every)]
+    table = [_short(HEADER), *(_short(one.row()) for one in every)]
     return "\n".join(
         [
             *table,
@@ -146,6 +146,12 @@ def layers_in_short(scores: Sequence[CourseScore]) -> str:
             f"Fails on both, and no less on one map: {'; '.join(others) or 'none'}.",
         ]
     )
+
+
+def _short(rows: str) -> str:
+    """Rows without the autopilot's error, which says little over several courses, and the share sent."""
+    cells = (row.split("|") for row in rows.splitlines())
+    return "\n".join("|".join([*one[:6], one[7], *one[9:]]) for one in cells)
 
 
 def _name(score: CourseScore) -> str:
