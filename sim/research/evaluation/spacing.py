@@ -12,6 +12,7 @@ this drive has with a frame and a place every 2 m.
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -107,16 +108,26 @@ def offsets_m(road: Described, drives: list[Described]) -> list[float]:
     return [offset_m(drive, believe(road, drive, "whole")) for drive in even]
 
 
-def _cells(found: list[dict[Cut, Answers]]) -> str:
-    """Precision over both cuts, and the recall of each."""
+Figures = tuple[float, float, float]
+"""Precision over both cuts, and the recall of each."""
+
+
+def _figures(found: list[dict[Cut, Answers]]) -> Figures:
     threshold = AcceptanceConfig().confidence_min
     precision = at_threshold(joined([one[cut] for one in found for cut in CUTS]), threshold)[0]
-    recalls = (at_threshold(joined([one[cut] for one in found]), threshold)[1] for cut in CUTS)
-    return f"{precision:.3f}, " + ", ".join(f"{recall:.2f}" for recall in recalls)
+    whole, thirds = (at_threshold(joined([one[cut] for one in found]), threshold)[1] for cut in CUTS)
+    return precision, whole, thirds
+
+
+def _cell(maps: list[Figures]) -> str:
+    """Of maps of several spacings: the least precision, and from which recalls to which."""
+    precisions, *recalls = zip(*maps, strict=True)
+    least = min((one for one in precisions if not math.isnan(one)), default=float("nan"))
+    return "; ".join([f"{least:.3f}", *(f"{min(ours):.2f} to {max(ours):.2f}" for ours in recalls)])
 
 
 def main() -> None:
-    """Print a row for each spacing of the vehicle's frames, with a column for each spacing of the map's places."""
+    """Print a row for each odometer and kind of frames, with a column for each spacing of the vehicle's frames."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True)
@@ -125,22 +136,25 @@ def main() -> None:
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     seen = [(road, drives, offsets_m(road, drives)) for road, drives in worlds(args.seeds, args.length, args.cache)]
-    print("| odometer | frames | " + " | ".join(f"map {map_m} m" for map_m in MAP_M) + " |")
-    print("|---" * (2 + len(MAP_M)) + "|")
-    for odometer, frames, vehicle_m in product(args.odometers, FRAMES, VEHICLE_M):
-        cells = []
-        for map_m in MAP_M:
-            case = Case(map_m, vehicle_m, frames, odometer)
-            cells.append(
-                _cells(
-                    [
-                        judged(road, drive, ahead_m, case, seed)
-                        for seed, (road, drives, ahead) in zip(args.seeds, seen, strict=True)
-                        for drive, ahead_m in zip(drives, ahead, strict=True)
-                    ]
-                )
-            )
-        print(f"| {odometer} | {vehicle_m} m, {frames} | {' | '.join(cells)} |", flush=True)
+    print("| odometer, frames | " + " | ".join(f"each {vehicle_m} m" for vehicle_m in VEHICLE_M) + " |")
+    print("|---" * (1 + len(VEHICLE_M)) + "|")
+    for odometer, frames in product(args.odometers, FRAMES):
+        cells = [
+            _cell([_judge_all(seen, args.seeds, Case(map_m, vehicle_m, frames, odometer)) for map_m in MAP_M])
+            for vehicle_m in VEHICLE_M
+        ]
+        print(f"| {odometer}, {frames} | {' | '.join(cells)} |", flush=True)
+
+
+def _judge_all(seen: list[tuple[Described, list[Described], list[float]]], seeds: list[int], case: Case) -> Figures:
+    """All drives of all worlds. seen: each world's road, its drives, and how far ahead their matches lie."""
+    return _figures(
+        [
+            judged(road, drive, ahead_m, case, seed)
+            for seed, (road, drives, ahead) in zip(seeds, seen, strict=True)
+            for drive, ahead_m in zip(drives, ahead, strict=True)
+        ]
+    )
 
 
 if __name__ == "__main__":

@@ -114,11 +114,12 @@ class CourseScore:
 
 
 def in_short(scores: Sequence[CourseScore]) -> str:
-    """A table of cases and of courses that did not pass; and a list of those that did."""
-    passed = (one for one in scores if one.passes and not one.is_several)
-    names = ", ".join(f"`{one.name}`" + f" ({one.odd_rms})" * bool(one.odd_rms) for one in passed)
+    """A table of cases and of courses that did not pass; how many did, and of which the rms is odd."""
+    passed = [one for one in scores if one.passes and not one.is_several]
+    odd = ", ".join(f"`{one.name}` ({one.odd_rms})" for one in passed if one.odd_rms)
     rows = [one.row() for one in scores if one.is_several or not one.passes]
-    return "\n".join([_short(HEADER), *map(_short, rows), "", f"All drives of these courses pass: {names or 'none'}."])
+    among = f", {odd} among them" if odd else ""
+    return "\n".join([_short(HEADER), *map(_short, rows), "", f"All drives of {len(passed)} more courses pass{among}."])
 
 
 def layers_in_short(scores: Sequence[CourseScore]) -> str:

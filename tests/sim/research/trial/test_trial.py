@@ -312,13 +312,13 @@ def _bold(cases: str) -> list[str]:
     return [f"**{case}: {CASES[case]}**" for case in cases]
 
 
-def test_in_short_courses_that_pass_are_only_named() -> None:
+def test_in_short_courses_that_pass_are_only_counted() -> None:
     failed = replace(run_of(error_m=10.0), failures=(rules.Failure("close", "10 m"),))
     several, passed = CourseScore("**all**", (run_of(), failed)), CourseScore("home", (run_of(),))
     scores = [several, passed, CourseScore("tow", (failed,))]
     found = in_short(scores).splitlines()
     assert [row.split(" | ")[0] for row in found[2:4]] == ["| **all**", "| tow"]
-    assert found[4:] == ["", "All drives of these courses pass: `home`."]
+    assert found[4:] == ["", "All drives of 1 more courses pass."]
 
 
 def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_three_sigmas_does_not() -> None:
@@ -326,7 +326,7 @@ def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_
     assert odd.failures == ["rms 1.20 sigma"]
     *rows, _, passed = in_short([odd, beyond]).splitlines()
     assert len(rows) == 3 and rows[2].startswith("| tow | 1 of 1 |")
-    assert passed == "All drives of these courses pass: `home` (rms 1.20)."
+    assert passed == "All drives of 1 more courses pass, `home` (rms 1.20) among them."
 
 
 def test_in_short_layers_show_what_is_worse_on_them() -> None:
