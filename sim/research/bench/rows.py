@@ -65,9 +65,8 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
         how_run,
         "",
         f"Machine: {machine.name}.",
-        f"One core reads memory at {machine.bytes_per_ms / 1e6:.1f} GB/s and multiplies int8 in cache at"
-        f" {machine.macs_per_ms / 1e6:.0f} G multiply-accumulates a second. A floor is the least time that a stage's"
-        " bytes and products take at these rates.",
+        f"A floor is the least time that a stage's bytes and products take at {machine.bytes_per_ms / 1e6:.1f} GB/s and"
+        f" {machine.macs_per_ms / 1e6:.0f} G int8 multiply-accumulates a second, as one core reached.",
         "",
         "Times are medians of one thread's CPU time, unless a row says otherwise. A ratio is the median of the ratios"
         " of runs in turns with the row that stands beside it: over 1 is slower.",
