@@ -190,6 +190,38 @@ def test_every_state_is_explained() -> None:
         assert f"| {state} |" in page
 
 
+MOST_WORDS = 35
+"""In a sentence: longer ones are read twice."""
+WRITTEN = re.compile(r"<!-- (.*?): begin -->.*?<!-- \1: end -->", re.DOTALL)
+"""What a command writes: tables, and lists of whatever was found."""
+
+
+def sentences(text: str) -> Iterator[str]:
+    """The sentences of a page's paragraphs, list items and cells; neither code nor what a command writes."""
+    text = WRITTEN.sub("", BLOCK.sub("", text))
+    text = re.sub(r"\]\([^)]*\)", "]", re.sub(r"^(#| {4}).*$", "", text, flags=re.MULTILINE))
+    for part in re.split(r"\n\s*\n|\n(?=\s*(?:-|\d+\.) )|\|", text):
+        yield from re.split(r"(?<=[.!?])[\"*)]*\s+(?=[A-Z*`\"\[])", part)
+
+
+def long_sentences(text: str) -> list[str]:
+    """Those of more than MOST_WORDS words; signs and the symbols of equations are none."""
+    return [one for one in sentences(text) if len(re.findall(r"\S*[A-Za-z]{2}\S*|\d\S*", one)) > MOST_WORDS]
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.stem)
+def test_no_sentence_is_long(page: Path) -> None:
+    assert long_sentences(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_long_sentence_is_found_in_a_list_and_in_a_cell_and_not_in_code() -> None:
+    words = "word " * MOST_WORDS
+    assert long_sentences(f"Begin. {words}end.\n\n- {words}end.\n- {words}\n\n| a | {words}end |\n|---|---|") != []
+    assert len(long_sentences(f"- {words}end.\n- {words}\n\n| a | {words}end |")) == 2
+    assert long_sentences(f"{words[:-1]}. More.\n\n    {words}end\n\n```sh\n{words}end\n```\n") == []
+    assert long_sentences(f"<!-- rows: begin -->\n{words}end\n<!-- rows: end -->") == []
+
+
 WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
 """A word in code type that looks like a key, perhaps after its section: `spacing_m`, `[sampling] spacing_m`."""
 
