@@ -59,7 +59,7 @@ SMALL = (
 )
 """Courses driven in every test run; `make smoke` drives take-me-home-night."""
 SEEDS = {"one-stretch": 2}
-"""Of courses whose seed 1 fails over LENGTH_M, which docs/trial.md says."""
+"""Of courses whose seed 1 fails over LENGTH_M."""
 
 
 @pytest.fixture(scope="module")
