@@ -185,13 +185,12 @@ class RouteFilter:
         errors = self._velocity_errors(sighting.errors)
         estimate = RouteEstimate.on_road(sighting.passed, road_sigma_m, errors)
         tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
-        for track in tracks:
-            track.estimate.begin_drive(sighting.errors)
-        track = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
-        if track is None:
-            track = Track(estimate, sighting, stamp_ns)
-        else:
-            self._innovations.add(track.innovation(sighting))
+        for one in tracks:
+            one.estimate.begin_drive(sighting.errors)
+        known = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
+        if known is not None:
+            self._innovations.add(known.innovation(sighting))
+        track = known or Track(estimate, sighting, stamp_ns)
         track.contradicts_reckoning = bool(tracks) and track is not tracks[0]
         track.add(sighting, road_sigma_m, stamp_ns)
         return track

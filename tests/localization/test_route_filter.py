@@ -225,10 +225,12 @@ def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrate
 
     def after(apart_places: int) -> tuple[float, float]:
         drive = Drive(open_filter(), 40)
-        for number in range(4):
+        for _ in range(4):
             drive.go(25, lambda _: None)
-            further = apart_places if number % 2 else -apart_places
-            drive.go(5, lambda place, further=further: match(place + further, sharpness=0.06))
+            drive.place += apart_places
+            drive.go(5, partial(match, sharpness=0.06))
+            drive.place -= apart_places
+            apart_places = -apart_places
         fix = drive.filter.at_exposure()
         assert fix is not None
         return drive.north_m(fix) - drive.place * SPACING_M, fix.sigma_along_m
