@@ -46,7 +46,6 @@ class RouteFilter:
 
     def __init__(self, route: Route, config: Config) -> None:
         self._config, self._rig = config.tracking, config.rig
-        self._length = config.sequence_frames
         self._sightings = Sightings(route, config)
         self._innovations = RecentInnovations()
         self.reset()
@@ -106,7 +105,7 @@ class RouteFilter:
             self.reset()
         if displacement is None:
             return
-        if stamp_ns - self._last_ns > STOOD_NS or missed > self._length // 2:
+        if stamp_ns - self._last_ns > STOOD_NS or missed > self._sightings.length // 2:
             self._sightings.clear()
         self._last_ns = stamp_ns
         self._move(displacement)

@@ -85,8 +85,9 @@ class Sightings:
 
     def __init__(self, route: Route, config: Config) -> None:
         self._route, self._rig = route, config.rig
-        self._length = config.sequence_frames
-        self._readings = LineReadings(self._length)
+        self.length = config.sequence_frames
+        """Frames of a line."""
+        self._readings = LineReadings(self.length)
         self._drift = config.tracking.scale_error_percent / 100
         self._sees_m = SEES_M if config.camera.view == "front" else -SEES_M
         self.origin: Origin | None = None
@@ -116,8 +117,8 @@ class Sightings:
 
         estimate: of the vehicle now, where there is one.
         """
-        line = line_middle(match, self._route, self._length)
-        if line is None or len(self._readings) < self._length:
+        line = line_middle(match, self._route, self.length)
+        if line is None or len(self._readings) < self.length:
             return None
         begin, middle, end = (self._on_drive(match, along_m) for along_m in (line.begins_m, line.along_m, line.ends_m))
         if begin is None or middle is None or end is None:
