@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig
 from edge.errors import MapError
 from edge.geodesy import east_north, first_known
-from edge.reference_map.checksums import Checksums, ChecksumSchedule
+from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.growing_map import CAPACITY, MapSoFar
 from edge.reference_map.place_index import PlaceIndex
@@ -180,7 +180,7 @@ class MapSet:
     def check_places(self, ranges: Ranges) -> None:
         """Check where some places are against the checksums of their maps, if on the disk. MapError for damage."""
         for one in (self.maps[index] for index in self.index.maps_of(ranges)):
-            Checksums(one.path, one.header.files, [name for name in (PLACES,) if name in one.header.files]).finish()
+            check_files(one.path, one.header.files, {PLACES} & one.header.files.keys())
 
     def checksum_schedule(self) -> ChecksumSchedule:
         """What must be checked before anything that rests on a map is published."""
