@@ -119,8 +119,8 @@ class SequenceSearch:
         self.planes = tuple(planes)
         self._slopes = tuple(slopes)
         self._impossible = None if possible is None or possible.all() else ~possible
-        self.span = length if span is None else span
-        reach = math.ceil(max(self._slopes) * self.span) + 1
+        self._span = length if span is None else span
+        reach = math.ceil(max(self._slopes) * self._span) + 1
         self._margin = reach if open_ends else 0
         self._first_rows = min(length, FIRST_FRAMES) if open_ends else length
         self._at = np.arange(segments[-1][1])
@@ -207,7 +207,7 @@ class SequenceSearch:
             self.length,
             self._slopes,
             possible,
-            span=self.span,
+            span=self._span,
             open_ends=open_ends,
             laps=self._laps,
         )

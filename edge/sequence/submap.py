@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.evidence import Neighborhood, Roads, best_match, best_match_within
+from edge.sequence.evidence import Neighborhood, Roads, match_at
 from edge.sequence.parallax import Lanes, lane_costs
-from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
 
@@ -58,11 +58,6 @@ class RowMatcher:
         )
         self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
 
-    @property
-    def span(self) -> float:
-        """The most places that may be driven within a line."""
-        return self._search.span
-
     def push(
         self, costs: NDArray[np.int32], ages: Sequence[int] = (0,), driven: float | None = None
     ) -> PlaceMatch | None:
@@ -87,24 +82,19 @@ class RowMatcher:
         self.lines = self._search.lines(self._against)
         if self.lines is None:
             return None
-        return self._named(best_match(self._search, self.lines, self._newest_searched, self.neighborhood))
+        best = int(self.lines.costs.argmin())
+        return self._match(best, self.lines.plane(best))
 
-    def best_within(self, places: slice, direction: Direction) -> PlaceMatch | None:
-        """The best line after the newest row that ends at some places, in one direction; None where there is none."""
-        if self.lines is None or places.start >= places.stop:
+    def _match(self, place: int, plane: int) -> PlaceMatch | None:
+        """The line of that plane that ends at a place; None where no whole one does."""
+        if self.lines is None or self.lines.by_plane[plane][place] == NO_LINE:
             return None
-        found = best_match_within(places, direction, self._search, self.lines, self._newest_searched, self.neighborhood)
-        return self._named(found)
-
-    @property
-    def _newest_searched(self) -> NDArray[np.int32]:
-        return self._newest.min(axis=0, keepdims=True) if self._per_frame_order else self._newest
-
-    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
-        if match is None or not self._per_frame_order:
+        newest = self._newest.min(axis=0, keepdims=True) if self._per_frame_order else self._newest
+        match = match_at(place, plane, self._search, self.lines, newest, self.neighborhood)
+        if not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
-        return replace(match, order=ORDERS[int(self._newest[:, match.place].argmin())])
+        return replace(match, order=ORDERS[int(self._newest[:, place].argmin())])
 
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
         """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
@@ -182,15 +172,20 @@ class Submap(RowMatcher):
         return any(bool(of.any()) for of in self._against.values())
 
     def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
-        """The best line that ends at places [first, end) of one drive; None where none of them is in this part."""
-        start, stop = np.searchsorted(self.places, [first, end])
-        return self.best_within(slice(int(start), int(stop)), direction)
+        """The best line in a direction that ends at places [first, end) of one drive; None where this part has none."""
+        start, stop = (int(at) for at in np.searchsorted(self.places, [first, end]))
+        if self.lines is None or start >= stop:
+            return None
+        planes = [number for number, plane in enumerate(self._search.planes) if plane[0] == direction]
+        costs = np.stack([self.lines.by_plane[plane][start:stop] for plane in planes])
+        number, at = np.unravel_index(int(costs.argmin()), costs.shape)
+        return self._match(start + int(at), planes[number])
 
-    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
-        match = super()._named(match)
+    def _match(self, place: int, plane: int) -> PlaceMatch | None:
+        match = super()._match(place, plane)
         if match is None:
             return None
-        place_index = int(self.places[match.place])
+        place_index = int(self.places[place])
         name, row = self._map_set.locate(place_index)
         return replace(match, place_index=place_index, map=name, place=row)
 
