@@ -73,14 +73,12 @@ class PlaceSearch:
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Callable[[str], None] = lambda stage: None) -> None:
         """`stopwatch("matching")` is called when the costs of a frame are computed, and its search begins."""
         self._stopwatch = stopwatch
-        self._map_set, self._config = map_set, config
-        self._most = config.map.places_per_frame
-        self._scan = GlobalSearch(map_set, config)
+        self.map_set, self._config = map_set, config
+        self._scan = GlobalSearch(config)
         self._lags = lags_of(config, Drives(map_set, config.sampling.spacing_m).spacing_m)
         self._driven = [0.0]
         """Places, at each row of the ring and the one before, the oldest first."""
         self._span: float = config.sequence_frames  # the most places that lines have room for
-        self._is_whole = map_set.index.places <= self._most
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
         self._reach: Near | None = None  # of the part, if it lies around a position
@@ -96,6 +94,15 @@ class PlaceSearch:
         """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
 
     @property
+    def _most(self) -> int:
+        """Places that a frame may be matched with."""
+        return self._config.map.places_per_frame
+
+    @property
+    def _is_whole(self) -> bool:
+        return self.map_set.index.places <= self._most
+
+    @property
     def mode(self) -> Mode:
         """How the next frame is searched."""
         return "whole" if self._is_whole else "scanning" if self.part is None else "around"
@@ -103,7 +110,7 @@ class PlaceSearch:
     @property
     def folders_in_use(self) -> list[Path]:
         """Of the maps that the next match may rest on, as far as it is known."""
-        return self._map_set.folders_of(self.part.ranges) if self.part else []
+        return self.map_set.folders_of(self.part.ranges) if self.part else []
 
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
@@ -117,9 +124,7 @@ class PlaceSearch:
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
-        self._map_set, was_whole = map_set, self._is_whole
-        self._scan.grow(map_set)
-        self._is_whole = map_set.index.places <= self._most
+        was_whole, self.map_set = self._is_whole, map_set
         if not self._is_whole:
             if was_whole:
                 self.part = self._reach = None
@@ -153,7 +158,7 @@ class PlaceSearch:
             self.part.head(travel.course_rad)
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._span, self._lanes, travel.course_rad)
+            found = self._scan.step(self.map_set, ring(), self._span, self._lanes, travel.course_rad)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found
@@ -195,9 +200,9 @@ class PlaceSearch:
         if any(self._lanes.lags) or self._is_fresh:
             rows = ring()
             ages = range(len(rows))[::-1] if self._is_fresh else change.ages
-            costs = lane_costs(self._map_set, rows, ages, self.part.ranges, self._lanes)
+            costs = lane_costs(self.map_set, rows, ages, self.part.ranges, self._lanes)
         else:
-            costs = self._map_set.costs(change.rows, self.part.ranges)
+            costs = self.map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
         if not self._is_fresh:
             self.newest_costs = costs[0]
@@ -209,7 +214,7 @@ class PlaceSearch:
         """Search around the position, if the part does not reach as far as it must."""
         is_by_place = self.part is not None and self._reach is None
         # A position says nothing of maps without any, nor of a place that was recognized on one.
-        if not self._map_set.blocks.is_known or (is_by_place and not self._is_doubtful):
+        if not self.map_set.blocks.is_known or (is_by_place and not self._is_doubtful):
             return
         must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
         if self._reach is None or not self._reach.holds(near, must_m):
@@ -233,25 +238,25 @@ class PlaceSearch:
         if around is not None:
             self._search_around(around)
             return
-        first, end = self._map_set.index.whole(place_index)
+        first, end = self.map_set.index.whole(place_index)
         some = self._most // 4
         self._search([(max(first, place_index - some), min(end, place_index + some))], None)
         self._settled = place_index
 
     def _around(self, place_index: int) -> Near | None:
         """A place's own surroundings, None where its position is not known."""
-        record = self._map_set.places[place_index]
+        record = self.map_set.places[place_index]
         if np.isnan(record["lat_deg"]):
             return None
         radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
         return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
     def _search_around(self, reach: Near) -> None:
-        found = self._map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
-        self._search(self._map_set.index.widened(found, math.ceil(self._span)), reach)
+        found = self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
+        self._search(self.map_set.index.widened(found, math.ceil(self._span)), reach)
 
     def _everything(self) -> Ranges:
-        return [(0, self._map_set.index.places)] if self._is_whole else []
+        return [(0, self.map_set.index.places)] if self._is_whole else []
 
     def _search(self, ranges: Ranges, reach: Near | None) -> None:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
@@ -261,7 +266,7 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(ranges, self._map_set, self._slopes_config, self._span)
+        return Submap(ranges, self.map_set, self._slopes_config, self._span)
 
     @property
     def _slopes_config(self) -> Config:

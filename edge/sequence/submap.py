@@ -227,14 +227,10 @@ class GlobalSearch:
     the first slices are then older than those of the last by as many frames as there are slices.
     """
 
-    def __init__(self, map_set: MapSet, config: Config) -> None:
-        self._map_set, self._config = map_set, config
+    def __init__(self, config: Config) -> None:
+        self._config = config
         self._slice = max(1, config.map.places_per_frame // SLICE_SHARE)
         self.restart()
-
-    def grow(self, map_set: MapSet) -> None:
-        """Scan a set that has further places after those of the last one."""
-        self._map_set = map_set
 
     def restart(self) -> None:
         """Start at the first place again."""
@@ -242,27 +238,27 @@ class GlobalSearch:
         self._found: list[PlaceMatch] = []
 
     def step(
-        self, ring: NDArray[np.float32], span: float, lanes: Lanes, course_rad: float | None = None
+        self, maps: MapSet, ring: NDArray[np.float32], span: float, lanes: Lanes, course_rad: float | None = None
     ) -> PlaceMatch | None:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
-        span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`. course_rad: see
-        `Travel`.
+        maps: the same during a pass, but for further places at their end. span: the most places within a line, see
+        `SequenceSearch`. lanes: see `lane_costs`. course_rad: see `Travel`.
         """
         if len(ring) < self._config.sequence_frames:
             return None
-        end = min(self._next + self._slice, self._map_set.index.places)
+        end = min(self._next + self._slice, maps.index.places)
         # Lines that end in the slice may begin before it, or after it on the way back.
-        ranges = self._map_set.index.widened([(self._next, end)], math.ceil(span))
-        slice_of_maps = Submap(ranges, self._map_set, self._config, span)
+        ranges = maps.index.widened([(self._next, end)], math.ceil(span))
+        slice_of_maps = Submap(ranges, maps, self._config, span)
         slice_of_maps.head(course_rad)
         ages = range(len(ring))[::-1]
-        costs = lane_costs(self._map_set, ring, ages, ranges, lanes)
+        costs = lane_costs(maps, ring, ages, ranges, lanes)
         match = slice_of_maps.refill(costs, lanes.driven[-len(ring) :])
-        self._map_set.release(ranges)  # or a pass would map every descriptor there is
+        maps.release(ranges)  # or a pass would map every descriptor there is
         self._found += [match] if match else []
         self._next = end
-        if end < self._map_set.index.places:
+        if end < maps.index.places:
             return None
         best = self._best()
         self.restart()
