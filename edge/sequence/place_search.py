@@ -119,6 +119,7 @@ class PlaceSearch:
         self._count_measured(self._config.sequence_frames)
         if self._is_whole and self.part:
             self.part.clear()
+            self._is_fresh = True
         else:
             self.part = self._reach = None
 
