@@ -125,16 +125,17 @@ class PlaceSearch:
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
-        was_whole, self.map_set = self._is_whole, map_set
+        was_whole, grows, self.map_set = self._is_whole, map_set.index.places > self.map_set.index.places, map_set
         if not self._is_whole:
             if was_whole:
                 self.part = self._reach = None
             elif self._reach is not None:
                 self._search_around(self._reach)
-        elif (
-            self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config, self._lanes)
-        ):
+        elif grows:
+            before, was_fresh = self.part, self._is_fresh
             self._search(self._everything(), None)
+            if self.part is not None and before is not None and not was_fresh:
+                self._is_fresh = not self.part.take_over(before, ring(), self._lanes)
 
     def push(
         self,

@@ -111,19 +111,10 @@ class Submap(RowMatcher):
 
     def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None) -> None:
         """span: the most places that may be driven within a line, so many as frames if None."""
-        segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
-        regions = map_set.headers[0].regions.count
-        others = neighborhood, config
-        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=self._stale)
-
-    def _choose(
-        self, ranges: Ranges, map_set: MapSet, config: Config
-    ) -> tuple[Segments, list[int | None], list[str], Neighborhood]:
-        """Make some ranges this part: their segments counted from 0, lap and view of each, and their neighborhood."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set = map_set
-        self._stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
+        stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
@@ -138,28 +129,21 @@ class Submap(RowMatcher):
             config.acceptance,
             {number: lap for (number, _, _), lap in zip(pieces, laps, strict=True) if lap is not None},
         )
-        return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
+        views, regions = [map_set.index.view(number) for number, _, _ in pieces], map_set.headers[0].regions.count
+        others = neighborhood, config
+        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=stale)
 
-    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lanes: Lanes) -> bool:
-        """Add all places of a set after those of this part, which has all of the set before; between two frames.
+    def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
+        """Go on from a part that has the first of these places, so that only the others are matched with the ring.
 
-        ring: the rows of the ring (n, R, D), oldest first. lanes: see `lane_costs`. False if the further places need
-        another part, since they can be passed in other directions or region orders.
+        ring: its rows (n, R, D), oldest first. lanes: see `lane_costs`. False if the others can be passed in other
+        directions or region orders, so that this part has to be matched with all rows.
         """
-        before, after = len(self.places), map_set.index.places
-        if after == before:
-            self._map_set = map_set
-            return True
-        segments, _, views, neighborhood = self._choose([(0, after)], map_set, config)
-        planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config, self._stale)
-        if tuple(planes) != self._search.planes:
+        if before._search.planes != self._search.planes:
             return False
-        ages = range(len(ring))[::-1]
-        costs = lane_costs(map_set, ring, ages, [(before, after)], lanes)
-        if self._per_frame_order:
-            costs = costs.min(axis=1, keepdims=True)
-        self.neighborhood, self.lines = neighborhood, None
-        self._search = self._search.grown(segments, possible, costs)
+        further = [(len(before.places), len(self.places))]
+        costs = lane_costs(self._map_set, ring, range(len(ring))[::-1], further, lanes)
+        self._search.take_over(before._search, costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
         return True
 
     def head(self, course_rad: float | None) -> None:
