@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
-from edge.reference_map import COST_ONE, Drives, MapSet, Ranges
+from edge.reference_map import Drives, MapSet, Ranges
 from edge.sequence import NOTHING_KNOWN, CostView, Direction, Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
@@ -89,9 +89,6 @@ class PlaceSearch:
         self._measured_frames = config.sequence_frames  # in a row of which the distance driven is known
         self._is_regular = is_regular(map_set, config.sequence_frames)
         self._search(self._everything(), None)
-        orders = map_set.headers[0].regions.count
-        self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
-        """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
 
     @property
     def _most(self) -> int:
@@ -111,6 +108,11 @@ class PlaceSearch:
     def folders_in_use(self) -> list[Path]:
         """Of the maps that the next match may rest on, as far as it is known."""
         return self.map_set.folders_of(self.part.ranges) if self.part else []
+
+    @property
+    def newest_costs(self) -> NDArray[np.int32]:
+        """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
+        return self.part.newest if self.part is not None else np.zeros((1, 0), np.int32)
 
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
@@ -180,16 +182,15 @@ class PlaceSearch:
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in."""
-        part, costs = self.part, self.newest_costs
-        searched = part.places if part is not None else np.zeros(0, dtype=np.intp)
-        if costs.shape[1] != len(searched):
-            costs, searched = np.zeros((0, 0), np.int32), searched[:0]
-        if part is None or match is None:
-            return CostView(costs, searched, np.zeros((0, 0), np.int32), 0, COST_ONE)
+        part, nothing = self.part, np.zeros((0, 0), np.int32)
+        if part is None or not part.newest.size:
+            return CostView(nothing, np.zeros(0, np.intp), nothing, 0)
+        if match is None:
+            return CostView(part.newest, part.places, nothing, 0)
         at = int(np.searchsorted(part.places, match.place_index))
         first = max(0, at - WINDOW_PLACES)
         window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
-        return CostView(costs, searched, window, int(part.places[min(first, len(part.places) - 1)]), COST_ONE)
+        return CostView(part.newest, part.places, window, int(part.places[min(first, len(part.places) - 1)]))
 
     @property
     def _is_doubtful(self) -> bool:
@@ -207,9 +208,8 @@ class PlaceSearch:
             costs = self.map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
         if not self._is_fresh:
-            self.newest_costs = costs[0]
             return self.part.push(costs, change.ages, self._driven[-1])
-        self._is_fresh, self.newest_costs = False, costs[-1]
+        self._is_fresh = False
         return self.part.refill(costs, self._driven[-len(costs) :])
 
     def _look_around(self, near: Near) -> None:

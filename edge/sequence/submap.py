@@ -56,7 +56,8 @@ class RowMatcher:
         self._search = SequenceSearch(
             segments, planes, config.sequence_frames, slopes, possible, span=span, open_ends=open_ends, laps=laps
         )
-        self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
+        self.newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
+        """Costs (orders, N) of the newest row, in units of COST_ONE."""
 
     def push(
         self, costs: NDArray[np.int32], ages: Sequence[int] = (0,), driven: float | None = None
@@ -67,7 +68,7 @@ class RowMatcher:
         """
         searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
         self._search.push(searched[0], driven)
-        self._newest = costs[0]
+        self.newest = costs[0]
         for age, row in zip(ages[1:], searched[1:], strict=True):
             self._search.replace(age, row)
         return self._best()
@@ -75,7 +76,7 @@ class RowMatcher:
     def refill(self, costs: NDArray[np.int32], driven: Sequence[float] | None = None) -> PlaceMatch | None:
         """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match. driven: of each row."""
         self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs, driven)
-        self._newest = costs[-1]
+        self.newest = costs[-1]
         return self._best()
 
     def _best(self) -> PlaceMatch | None:
@@ -89,12 +90,12 @@ class RowMatcher:
         """The line of that plane that ends at a place; None where no whole one does."""
         if self.lines is None or self.lines.by_plane[plane][place] == NO_LINE:
             return None
-        newest = self._newest.min(axis=0, keepdims=True) if self._per_frame_order else self._newest
+        newest = self.newest.min(axis=0, keepdims=True) if self._per_frame_order else self.newest
         match = match_at(place, plane, self._search, self.lines, newest, self.neighborhood)
         if not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
-        return replace(match, order=ORDERS[int(self._newest[:, place].argmin())])
+        return replace(match, order=ORDERS[int(self.newest[:, place].argmin())])
 
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
         """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
