@@ -66,7 +66,6 @@ def test_the_greatest_products_do_not_overflow(tmp_path: Path) -> None:
     ones = np.ones((3, 2, 32_768), np.float32)
     ones[1] = -1
     encoded = encode(ones)
-    norms = squared_norms(encoded)
-    assert norms.tolist() == [32_768 * 127**2] * 3
-    costs = CostMatcher(encoded, norms).costs(ones[:1])
+    assert squared_norms(encoded).tolist() == [32_768 * 127**2] * 3
+    costs = CostMatcher.of_encoded(encoded).costs(ones[:1])
     np.testing.assert_array_equal(costs[0, 0], [0, 32_768, 0])
