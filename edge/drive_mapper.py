@@ -28,10 +28,47 @@ from edge.journal.records import MappingChanged, Record
 from edge.mapping import LiveMap, LogHeader, MappingStatus, MappingView
 from edge.reference_map import MapSoFar, ModelKey, RegionsKey
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.vehicle import Vehicle
 
 START_S = 120.0  # of the service's unit, which the rest of the start may take
+MappedFrame = tuple[Frame, NDArray[np.float32], float | None, int]
+"""A frame at a new place, its raw descriptor (R, D), meters driven, and places passed before it without a frame."""
+Process = Callable[[Frame, float, int], NDArray[np.float32]]
+"""A frame, meters driven, and places passed before it without a frame -> its raw descriptor (R, D)."""
 LEAST_SHARE = 1 / 8
 """Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
+
+
+class OwnCamera:
+    """A camera that maps and is not recognized by: described only as often as the first one leaves time for it."""
+
+    def __init__(
+        self, config: Config, frames: Frames, device: NewestFrame | None, vehicle: Vehicle, clock_ns: Callable[[], int]
+    ) -> None:
+        """device: opens it again; None where it cannot be."""
+        self.frames, self._vehicle, self._clock_ns = frames, vehicle, clock_ns
+        self._sampler = Sampler(config.sampling)
+        self._pictures = PictureCheck(device, config.gates.min_speed_mps)
+        self._takes_s = 0.0  # what its last frame took
+        self._spare_s = 0.0  # saved for its next one
+        self._asked_ns = clock_ns()
+
+    def next_place(self, waited_s: float, process: Process) -> MappedFrame | None:
+        """Its newest frame if that shows a new place and there is time for it, see `DriveMapper.map_next`."""
+        now_ns = self._clock_ns()
+        busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
+        self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
+        frame = self.frames.take(0.0) if self._spare_s >= self._takes_s else None
+        if frame is None or not self._pictures.is_usable(frame, self._vehicle.speed_mps(self._clock_ns())):
+            return None
+        distance_m = self._vehicle.distance_m(frame.stamp_ns)
+        if distance_m is None or not self._sampler.is_place(frame.stamp_ns, distance_m):
+            return None
+        missed = self._sampler.missed
+        raw = process(frame, distance_m, missed)
+        self._asked_ns = self._clock_ns()
+        self._spare_s, self._takes_s = 0.0, (self._asked_ns - now_ns) / 1e9
+        return frame, raw, distance_m, missed
 
 
 class DriveMapper:
@@ -56,17 +93,13 @@ class DriveMapper:
         view = config.camera.view if camera is UNSET else camera.view
         header = LogHeader(model, RegionsKey.of(config.descriptor), config.sampling)
         self.live = parts.enter_context(closing(LiveMap(config.mapping, header, view, before_long=_ask_for_time)))
-        self._frames: Frames | None = frames
-        self._device: NewestFrame | None = None
+        device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
-            self._frames = self._device = NewestFrame.configured(camera, clock_ns)
-        if self._frames is not None:
-            parts.enter_context(closing(self._frames))
-        self._sampler = Sampler(config.sampling)
-        self._pictures = PictureCheck(self._device, config.gates.min_speed_mps)
-        self._takes_s = 0.0  # what the second camera's last frame took
-        self._spare_s = 0.0  # saved for its next one
-        self._asked_ns = clock_ns()
+            frames = device = NewestFrame.configured(camera, clock_ns)
+        self._own: OwnCamera | None = None
+        if frames is not None:
+            parts.enter_context(closing(frames))
+            self._own = OwnCamera(config, frames, device, autopilot.vehicle, clock_ns)
         self._gaps = autopilot.vehicle.distance_gaps
         self.paused = ""
         """Why a person has mapping pause; "" where nobody has."""
@@ -75,7 +108,7 @@ class DriveMapper:
     @property
     def status(self) -> MappingStatus:
         """What is mapped now, for people."""
-        camera = self._frames.health if self._frames is not None else None
+        camera = self._own.frames.health if self._own is not None else None
         if camera is not None and camera.state == "lost":
             return replace(self.live.status, state="waiting", why=f"camera: {camera.reason}")
         return self.live.status
@@ -98,29 +131,19 @@ class DriveMapper:
 
         The map of this drive, if enough further places lie far enough behind the vehicle to be searched.
         """
-        if self._frames is None:
+        if self._own is None:
             self._await_position(frame, raw, distance_m, missed)
         self.add_placed()
         return self.live.newly_searchable(self._autopilot.vehicle.distance_m(self._clock_ns()))
 
-    def map_next(self, waited_s: float, process: Callable[[Frame, float, int], NDArray[np.float32]]) -> None:
+    def map_next(self, waited_s: float, process: Process) -> None:
         """Map the newest frame of the second camera, if it shows a new place and the first camera left time for it.
 
-        waited_s: for a frame of the first camera, in this turn. process: a frame, meters driven, and places that were
-        passed before it without a frame -> its raw descriptor (R, D).
+        waited_s: for a frame of the first camera, in this turn.
         """
-        now_ns = self._clock_ns()
-        busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
-        self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
-        frame = self._frames.take(0.0) if self._frames is not None and self._spare_s >= self._takes_s else None
-        if frame is not None and self._pictures.is_usable(frame, self._autopilot.vehicle.speed_mps(self._clock_ns())):
-            distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
-            if distance_m is not None and self._sampler.is_place(frame.stamp_ns, distance_m):
-                missed = self._sampler.missed
-                raw = process(frame, distance_m, missed)
-                self._await_position(frame, raw, distance_m, missed)
-                self._asked_ns = self._clock_ns()
-                self._spare_s, self._takes_s = 0.0, (self._asked_ns - now_ns) / 1e9
+        found = self._own.next_place(waited_s, process) if self._own is not None else None
+        if found is not None:
+            self._await_position(*found)
         self.add_placed()
 
     def add_placed(self) -> None:

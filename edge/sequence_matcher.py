@@ -62,13 +62,11 @@ class CameraMatcher:
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on, beginning a new sequence; the normalization's statistics stay."""
-        self._map_set = map_set
         self.search = PlaceSearch(map_set, self._config, self._stopwatch)
         self._normalizer.clear_ring()
 
     def grow(self, map_set: MapSet) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
-        self._map_set = map_set
         self.search.grow(map_set, self._normalizer.rows)
 
     def begin_statistics(self) -> None:
@@ -77,9 +75,9 @@ class CameraMatcher:
         A mean over the first frames alone would remove most of what they show, since they show the same stretch of
         road.
         """
-        places = self._map_set.index.places
+        places = self.search.map_set.index.places
         if places:
-            mean, deviation = self._map_set.statistics()
+            mean, deviation = self.search.map_set.statistics()
             self.begin_with(RunningStatistics.of_another_run(places, mean, deviation, at_most=MAP_COUNTS_AS))
 
     def begin_with(self, statistics: RunningStatistics) -> None:
@@ -132,7 +130,7 @@ class CameraMatcher:
         self._frame += 1
         if match is None or not match.accepted or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
             return match
-        return replace(match, parallax=parallax_of(match, self._normalizer.rows, self._map_set, drives))
+        return replace(match, parallax=parallax_of(match, self._normalizer.rows, self.search.map_set, drives))
 
     def reset(self) -> None:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
@@ -141,7 +139,9 @@ class CameraMatcher:
 
     def _shows_parallax(self, match: PlaceMatch) -> bool:
         """Whether it is used, and both cameras look the same way: else the two regions see unlike sides of the road."""
-        has_regions = self._map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
+        has_regions = (
+            self.search.map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
+        )
         return has_regions and self._config.rig.parallax > 0 and match.order == "same"
 
 
@@ -168,7 +168,7 @@ class SequenceMatcher:
 
     def grow(self, map_set: MapSet) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
-        self.map_set, before = map_set, self._drives
+        before = self._drives
         for camera in self._cameras:
             camera.grow(map_set)
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
@@ -178,7 +178,6 @@ class SequenceMatcher:
     def _use(self, map_set: MapSet) -> None:
         self.best: PlaceMatch | None = None
         """The best line after the newest frame, wherever the place is believed to be (eq. 3, the paper's answer)."""
-        self.map_set = map_set
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
         self._unmeasured: int | None = 0  # frames of this sequence, as long as none had a known distance
         self._begin_consensus()
@@ -186,6 +185,11 @@ class SequenceMatcher:
     def _begin_consensus(self) -> None:
         settings = ConsensusSettings.of(self._config, self._drives, self._usual_step)
         self._consensus = PlaceConsensus(settings, self._positions_m, cameras=len(self._cameras))
+
+    @property
+    def map_set(self) -> MapSet:
+        """The maps that are searched."""
+        return self.first.search.map_set
 
     @property
     def _usual_step(self) -> float:

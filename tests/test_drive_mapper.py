@@ -29,7 +29,7 @@ from edge.config import (
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.journal.records import FrameUsed, MappingChanged
-from edge.mapping.completion import logs_in
+from edge.mapping.place_log import logs_in
 from edge.opened_parts import OpenedParts
 from sim import Pose
 from sim.journal import records_of

@@ -9,32 +9,41 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from edge.descriptor import RunningStatistics
+from edge.warm_start import Moment, StateFile, StateKey
 
 KEY = StateKey("m" * 64, "fc6", "left-right", 0.4, "h" * 64)
 SHAPE = (2, 16)
 NOW = Moment(1_000_000.0, "boot-a", 500.0)
 RANDOM = np.random.default_rng(3)
-KEPT = KeptState(120, RANDOM.normal(size=SHAPE), RANDOM.random(SHAPE))
+KEPT = RunningStatistics.of_another_run(120, RANDOM.normal(size=SHAPE), RANDOM.random(SHAPE), at_most=120)
 
 
 def later(seconds: float, boot: str = "boot-a", unix_s: float | None = None) -> Moment:
     return Moment(NOW.unix_s + seconds if unix_s is None else unix_s, boot, NOW.boot_s + seconds)
 
 
+def write(file: StateFile) -> None:
+    file.put(file.encoded(KEPT, NOW))
+
+
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "events.state"
-    StateFile(path, KEY, SHAPE).write(KEPT, NOW)
+    write(StateFile(path, KEY, SHAPE))
     return path
 
 
-def test_what_was_kept_comes_back(file: Path) -> None:
+def test_what_was_kept_comes_back(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     kept = StateFile(file, KEY, SHAPE).read(later(60), 1800)
     assert kept is not None
     np.testing.assert_array_equal(kept.mean, KEPT.mean)
-    np.testing.assert_array_equal(kept.deviation, KEPT.deviation)
-    assert (kept.count, kept.age_s) == (120, 60)
+    np.testing.assert_allclose(kept.deviation, KEPT.deviation, rtol=1e-15)
+    assert kept.count == 120
+    assert [one.getMessage() for one in caplog.records] == [
+        "starting with the statistics of the run that ended 60 s ago"
+    ]
     assert [path.name for path in file.parent.iterdir()] == ["events.state"]
 
 
@@ -66,8 +75,8 @@ def test_a_disk_that_takes_nothing_costs_the_state_and_is_told_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     state = StateFile(tmp_path / "no-such-folder" / "events.state", KEY, SHAPE)
-    state.write(KEPT, NOW)
-    state.write(KEPT, NOW)
+    write(state)
+    write(state)
     (record,) = caplog.records
     assert "cannot save the state: No such file" in record.getMessage()
 

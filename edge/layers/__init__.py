@@ -2,13 +2,13 @@
 
 `learner` runs that command after the daemon's drives
 `tally`   what the daemon recognized, by map, light and stretch; a file for each run
-`stored`  the maps of a folder on the disk
+`stored`  the maps of a folder on the disk, and which are deleted for want of space
 `road`    which drives pass the same road, and how alike they look there
 """
 
 from edge.layers.learner import Learner, learn_command
 from edge.layers.road import NEEDED, REACH_M, Stretch, stretches
-from edge.layers.stored import CLOCK_SET_UNIX_S, KEEP_FILE, StoredMap, keys_of, stored_maps
+from edge.layers.stored import CLOCK_SET_UNIX_S, KEEP_FILE, StoredMap, delete_oldest, keys_of, stored_maps
 from edge.layers.tally import (
     LIGHTS,
     STRETCH_PLACES,
@@ -36,6 +36,7 @@ __all__ = [
     "StoredMap",
     "Stretch",
     "Tally",
+    "delete_oldest",
     "keys_of",
     "learn_command",
     "light_of",

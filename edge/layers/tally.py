@@ -44,7 +44,7 @@ def light_of(gray_level: float) -> str:
 
 
 def source_of(map_path: Path) -> str:
-    """What a map of a drive says of itself, by which it is known as long as it has its name: see `mapping.quota`."""
+    """What a map of a drive says of itself, by which it is known as long as it has its name: see `StoredMap`."""
     return f"drive of {map_path.name}"
 
 

@@ -1,10 +1,9 @@
 """Live mapping: the drive becomes a map while it is driven, and can be searched a fixed distance behind the vehicle.
 
-`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole
+`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole;
+             that of an earlier drive becomes an ordinary map
 `live_map`   which frames become places; the file and the map in memory together
-`completion` the file of an earlier drive becomes an ordinary map
 `status`     what people are shown of all this, and what to expect if GPS were lost now
-`quota`      which maps are deleted for want of disk space
 """
 
 from edge.mapping.live_map import LiveMap

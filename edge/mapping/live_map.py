@@ -16,11 +16,9 @@ from edge.config import MappingConfig
 from edge.errors import MapError
 from edge.files import named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.layers import source_of
-from edge.mapping.completion import complete, log_of, logs_in, map_of
-from edge.mapping.place_log import OpenLog, PlaceLog, create_log
+from edge.layers import delete_oldest, source_of
+from edge.mapping.place_log import OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace, missed_places
-from edge.mapping.quota import delete_oldest
 from edge.mapping.status import MappingStatus, MappingView, SelfComparison
 from edge.reference_map import GpsMotion, GrowingMap, MapSoFar, Place, thumbnail
 

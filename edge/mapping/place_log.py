@@ -1,8 +1,10 @@
-"""The file of a map that is being made: opened after any crash, and written by a thread of its own.
+"""The file of a map that is being made: opened after any crash, written by a thread of its own, at last a map.
 
 A process that is killed leaves whole records and at most one that is cut off, which is removed when the file is opened
 again. What is damaged elsewhere is skipped, and stays. Bytes are handed to the kernel with every record, and flushed
 to the disk once a second: a power cut costs the places of the last moments, and a slow disk costs no frame.
+
+The places of an earlier drive become an ordinary map: the same bytes that `lookback map build` would write.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from numpy.typing import NDArray
 
 from edge.errors import MapError, reason
 from edge.files import replacing
+from edge.layers import source_of
 from edge.mapping.place_log_records import (
     FORMAT,
     HEAD,
@@ -39,7 +42,7 @@ from edge.mapping.place_log_records import (
     record_at,
     whole_records,
 )
-from edge.reference_map import Place
+from edge.reference_map import MapBuilder, Place
 
 QUEUE_PLACES = 32
 RECENT = 2 * QUEUE_PLACES
@@ -48,7 +51,25 @@ FLUSHED_EACH_S = 1.0
 FLOATS = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float32)
 """Every float16: looked up, a descriptor becomes float32 eight times faster than NumPy converts it."""
 DISK_FULL = "the disk is nearly full"
+SUFFIX = ".growing"
+FEWEST_PLACES = 20
+"""A drive of fewer places is no map: nothing can be recognized on it."""
 log = logging.getLogger(__name__)
+
+
+def log_of(map_path: Path) -> Path:
+    """The file in which a map is made; hidden, so that it is no map of its folder yet."""
+    return map_path.with_name(f".{map_path.name}{SUFFIX}")
+
+
+def map_of(file: Path) -> Path:
+    """The map that a file of places will become."""
+    return file.with_name(file.name[1 : -len(SUFFIX)])
+
+
+def logs_in(folder: Path) -> list[Path]:
+    """Files of places of all drives that are not maps yet, the oldest first."""
+    return sorted(folder.glob(f".*{SUFFIX}"))
 
 
 class OpenLog:
@@ -258,3 +279,34 @@ class PlaceLog:
         if not self.stopped:
             self.stopped = reason(error)
             log.warning("%s: mapping stopped after %d places: %s", self.file.path, len(self.file.places_at), error)
+
+
+def complete(file: OpenLog) -> Path | None:
+    """Make the map of an earlier drive and remove its file; None where the drive has too few places for one.
+
+    A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
+    """
+    path = map_of(file.path)
+    if len(file.places_at) < FEWEST_PLACES:
+        log.info("%s: %d places are too few for a map; removed", file.path, len(file.places_at))
+        file.path.unlink(missing_ok=True)
+        return None
+    if not path.exists():
+        _build(file, path)
+        log.info("%s: a map of %d places was made of the drive", path, len(file.places_at))
+    file.path.unlink(missing_ok=True)
+    return path
+
+
+def _build(file: OpenLog, path: Path) -> None:
+    header = file.header
+    with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
+        for first, end, drive in file.segments():
+            builder.begin_segment(source_of(path), drive.view)
+            for row in range(first, end):
+                try:
+                    passed = file.place(row)
+                    builder.add(file.raw_of(passed), passed.place)
+                except OSError as error:
+                    raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
+        builder.finish()

@@ -20,7 +20,7 @@ import edge
 from edge.camera import CameraHealth, Frame
 from edge.journal.records import FrameUsed
 from edge.mapping import MappingView
-from edge.reference_map import Bounds, MapSet
+from edge.reference_map import COST_ONE, Bounds, MapSet
 from edge.sequence import CostView, PlaceMatch
 from edge.telemetry import LinkStatus
 
@@ -157,13 +157,13 @@ def _cost_row(view: CostView) -> dict[str, Any]:
     if places == 0:
         return {"places": [], "orders": []}
     starts = np.unique(np.linspace(0, places, min(places, ROW_POINTS), endpoint=False).astype(int))
-    lowest = np.minimum.reduceat(view.costs, starts, axis=1) / view.cost_one
+    lowest = np.minimum.reduceat(view.costs, starts, axis=1) / COST_ONE
     return {"places": view.place_index[starts].tolist(), "orders": lowest.round(3).tolist()}
 
 
 def _cost_window(view: CostView) -> dict[str, Any]:
     """Rows of the cost matrix, oldest first, as whole thousandths."""
-    rows = np.rint(view.window * (1000 / view.cost_one)).astype(int)
+    rows = np.rint(view.window * (1000 / COST_ONE)).astype(int)
     return {"start": view.window_start, "rows": rows.tolist()}
 
 

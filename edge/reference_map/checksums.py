@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
-from io import FileIO
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,62 +20,31 @@ class FileKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sha256: str
 
 
-class Checksums:
-    """What is left to be checked of some files of a map."""
+def pieces_checked(
+    path: Path, files: Mapping[str, FileKey], names: Iterable[str], piece_bytes: int = PIECE_BYTES
+) -> Iterator[int]:
+    """Check some of the files that the header of the map at `path` lists: after each piece, how many bytes it had.
 
-    def __init__(self, path: Path, files: dict[str, FileKey], names: Sequence[str]) -> None:
-        """`names` of the `files` that the header of the map at `path` lists."""
-        self._path, self._files = path, files
-        self._names = list(names)
-        self._stream: FileIO | None = None
-        self._buffer = memoryview(b"")
-        self._digest = hashlib.sha256()
-
-    @property
-    def is_done(self) -> bool:
-        """Whether every checksum has been seen to hold."""
-        return not self._names
-
-    def step(self, max_bytes: int) -> bool:
-        """Read on by at most that much; True when all is done. MapError names a file whose checksum does not hold."""
-        while self._names and max_bytes > 0:
-            size = self._read(max_bytes)
-            if size:
-                self._digest.update(self._buffer[:size])
-                max_bytes -= size
-            else:
-                self._compare()
-        return self.is_done
-
-    def finish(self) -> None:
-        """Check all that is left, now."""
-        while not self.step(PIECE_BYTES):
-            pass
-
-    def close(self) -> None:
-        """Give the file that is being read back; what is left stays unchecked."""
-        if self._stream is not None:
-            self._stream.close()
-        self._stream, self._buffer = None, memoryview(b"")
-
-    def _read(self, max_bytes: int) -> int:
-        """Read a piece into the buffer, which is no larger than the file; how much it was, 0 at the end."""
-        file = self._path / self._names[0]
+    MapError names a file that cannot be read, or whose checksum does not hold.
+    """
+    for name in names:
+        file, digest = path / name, hashlib.sha256()
         try:
-            if self._stream is None:
-                self._stream = FileIO(file)
-                self._buffer = memoryview(bytearray(min(PIECE_BYTES, file.stat().st_size + 1)))
-                self._digest = hashlib.sha256()
-            return self._stream.readinto(self._buffer[:max_bytes]) or 0
+            with file.open("rb", buffering=0) as stream:
+                buffer = memoryview(bytearray(min(piece_bytes, file.stat().st_size + 1)))
+                while size := stream.readinto(buffer):
+                    digest.update(buffer[:size])
+                    yield size
         except OSError as error:
-            self.close()
             raise MapError(f"{file}: cannot read it: {error.strerror}") from None
+        if digest.hexdigest() != files[name].sha256:
+            raise MapError(f"{file}: damaged (checksum mismatch); build or copy the map again")
 
-    def _compare(self) -> None:
-        self.close()
-        name = self._names.pop(0)
-        if self._digest.hexdigest() != self._files[name].sha256:
-            raise MapError(f"{self._path / name}: damaged (checksum mismatch); build or copy the map again")
+
+def check_files(path: Path, files: Mapping[str, FileKey], names: Iterable[str]) -> None:
+    """Check all of them now, see `pieces_checked`."""
+    for _ in pieces_checked(path, files, names):
+        pass
 
 
 class ChecksumSchedule:
@@ -84,7 +52,7 @@ class ChecksumSchedule:
 
     def __init__(self, maps: Mapping[Path, tuple[dict[str, FileKey], Sequence[str]]]) -> None:
         """maps: of each map's folder, the files of its header and the names of those to check."""
-        self._left = {path: Checksums(path, files, names) for path, (files, names) in maps.items()}
+        self._left = {path: pieces_checked(path, files, names) for path, (files, names) in maps.items()}
         self._damaged: set[Path] = set()
 
     @property
@@ -97,7 +65,7 @@ class ChecksumSchedule:
         return not any(path in self._left or path in self._damaged for path in maps)
 
     def step(self, max_bytes: int, first: Sequence[Path] = ()) -> dict[Path, str]:
-        """Read on by at most that much, of the maps in `first` before others; a map that is damaged, and why.
+        """Read on by about that much, of the maps in `first` before others; a map that is damaged, and why.
 
         It is not checked again.
         """
@@ -105,8 +73,10 @@ class ChecksumSchedule:
         if path is None:
             return {}
         try:
-            if self._left[path].step(max_bytes):
-                del self._left[path]
+            while max_bytes > 0:
+                max_bytes -= next(self._left[path])
+        except StopIteration:
+            del self._left[path]
         except MapError as error:
             del self._left[path]
             self._damaged.add(path)

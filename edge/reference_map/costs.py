@@ -72,28 +72,26 @@ class CostMatcher:
     """Matches queries against the int8 descriptors of a map, straight from the memory map."""
 
     def __init__(
-        self, descriptors: NDArray[np.int8], norms_sq: NDArray[np.int32], projection: NDArray[np.float32] | None = None
+        self, descriptors: NDArray[np.int8], inverse: NDArray[np.float64], projection: NDArray[np.float32] | None = None
     ) -> None:
-        """descriptors (R, N, D) int8 as `encode` makes them, norms_sq (N,) int32; with R = 2 both orders are tried.
+        """descriptors (R, N, D) int8 as `encode` makes them; inverse (N,) as `inverse_lengths`. Both may change later.
 
-        projection: (D, dimensions of the network), of a map with shrunk descriptors.
+        With R = 2 both orders are tried. projection: (D, dimensions of the network), of a map with shrunk descriptors.
         """
-        self._planes = descriptors
-        self._inverse = inverse_lengths(norms_sq)
+        self._planes, self._inverse = descriptors, inverse
         self.projection = projection
         self.orders = len(descriptors)
 
     @classmethod
     def of(cls, reference_map: ReferenceMap) -> CostMatcher:
         """The matcher of an open map."""
-        return cls(reference_map.descriptors, reference_map.places["norm_sq"], reference_map.projection)
+        inverse = inverse_lengths(reference_map.places["norm_sq"])
+        return cls(reference_map.descriptors, inverse, reference_map.projection)
 
     @classmethod
-    def live(cls, descriptors: NDArray[np.int8], inverse: NDArray[np.float64]) -> CostMatcher:
-        """The matcher of descriptors that change while it is used, and with them `inverse`, of `inverse_lengths`."""
-        matcher = cls(descriptors[:, :0], np.zeros(0, np.int32))
-        matcher._planes, matcher._inverse = descriptors, inverse
-        return matcher
+    def of_encoded(cls, descriptors: NDArray[np.int8]) -> CostMatcher:
+        """The matcher of descriptors (R, N, D) as `encode` makes them."""
+        return cls(descriptors, inverse_lengths(squared_norms(descriptors)))
 
     def costs(self, query: NDArray[np.float32], ranges: Sequence[tuple[int, int]] | None = None) -> NDArray[np.int32]:
         """Normalized query rows (n, R, D) -> costs (n, orders, N) int32; order 0 is "same", order 1 "swapped".

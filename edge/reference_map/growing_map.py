@@ -132,7 +132,7 @@ class GrowingMap:
         records = self._places[:places]
         header = replace(self._header.first(places), bounds=bounds_of(records))
         descriptors = self._descriptors[:, :places]
-        matcher = CostMatcher.live(descriptors, self._inverse[:places])
+        matcher = CostMatcher(descriptors, self._inverse[:places])
         return MapSoFar(
             self._path,
             header,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig
 from edge.errors import MapError
 from edge.geodesy import east_north, first_known
-from edge.reference_map.checksums import Checksums, ChecksumSchedule
+from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.growing_map import CAPACITY, MapSoFar
 from edge.reference_map.place_index import PlaceIndex
@@ -51,18 +51,14 @@ class MapSet:
     """Some open maps, their places counted through.
 
     is_folder: whether these are the maps of a folder, even if there is but one. maps: each with its own rows of
-    `places`. places: (N,) records of PLACE. index: which map, row and segment a place belongs to. blocks: where the
-    places lie. excluded: maps of the folder that cannot be used. room: where `places` lie with space for further ones,
-    if the last map grows: copying a million places would take longer than a frame may.
+    `places`. places: (N,) records of PLACE. excluded: maps of the folder that cannot be used. room: where `places` lie
+    with space for further ones, if the last map grows: copying a million places would take longer than a frame may.
     """
 
     path: Path
     is_folder: bool
     maps: tuple[ReferenceMap, ...]
-    matchers: tuple[CostMatcher, ...]
     places: NDArray[np.void]
-    index: PlaceIndex
-    blocks: SpatialIndex
     excluded: tuple[ExcludedMap, ...] = ()
     room: NDArray[np.void] | None = None
 
@@ -79,7 +75,7 @@ class MapSet:
             raise MapError(f"{folder}: none of its {len(excluded)} maps is usable; the first: {excluded[0].why}")
         # One array for all, so that nothing needs to know where a map begins. The maps' own are views of it.
         places = several[0].places if len(several) == 1 else np.concatenate([one.places for one in several])
-        return cls._in_order(several, places, folder, excluded, {})
+        return cls._in_order(several, places, folder, excluded)
 
     @classmethod
     def _in_order(
@@ -88,37 +84,43 @@ class MapSet:
         places: NDArray[np.void],
         folder: Path | None,
         excluded: Iterable[ExcludedMap],
-        matchers: Mapping[Path, CostMatcher],
-        others: SpatialIndex | None = None,
     ) -> MapSet:
-        """Some maps whose places are these, one map's after another's.
-
-        matchers: of some of them, by path, that need not be made again. others: see `SpatialIndex`.
-        """
-        index = PlaceIndex([one.header for one in maps])
-        several = [replace(one, places=places[slice(*rows)]) for one, rows in zip(maps, index.rows, strict=True)]
-        bounds = [(*rows, one.header.bounds) for one, rows in zip(several, index.rows, strict=True)]
-        all_matchers = tuple(matchers.get(one.path) or _matcher_of(one) for one in several)
-        blocks = SpatialIndex(places, bounds, others)
+        """Some maps whose places are these, one map's after another's."""
+        rows = PlaceIndex([one.header for one in maps]).rows
+        several = tuple(replace(one, places=places[slice(*own)]) for one, own in zip(maps, rows, strict=True))
         path = several[0].path if folder is None else folder
-        return cls(path, folder is not None, tuple(several), all_matchers, places, index, blocks, tuple(excluded))
+        return cls(path, folder is not None, several, places, tuple(excluded))
+
+    @cached_property
+    def index(self) -> PlaceIndex:
+        """Which map, row and segment a place belongs to."""
+        return PlaceIndex(self.headers)
+
+    @cached_property
+    def blocks(self) -> SpatialIndex:
+        """Where the places lie."""
+        bounds = [(*rows, header.bounds) for header, rows in zip(self.headers, self.index.rows, strict=True)]
+        return SpatialIndex(self.places, bounds)
+
+    @cached_property
+    def matchers(self) -> tuple[CostMatcher, ...]:
+        """Of all maps."""
+        return tuple(one.matcher if isinstance(one, MapSoFar) else CostMatcher.of(one) for one in self.maps)
 
     def with_newest(self, newest: MapSoFar) -> MapSet:
         """A new set with the map of this drive as it now is, after all others; places that were there stay theirs."""
-        matchers = {one.path: one_matcher for one, one_matcher in zip(self.maps, self.matchers, strict=True)}
-        matchers.pop(newest.path, None)
-        others = [one for one in self.maps if one.path in matchers]  # those before it: it is always the last
+        others = [one for one in self.maps if one.path != newest.path]  # those before it: it is always the last
         first = sum(one.header.places for one in others)
         end, room = first + newest.header.places, self.room
         if room is None or len(room) < end:
             room = np.empty(first + max(CAPACITY, newest.header.places), PLACE)  # of which only what is used is memory
             room[:first] = self.places[:first]
         room[first:end] = newest.places
-        blocks = self.blocks if others else None
-        grown = MapSet._in_order([*others, newest], room[:end], self.path, self.excluded, matchers, blocks)
-        grown = replace(grown, room=room)
+        grown = replace(MapSet._in_order([*others, newest], room[:end], self.path, self.excluded), room=room)
         known = len(grown.index.segments) - len(newest.header.segments)
-        vars(grown)["laps"] = (*self.laps[:known], *[None] * len(newest.header.segments))  # not computed again
+        # What the others have is not computed again.
+        vars(grown)["laps"] = (*self.laps[:known], *[None] * len(newest.header.segments))
+        vars(grown)["matchers"] = (*self.matchers[: len(others)], newest.matcher)
         return grown
 
     @property
@@ -180,7 +182,7 @@ class MapSet:
     def check_places(self, ranges: Ranges) -> None:
         """Check where some places are against the checksums of their maps, if on the disk. MapError for damage."""
         for one in (self.maps[index] for index in self.index.maps_of(ranges)):
-            Checksums(one.path, one.header.files, [name for name in (PLACES,) if name in one.header.files]).finish()
+            check_files(one.path, one.header.files, {PLACES} & one.header.files.keys())
 
     def checksum_schedule(self) -> ChecksumSchedule:
         """What must be checked before anything that rests on a map is published."""
@@ -292,10 +294,6 @@ def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str
             " change it or build the map again"
         )
     return ""
-
-
-def _matcher_of(one: ReferenceMap) -> CostMatcher:
-    return one.matcher if isinstance(one, MapSoFar) else CostMatcher.of(one)
 
 
 def name_of(folder: Path) -> str:

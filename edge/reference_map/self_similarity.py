@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north
-from edge.reference_map.costs import COST_ONE, CostMatcher, squared_norms
+from edge.reference_map.costs import COST_ONE, CostMatcher
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.store import ReferenceMap
 
@@ -61,7 +61,7 @@ def _descriptors(maps: Sequence[ReferenceMap], index: PlaceIndex, start: int, en
 
 def _likeness(ones: NDArray[np.int8], others: NDArray[np.int8]) -> Floats:
     """Cosine similarity (n, m) of some places to others."""
-    return 1 - CostMatcher(others, squared_norms(others)).costs_of_encoded(ones)[:, 0] / COST_ONE
+    return 1 - CostMatcher.of_encoded(others).costs_of_encoded(ones)[:, 0] / COST_ONE
 
 
 def _are_together(ends: NDArray[np.void]) -> bool:

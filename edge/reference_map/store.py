@@ -32,7 +32,7 @@ import edge
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
-from edge.reference_map.checksums import Checksums, FileKey
+from edge.reference_map.checksums import FileKey, check_files
 from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
 
@@ -219,7 +219,7 @@ def open_map(path: Path, *, every_file: bool = False) -> ReferenceMap:
     """
     reference_map = open_unverified(path)
     files = reference_map.header.files
-    Checksums(path, files, sorted(files) if every_file else matching_files(reference_map.header)).finish()
+    check_files(path, files, sorted(files) if every_file else matching_files(reference_map.header))
     return reference_map
 
 
@@ -254,7 +254,7 @@ def _read_projection(
     sha256 = header.files[PROJECTION].sha256
     if sha256 not in known:
         # Other maps may rest on it as well, so that it cannot be checked later with this one.
-        Checksums(path, header.files, [PROJECTION]).finish()
+        check_files(path, header.files, [PROJECTION])
         projection = np.fromfile(path / PROJECTION, dtype="<f4")
         known[sha256] = projection.reshape(header.dimensions, header.model.dimensions)
     return known[sha256]

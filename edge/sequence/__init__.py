@@ -96,7 +96,7 @@ class PlaceMatch:
 
 @dataclass(frozen=True)
 class CostView:
-    """What the newest match was found in, for people; costs are in units of 1 / cost_one of a cosine distance.
+    """What the newest match was found in, for people; costs are in units of COST_ONE.
 
     costs: (orders, n) int32 of the newest frame against the places `place_index` (n,), the part of the maps that is
     searched. window: (L, W) int32, the rows of the line of the newest match, oldest first, of the places from
@@ -107,7 +107,6 @@ class CostView:
     place_index: NDArray[np.intp]
     window: NDArray[np.int32]
     window_start: int
-    cost_one: int
 
 
 @dataclass(frozen=True)

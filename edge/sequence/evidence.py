@@ -130,36 +130,6 @@ def _within(along_m: NDArray[np.float64], reach_m: float) -> tuple[NDArray[np.in
     return np.searchsorted(along_m, along_m - reach_m), last
 
 
-def best_match(
-    search: SequenceSearch, lines: Lines, newest: NDArray[np.int32], neighborhood: Neighborhood
-) -> PlaceMatch | None:
-    """Equation 3; None where no whole line ends anywhere (a map shorter than a sequence).
-
-    newest: costs (orders, N) of the newest frame.
-    """
-    place = int(lines.costs.argmin())
-    if lines.costs[place] == NO_LINE:
-        return None
-    return match_at(place, lines.plane(place), search, lines, newest, neighborhood)
-
-
-def best_match_within(
-    places: slice,
-    direction: Direction,
-    search: SequenceSearch,
-    lines: Lines,
-    newest: NDArray[np.int32],
-    neighborhood: Neighborhood,
-) -> PlaceMatch | None:
-    """The best line in one direction that ends at some places; None where there is no whole one."""
-    planes = [number for number, plane in enumerate(search.planes) if plane[0] == direction]
-    costs = np.stack([lines.by_plane[plane][places] for plane in planes])
-    number, at = np.unravel_index(int(costs.argmin()), costs.shape)
-    if costs[number, at] == NO_LINE:
-        return None
-    return match_at(places.start + int(at), planes[number], search, lines, newest, neighborhood)
-
-
 def match_at(
     place: int,
     plane: int,
@@ -168,7 +138,7 @@ def match_at(
     newest: NDArray[np.int32],
     neighborhood: Neighborhood,
 ) -> PlaceMatch:
-    """The line of one plane that ends at a place, and what speaks for it."""
+    """The line of one plane that ends at a place, and what speaks for it. newest: costs (orders, N) of its frame."""
     cost = int(lines.by_plane[plane][place])
     second = int(np.where(neighborhood.around(place), NO_LINE, lines.costs).min())
     direction, order = search.planes[plane]

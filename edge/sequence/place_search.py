@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
-from edge.reference_map import COST_ONE, Drives, MapSet, Ranges
+from edge.reference_map import Drives, MapSet, Ranges
 from edge.sequence import NOTHING_KNOWN, CostView, Direction, Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
@@ -73,14 +73,12 @@ class PlaceSearch:
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Callable[[str], None] = lambda stage: None) -> None:
         """`stopwatch("matching")` is called when the costs of a frame are computed, and its search begins."""
         self._stopwatch = stopwatch
-        self._map_set, self._config = map_set, config
-        self._most = config.map.places_per_frame
-        self._scan = GlobalSearch(map_set, config)
+        self.map_set, self._config = map_set, config
+        self._scan = GlobalSearch(config)
         self._lags = lags_of(config, Drives(map_set, config.sampling.spacing_m).spacing_m)
         self._driven = [0.0]
         """Places, at each row of the ring and the one before, the oldest first."""
         self._span: float = config.sequence_frames  # the most places that lines have room for
-        self._is_whole = map_set.index.places <= self._most
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
         self._reach: Near | None = None  # of the part, if it lies around a position
@@ -91,9 +89,15 @@ class PlaceSearch:
         self._measured_frames = config.sequence_frames  # in a row of which the distance driven is known
         self._is_regular = is_regular(map_set, config.sequence_frames)
         self._search(self._everything(), None)
-        orders = map_set.headers[0].regions.count
-        self.newest_costs: NDArray[np.int32] = np.zeros((orders, 0), dtype=np.int32)
-        """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
+
+    @property
+    def _most(self) -> int:
+        """Places that a frame may be matched with."""
+        return self._config.map.places_per_frame
+
+    @property
+    def _is_whole(self) -> bool:
+        return self.map_set.index.places <= self._most
 
     @property
     def mode(self) -> Mode:
@@ -103,7 +107,12 @@ class PlaceSearch:
     @property
     def folders_in_use(self) -> list[Path]:
         """Of the maps that the next match may rest on, as far as it is known."""
-        return self._map_set.folders_of(self.part.ranges) if self.part else []
+        return self.map_set.folders_of(self.part.ranges) if self.part else []
+
+    @property
+    def newest_costs(self) -> NDArray[np.int32]:
+        """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
+        return self.part.newest if self.part is not None else np.zeros((1, 0), np.int32)
 
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
@@ -112,23 +121,23 @@ class PlaceSearch:
         self._count_measured(self._config.sequence_frames)
         if self._is_whole and self.part:
             self.part.clear()
+            self._is_fresh = True
         else:
             self.part = self._reach = None
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
-        self._map_set, was_whole = map_set, self._is_whole
-        self._scan.grow(map_set)
-        self._is_whole = map_set.index.places <= self._most
+        was_whole, grows, self.map_set = self._is_whole, map_set.index.places > self.map_set.index.places, map_set
         if not self._is_whole:
             if was_whole:
                 self.part = self._reach = None
             elif self._reach is not None:
                 self._search_around(self._reach)
-        elif (
-            self.part is None or self._is_fresh or not self.part.grow(map_set, ring(), self._slopes_config, self._lanes)
-        ):
+        elif grows:
+            before, was_fresh = self.part, self._is_fresh
             self._search(self._everything(), None)
+            if self.part is not None and before is not None and not was_fresh:
+                self._is_fresh = not self.part.take_over(before, ring(), self._lanes)
 
     def push(
         self,
@@ -153,7 +162,7 @@ class PlaceSearch:
             self.part.head(travel.course_rad)
         match = self._advance(change, ring)
         if not self._is_whole and (self.part is None or self._is_doubtful):
-            found = self._scan.step(ring(), self._span, self._lanes, travel.course_rad)
+            found = self._scan.step(self.map_set, ring(), self._span, self._lanes, travel.course_rad)
             if found is not None and found.uniqueness >= self._config.acceptance.uniqueness_min:
                 self._settle(found.place_index)
                 return found
@@ -173,16 +182,15 @@ class PlaceSearch:
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in."""
-        part, costs = self.part, self.newest_costs
-        searched = part.places if part is not None else np.zeros(0, dtype=np.intp)
-        if costs.shape[1] != len(searched):
-            costs, searched = np.zeros((0, 0), np.int32), searched[:0]
-        if part is None or match is None:
-            return CostView(costs, searched, np.zeros((0, 0), np.int32), 0, COST_ONE)
+        part, nothing = self.part, np.zeros((0, 0), np.int32)
+        if part is None or not part.newest.size:
+            return CostView(nothing, np.zeros(0, np.intp), nothing, 0)
+        if match is None:
+            return CostView(part.newest, part.places, nothing, 0)
         at = int(np.searchsorted(part.places, match.place_index))
         first = max(0, at - WINDOW_PLACES)
         window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
-        return CostView(costs, searched, window, int(part.places[min(first, len(part.places) - 1)]), COST_ONE)
+        return CostView(part.newest, part.places, window, int(part.places[min(first, len(part.places) - 1)]))
 
     @property
     def _is_doubtful(self) -> bool:
@@ -195,21 +203,20 @@ class PlaceSearch:
         if any(self._lanes.lags) or self._is_fresh:
             rows = ring()
             ages = range(len(rows))[::-1] if self._is_fresh else change.ages
-            costs = lane_costs(self._map_set, rows, ages, self.part.ranges, self._lanes)
+            costs = lane_costs(self.map_set, rows, ages, self.part.ranges, self._lanes)
         else:
-            costs = self._map_set.costs(change.rows, self.part.ranges)
+            costs = self.map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
         if not self._is_fresh:
-            self.newest_costs = costs[0]
             return self.part.push(costs, change.ages, self._driven[-1])
-        self._is_fresh, self.newest_costs = False, costs[-1]
+        self._is_fresh = False
         return self.part.refill(costs, self._driven[-len(costs) :])
 
     def _look_around(self, near: Near) -> None:
         """Search around the position, if the part does not reach as far as it must."""
         is_by_place = self.part is not None and self._reach is None
         # A position says nothing of maps without any, nor of a place that was recognized on one.
-        if not self._map_set.blocks.is_known or (is_by_place and not self._is_doubtful):
+        if not self.map_set.blocks.is_known or (is_by_place and not self._is_doubtful):
             return
         must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
         if self._reach is None or not self._reach.holds(near, must_m):
@@ -233,25 +240,25 @@ class PlaceSearch:
         if around is not None:
             self._search_around(around)
             return
-        first, end = self._map_set.index.whole(place_index)
+        first, end = self.map_set.index.whole(place_index)
         some = self._most // 4
         self._search([(max(first, place_index - some), min(end, place_index + some))], None)
         self._settled = place_index
 
     def _around(self, place_index: int) -> Near | None:
         """A place's own surroundings, None where its position is not known."""
-        record = self._map_set.places[place_index]
+        record = self.map_set.places[place_index]
         if np.isnan(record["lat_deg"]):
             return None
         radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
         return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
     def _search_around(self, reach: Near) -> None:
-        found = self._map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
-        self._search(self._map_set.index.widened(found, math.ceil(self._span)), reach)
+        found = self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
+        self._search(self.map_set.index.widened(found, math.ceil(self._span)), reach)
 
     def _everything(self) -> Ranges:
-        return [(0, self._map_set.index.places)] if self._is_whole else []
+        return [(0, self.map_set.index.places)] if self._is_whole else []
 
     def _search(self, ranges: Ranges, reach: Near | None) -> None:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
@@ -261,7 +268,7 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(ranges, self._map_set, self._slopes_config, self._span)
+        return Submap(ranges, self.map_set, self._slopes_config, self._span)
 
     @property
     def _slopes_config(self) -> Config:

@@ -119,9 +119,10 @@ class SequenceSearch:
         self.planes = tuple(planes)
         self._slopes = tuple(slopes)
         self._impossible = None if possible is None or possible.all() else ~possible
-        self.span = length if span is None else span
-        reach = math.ceil(max(self._slopes) * self.span) + 1
+        self._span = length if span is None else span
+        reach = math.ceil(max(self._slopes) * self._span) + 1
         self._margin = reach if open_ends else 0
+        self._nothing = COST_ONE if open_ends else 0  # cost of a row before the first
         self._first_rows = min(length, FIRST_FRAMES) if open_ends else length
         self._at = np.arange(segments[-1][1])
         for number, (start, end) in enumerate(segments):
@@ -131,7 +132,7 @@ class SequenceSearch:
             for number, (start, end) in enumerate(segments)
         ]
         self._places = bounds[-1][1]
-        self._laps = [*laps, *[None] * (len(segments) - len(laps))]
+        self._laps = laps or [None] * len(segments)
         self._cost_at = self._costs_of_planes(self._known_places(segments, bounds), segments[-1][1])
         self._room = np.stack([_room(bounds)[direction] for direction, _ in self.planes])
         # Only at these, (planes, near) each, do some slopes have a whole line and others not.
@@ -147,9 +148,8 @@ class SequenceSearch:
         self._rows = 0
         # All rows before the first are alike everywhere, so that it does not matter where they were.
         self._driven = [self._driven[-1]] * (self.length + 1)
-        nothing = COST_ONE if self._margin else 0
-        self._ring[:] = nothing
-        self._sums.fill(nothing * self.length)
+        self._ring[:] = self._nothing
+        self._sums.fill(self._nothing * self.length)
 
     def push(self, costs: NDArray[np.int32], driven: float | None = None) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame.
@@ -193,56 +193,20 @@ class SequenceSearch:
             if offset < self._places:
                 self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
 
-    def grown(
-        self, segments: Sequence[tuple[int, int]], possible: NDArray[np.bool_] | None, costs: NDArray[np.int32]
-    ) -> SequenceSearch:
-        """The same search over further places, at the end of the last segment or in segments after it; open ends only.
+    def take_over(self, before: SequenceSearch, costs: NDArray[np.int32]) -> None:
+        """Go on from a search with the same planes, of which these places are the first; its rows become these.
 
-        segments, possible: of all places. costs (rows, orders, new places): of the rows in the ring, oldest first.
+        costs (rows, orders, further places): of the rows in its ring, oldest first.
         """
-        open_ends = self._margin > 0
-        other = SequenceSearch(
-            segments,
-            self.planes,
-            self.length,
-            self._slopes,
-            possible,
-            span=self.span,
-            open_ends=open_ends,
-            laps=self._laps,
-        )
-        other._rows, other._driven, other._newest = self._rows, self._driven, self._newest
-        added, kept = other._places - self._places, self._places - self._margin
-        new_at = other._at[len(self._at) :]
-        offsets = [self._offsets(slope) for slope in self._slopes]
-        for plane, (direction, order) in enumerate(self.planes):
-            is_forward = direction == "forward"
-            old, new = (slice(kept), slice(kept)) if is_forward else (slice(self._margin, None), slice(-kept, None))
-            other._ring[:, plane, new] = self._ring[:, plane, old]
-            at = new_at if is_forward else other._places - 1 - new_at
-            for age, row in enumerate(costs[::-1, ORDERS.index(order)]):
-                other._ring[(self._newest - age) % self.length, plane, at] = row
-            # Only lines through what is new, or was the end, have to be summed up again.
-            reach = self._margin
-            again = slice(kept, None) if is_forward else slice(0, added + 2 * reach)
-            for k in range(len(self._slopes)):
-                if is_forward:
-                    other._sums.of(k)[plane, :kept] = self._sums.of(k)[plane, :kept]
-                else:
-                    other._sums.of(k)[plane, added + 2 * reach :] = self._sums.of(k)[plane, 2 * reach :]
-                other._sum_again(k, plane, again, offsets[k])
-        return other
-
-    def _sum_again(self, k: int, plane: int, places: slice, offsets: Sequence[int]) -> None:
-        """Sum up the lines of one slope, with its offsets, and plane that end at some (padded) places, row by row."""
-        start, stop, _ = places.indices(self._places)
-        total = np.zeros(stop - start, dtype=np.int32)
-        for age, offset in enumerate(offsets):
-            row = self._ring[(self._newest - age) % self.length, plane]
-            first = max(start, offset)
-            if first < stop:
-                total[first - start :] += row[first - offset : stop - offset]
-        self._sums.of(k)[plane, start:stop] = total
+        rows = np.zeros((*costs.shape[:2], len(before._at)), dtype=np.int32)
+        for plane in before.planes:
+            rows[:, ORDERS.index(plane[1])] = before.recent(plane)
+        self.refill(np.concatenate([rows, costs], axis=2), before._driven[len(before._driven) - len(costs) :])
+        for k, slope in enumerate(self._slopes):
+            # Lines that end so near to the first place do not reach back to all rows, for which `refill` charges them.
+            offsets = [self._offset(slope, age) for age in range(self.length)]
+            beyond = np.less.outer(np.arange(max(offsets)), offsets).sum(axis=1)[: self._places]
+            self._sums.of(k)[:, : len(beyond)] -= (self._nothing * beyond).astype(np.int32)
 
     def lines(self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends.
@@ -282,10 +246,6 @@ class SequenceSearch:
     def _offset(self, slope: float, age: int) -> int:
         """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
         return _rounded(slope, self._driven[-1]) - _rounded(slope, self._driven[-1 - age])
-
-    def _offsets(self, slope: float) -> list[int]:
-        """The same since every row of the ring, the newest first."""
-        return [self._offset(slope, age) for age in range(self.length)]
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""

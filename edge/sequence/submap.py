@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
-from edge.sequence.evidence import Neighborhood, Roads, best_match, best_match_within
+from edge.sequence.evidence import Neighborhood, Roads, match_at
 from edge.sequence.parallax import Lanes, lane_costs
-from edge.sequence.search import Lines, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
 
@@ -56,12 +56,8 @@ class RowMatcher:
         self._search = SequenceSearch(
             segments, planes, config.sequence_frames, slopes, possible, span=span, open_ends=open_ends, laps=laps
         )
-        self._newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
-
-    @property
-    def span(self) -> float:
-        """The most places that may be driven within a line."""
-        return self._search.span
+        self.newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
+        """Costs (orders, N) of the newest row, in units of COST_ONE."""
 
     def push(
         self, costs: NDArray[np.int32], ages: Sequence[int] = (0,), driven: float | None = None
@@ -72,7 +68,7 @@ class RowMatcher:
         """
         searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
         self._search.push(searched[0], driven)
-        self._newest = costs[0]
+        self.newest = costs[0]
         for age, row in zip(ages[1:], searched[1:], strict=True):
             self._search.replace(age, row)
         return self._best()
@@ -80,31 +76,26 @@ class RowMatcher:
     def refill(self, costs: NDArray[np.int32], driven: Sequence[float] | None = None) -> PlaceMatch | None:
         """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match. driven: of each row."""
         self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs, driven)
-        self._newest = costs[-1]
+        self.newest = costs[-1]
         return self._best()
 
     def _best(self) -> PlaceMatch | None:
         self.lines = self._search.lines(self._against)
         if self.lines is None:
             return None
-        return self._named(best_match(self._search, self.lines, self._newest_searched, self.neighborhood))
+        best = int(self.lines.costs.argmin())
+        return self._match(best, self.lines.plane(best))
 
-    def best_within(self, places: slice, direction: Direction) -> PlaceMatch | None:
-        """The best line after the newest row that ends at some places, in one direction; None where there is none."""
-        if self.lines is None or places.start >= places.stop:
+    def _match(self, place: int, plane: int) -> PlaceMatch | None:
+        """The line of that plane that ends at a place; None where no whole one does."""
+        if self.lines is None or self.lines.by_plane[plane][place] == NO_LINE:
             return None
-        found = best_match_within(places, direction, self._search, self.lines, self._newest_searched, self.neighborhood)
-        return self._named(found)
-
-    @property
-    def _newest_searched(self) -> NDArray[np.int32]:
-        return self._newest.min(axis=0, keepdims=True) if self._per_frame_order else self._newest
-
-    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
-        if match is None or not self._per_frame_order:
+        newest = self.newest.min(axis=0, keepdims=True) if self._per_frame_order else self.newest
+        match = match_at(place, plane, self._search, self.lines, newest, self.neighborhood)
+        if not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
-        return replace(match, order=ORDERS[int(self._newest[:, match.place].argmin())])
+        return replace(match, order=ORDERS[int(self.newest[:, place].argmin())])
 
     def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
         """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
@@ -121,19 +112,10 @@ class Submap(RowMatcher):
 
     def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None) -> None:
         """span: the most places that may be driven within a line, so many as frames if None."""
-        segments, laps, views, neighborhood = self._choose(ranges, map_set, config)
-        regions = map_set.headers[0].regions.count
-        others = neighborhood, config
-        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=self._stale)
-
-    def _choose(
-        self, ranges: Ranges, map_set: MapSet, config: Config
-    ) -> tuple[Segments, list[int | None], list[str], Neighborhood]:
-        """Make some ranges this part: their segments counted from 0, lap and view of each, and their neighborhood."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set = map_set
-        self._stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
+        stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
@@ -148,28 +130,21 @@ class Submap(RowMatcher):
             config.acceptance,
             {number: lap for (number, _, _), lap in zip(pieces, laps, strict=True) if lap is not None},
         )
-        return segments, laps, [map_set.index.view(number) for number, _, _ in pieces], neighborhood
+        views, regions = [map_set.index.view(number) for number, _, _ in pieces], map_set.headers[0].regions.count
+        others = neighborhood, config
+        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=stale)
 
-    def grow(self, map_set: MapSet, ring: NDArray[np.float32], config: Config, lanes: Lanes) -> bool:
-        """Add all places of a set after those of this part, which has all of the set before; between two frames.
+    def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
+        """Go on from a part that has the first of these places, so that only the others are matched with the ring.
 
-        ring: the rows of the ring (n, R, D), oldest first. lanes: see `lane_costs`. False if the further places need
-        another part, since they can be passed in other directions or region orders.
+        ring: its rows (n, R, D), oldest first. lanes: see `lane_costs`. False if the others can be passed in other
+        directions or region orders, so that this part has to be matched with all rows.
         """
-        before, after = len(self.places), map_set.index.places
-        if after == before:
-            self._map_set = map_set
-            return True
-        segments, _, views, neighborhood = self._choose([(0, after)], map_set, config)
-        planes, possible = _planes(segments, views, map_set.headers[0].regions.count, config, self._stale)
-        if tuple(planes) != self._search.planes:
+        if before._search.planes != self._search.planes:
             return False
-        ages = range(len(ring))[::-1]
-        costs = lane_costs(map_set, ring, ages, [(before, after)], lanes)
-        if self._per_frame_order:
-            costs = costs.min(axis=1, keepdims=True)
-        self.neighborhood, self.lines = neighborhood, None
-        self._search = self._search.grown(segments, possible, costs)
+        further = [(len(before.places), len(self.places))]
+        costs = lane_costs(self._map_set, ring, range(len(ring))[::-1], further, lanes)
+        self._search.take_over(before._search, costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
         return True
 
     def head(self, course_rad: float | None) -> None:
@@ -182,15 +157,20 @@ class Submap(RowMatcher):
         return any(bool(of.any()) for of in self._against.values())
 
     def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
-        """The best line that ends at places [first, end) of one drive; None where none of them is in this part."""
-        start, stop = np.searchsorted(self.places, [first, end])
-        return self.best_within(slice(int(start), int(stop)), direction)
+        """The best line in a direction that ends at places [first, end) of one drive; None where this part has none."""
+        start, stop = (int(at) for at in np.searchsorted(self.places, [first, end]))
+        if self.lines is None or start >= stop:
+            return None
+        planes = [number for number, plane in enumerate(self._search.planes) if plane[0] == direction]
+        costs = np.stack([self.lines.by_plane[plane][start:stop] for plane in planes])
+        number, at = np.unravel_index(int(costs.argmin()), costs.shape)
+        return self._match(start + int(at), planes[number])
 
-    def _named(self, match: PlaceMatch | None) -> PlaceMatch | None:
-        match = super()._named(match)
+    def _match(self, place: int, plane: int) -> PlaceMatch | None:
+        match = super()._match(place, plane)
         if match is None:
             return None
-        place_index = int(self.places[match.place])
+        place_index = int(self.places[place])
         name, row = self._map_set.locate(place_index)
         return replace(match, place_index=place_index, map=name, place=row)
 
@@ -232,14 +212,10 @@ class GlobalSearch:
     the first slices are then older than those of the last by as many frames as there are slices.
     """
 
-    def __init__(self, map_set: MapSet, config: Config) -> None:
-        self._map_set, self._config = map_set, config
+    def __init__(self, config: Config) -> None:
+        self._config = config
         self._slice = max(1, config.map.places_per_frame // SLICE_SHARE)
         self.restart()
-
-    def grow(self, map_set: MapSet) -> None:
-        """Scan a set that has further places after those of the last one."""
-        self._map_set = map_set
 
     def restart(self) -> None:
         """Start at the first place again."""
@@ -247,27 +223,27 @@ class GlobalSearch:
         self._found: list[PlaceMatch] = []
 
     def step(
-        self, ring: NDArray[np.float32], span: float, lanes: Lanes, course_rad: float | None = None
+        self, maps: MapSet, ring: NDArray[np.float32], span: float, lanes: Lanes, course_rad: float | None = None
     ) -> PlaceMatch | None:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
-        span: the most places within a line, see `SequenceSearch`. lanes: see `lane_costs`. course_rad: see
-        `Travel`.
+        maps: the same during a pass, but for further places at their end. span: the most places within a line, see
+        `SequenceSearch`. lanes: see `lane_costs`. course_rad: see `Travel`.
         """
         if len(ring) < self._config.sequence_frames:
             return None
-        end = min(self._next + self._slice, self._map_set.index.places)
+        end = min(self._next + self._slice, maps.index.places)
         # Lines that end in the slice may begin before it, or after it on the way back.
-        ranges = self._map_set.index.widened([(self._next, end)], math.ceil(span))
-        slice_of_maps = Submap(ranges, self._map_set, self._config, span)
+        ranges = maps.index.widened([(self._next, end)], math.ceil(span))
+        slice_of_maps = Submap(ranges, maps, self._config, span)
         slice_of_maps.head(course_rad)
         ages = range(len(ring))[::-1]
-        costs = lane_costs(self._map_set, ring, ages, ranges, lanes)
+        costs = lane_costs(maps, ring, ages, ranges, lanes)
         match = slice_of_maps.refill(costs, lanes.driven[-len(ring) :])
-        self._map_set.release(ranges)  # or a pass would map every descriptor there is
+        maps.release(ranges)  # or a pass would map every descriptor there is
         self._found += [match] if match else []
         self._next = end
-        if end < self._map_set.index.places:
+        if end < maps.index.places:
             return None
         best = self._best()
         self.restart()

@@ -20,7 +20,7 @@ import hashlib
 import numpy as np
 from edge.descriptor.network import Network, lacks_int8_products
 from edge.descriptor.network import cut_regions
-from edge.reference_map.costs import CostMatcher, encode, squared_norms
+from edge.reference_map.costs import CostMatcher, encode
 
 rng = np.random.default_rng(3)
 soft = np.cumsum(rng.integers(-9, 10, (480, 640, 3)), axis=1) % 256
@@ -33,7 +33,7 @@ for image in (soft, harsh):
     print("regions", hashlib.sha256(regions.tobytes()).hexdigest())
     print("fc6", hashlib.sha256(raw[-1].tobytes()).hexdigest())
 places = encode(np.stack(raw))
-costs = CostMatcher(places, squared_norms(places)).costs(np.stack(raw))
+costs = CostMatcher.of_encoded(places).costs(np.stack(raw))
 print("costs", hashlib.sha256(costs.tobytes()).hexdigest())
 """
 

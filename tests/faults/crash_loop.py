@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 
 from edge.config import SamplingConfig
+from edge.descriptor import RunningStatistics
 from edge.errors import LookbackError
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
@@ -29,7 +30,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
-from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from edge.warm_start import Moment, StateFile, StateKey
 from sim.journal import records_of
 
 NOW = Moment(1000.0, "boot", 10.0)
@@ -59,15 +60,15 @@ def state_file(folder: Path) -> StateFile:
 
 
 def write_state(folder: Path, version: int) -> None:
-    values = np.full(SHAPE, float(version))
-    state_file(folder).write(KeptState(version, values, values), NOW)
+    values, file = np.full(SHAPE, float(version)), state_file(folder)
+    file.put(file.encoded(RunningStatistics.of_another_run(version, values, values, at_most=version), NOW))
 
 
 def read_state(folder: Path) -> int:
     kept = state_file(folder).read(NOW, 60)
-    if kept is None or not (kept.mean == kept.count).all():
+    if kept is None or not (kept.mean == kept.mean[0, 0]).all():
         raise LookbackError("unreadable")
-    return kept.count
+    return int(kept.mean[0, 0])
 
 
 def write_journal(folder: Path, version: int) -> None:

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from edge.config import MappingConfig, SamplingConfig
 from edge.geodesy import VehiclePosition
 from edge.mapping import LiveMap, LogHeader
-from edge.mapping.completion import logs_in
-from edge.mapping.place_log import OpenLog
+from edge.mapping.place_log import OpenLog, logs_in
 from edge.reference_map import ModelKey, RegionsKey
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.descriptor import RunningStatistics
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
-from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from edge.warm_start import Moment, StateFile, StateKey
 from sim.journal import records_of
 
 CRASH_LOOP = Path(__file__).with_name("crash_loop.py")
@@ -41,7 +42,8 @@ def test_every_prefix_of_a_state_is_refused(tmp_path: Path, figures: Callable[[s
     key, shape, now = StateKey("m", "fc6", "left-right", 0.4, "h"), (2, 8), Moment(1.0, "boot", 1.0)
     path = tmp_path / "events.state"
     file = StateFile(path, key, shape)
-    file.write(KeptState(30, np.ones(shape), np.ones(shape)), now)
+    kept = RunningStatistics.of_another_run(30, np.ones(shape), np.ones(shape), at_most=30)
+    file.put(file.encoded(kept, now))
     whole = path.read_bytes()
     assert file.read(now, 60) is not None
     flips = 0

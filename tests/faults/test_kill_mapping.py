@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from edge.mapping.completion import logs_in
+from edge.mapping.place_log import logs_in
 from edge.reference_map import open_map
 from tests.faults.mapping_loop import open_live
 

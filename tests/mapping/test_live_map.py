@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from edge.__main__ import main
 from edge.config import HomeConfig, MappingConfig, SamplingConfig
 from edge.geodesy import VehiclePosition
-from edge.layers import KEEP_FILE, DriveTally, read_tallies, stored_maps
+from edge.layers import KEEP_FILE, DriveTally, delete_oldest, read_tallies, stored_maps
 from edge.mapping import LiveMap, LogHeader
-from edge.mapping.completion import logs_in
-from edge.mapping.place_log import OpenLog
-from edge.mapping.quota import delete_oldest
+from edge.mapping.place_log import OpenLog, logs_in
 from edge.mission import plan_way_home
 from edge.reference_map import (
     Learned,

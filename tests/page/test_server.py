@@ -72,7 +72,7 @@ def snapshot(number: int) -> Snapshot:
     )
     costs = np.arange(2 * 500, dtype=np.int32).reshape(2, 500) % 997
     image = np.full((480, 640, 3), (10, 120, 240), np.uint8)
-    return Snapshot(status, image, CostView(costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4, 16384))
+    return Snapshot(status, image, CostView(costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4))
 
 
 class Loop:

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.reference_map.costs import COST_ONE, IN_CACHE, CostMatcher, encode, squared_norms
+from edge.reference_map.costs import COST_ONE, IN_CACHE, CostMatcher, encode
 
 DIGEST = "8d1c6d3d2cc5a06982c23e998a182b55261b74f1970d4788e23598190e7ba2c8"
 
@@ -52,7 +52,7 @@ def slow_costs_of_encoded(query: NDArray[np.int8], reference: NDArray[np.int8]) 
 
 def matcher_of(reference: NDArray[np.float32]) -> CostMatcher:
     encoded = encode(reference)
-    return CostMatcher(encoded, squared_norms(encoded))
+    return CostMatcher.of_encoded(encoded)
 
 
 cases = given(
@@ -113,7 +113,7 @@ def test_costs_are_exact_to_the_bit(
     reference = rng.choice(values, (regions, places, dimensions)).astype(np.int8)
     query = rng.choice(values, (regions, rows, dimensions)).astype(np.int8)
     reference[:, rng.random(places) < 0.1] = 0
-    matcher = CostMatcher(reference, squared_norms(reference))
+    matcher = CostMatcher.of_encoded(reference)
     expected = slow_costs_of_encoded(query, reference)
     np.testing.assert_array_equal(matcher.costs_of_encoded(query), expected)
     for row in range(rows):  # one row alone goes through another kernel than several
@@ -135,7 +135,7 @@ def test_every_kernel_gives_the_same_bits(kernels: list[str], rows: int) -> None
     rng = np.random.default_rng(rows)
     reference = rng.integers(-127, 128, (2, 300, 4096), dtype=np.int8)
     query = rng.integers(-127, 128, (2, rows, 4096), dtype=np.int8)
-    matcher = CostMatcher(reference, squared_norms(reference))
+    matcher = CostMatcher.of_encoded(reference)
     expected = matcher.costs_of_encoded(query)
     for name in kernels:
         numkong.disable_capability(name)

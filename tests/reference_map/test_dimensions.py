@@ -14,7 +14,7 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
-from edge.warm_start import KeptState, Moment, StateFile, StateKey
+from edge.warm_start import Moment, StateFile, StateKey
 from sim.maps.shrinking import shrink_to
 
 PLACES, LENGTH = 40, 10
@@ -53,7 +53,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     statistics = matcher.first.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
-    file.write(KeptState(statistics.count, statistics.mean, statistics.deviation), Moment.now())
+    file.put(file.encoded(statistics, Moment.now()))
     again = file.read(Moment.now(), 60.0)
     assert again is not None
     np.testing.assert_array_equal(again.mean, statistics.mean)
@@ -66,7 +66,6 @@ def test_the_greatest_products_do_not_overflow(tmp_path: Path) -> None:
     ones = np.ones((3, 2, 32_768), np.float32)
     ones[1] = -1
     encoded = encode(ones)
-    norms = squared_norms(encoded)
-    assert norms.tolist() == [32_768 * 127**2] * 3
-    costs = CostMatcher(encoded, norms).costs(ones[:1])
+    assert squared_norms(encoded).tolist() == [32_768 * 127**2] * 3
+    costs = CostMatcher.of_encoded(encoded).costs(ones[:1])
     np.testing.assert_array_equal(costs[0, 0], [0, 32_768, 0])

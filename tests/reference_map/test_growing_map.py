@@ -117,6 +117,19 @@ def test_what_is_recognized_while_the_map_grows_is_what_the_whole_map_gives(tmp_
     np.testing.assert_allclose(theirs, frames, atol=2)
 
 
+def test_a_map_may_grow_before_a_new_sequence_has_a_frame() -> None:
+    """As it does where the second camera's next frame comes later than the first one's."""
+    raw = drive(100)
+    growing = grown(raw)
+    matcher = SequenceMatcher(MapSet.of([growing.first(80)], Path("maps")), CONFIG)
+    for row in range(20):
+        matcher.push(raw[row], Travel(row * SPACING_M))
+    matcher.reset()
+    matcher.grow(matcher.map_set.with_newest(growing.first(96)))
+    found = [matcher.push(raw[row], Travel(row * SPACING_M)) for row in range(76, 96)]
+    assert [one.place_index for one in found[LENGTH:] if one is not None] == list(range(76 + LENGTH, 96))
+
+
 def test_growing_copies_no_place_that_was_there(tmp_path: Path) -> None:
     """A map of a million places took 0.3 s to grow by 16, in which no frame was recognized."""
     old, growing = built(tmp_path / "old", drive(100, seed=5)), grown(drive(300), tmp_path / "drive")

@@ -291,9 +291,9 @@ def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look
     maps.costs(ring, [(0, PLACES_OF_ALL)])
     everything = resident_bytes(city / "tiles")
     assert everything > 10 * 300 * 2 * 48
-    scan = GlobalSearch(maps, CONFIG)
+    scan = GlobalSearch(CONFIG)
     for _ in range(PLACES_OF_ALL):
-        if scan.step(ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) is not None:
+        if scan.step(maps, ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) is not None:
             break
     assert resident_bytes(city / "tiles") < everything / 10
 

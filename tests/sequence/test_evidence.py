@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.sequence import PlaceMatch
-from edge.sequence.evidence import HoldOff, Neighborhood, best_match, lowest_around
-from edge.sequence.search import NO_LINE, Lines, SequenceSearch
+from edge.sequence.evidence import HoldOff, Neighborhood, lowest_around, match_at
+from edge.sequence.search import Lines, SequenceSearch
 
 UNKNOWN, NOTHING = np.full(100, np.nan), np.zeros(100)
 CONFIG = AcceptanceConfig(window_m=10.0, window_places=3)
@@ -24,23 +24,10 @@ def match(
     frames: int = 5,
     step: float = 1.0,
 ) -> PlaceMatch:
-    found = match_anywhere(costs, neighborhood, newest, frames=frames, step=step)
-    assert found is not None
-    return found
-
-
-def match_anywhere(
-    costs: NDArray[np.float64],
-    neighborhood: Neighborhood,
-    newest: NDArray[np.float64] = NOTHING,
-    *,
-    frames: int = 5,
-    step: float = 1.0,
-) -> PlaceMatch | None:
     search = SequenceSearch([(0, 100)], [("forward", "same")], frames, (1.0,))
     search.refill(np.zeros((frames, 1, 100), dtype=np.int32), [step * frame for frame in range(frames)])
     lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), frames)  # as the search would give them
-    return best_match(search, lines, newest[np.newaxis].astype(np.int32), neighborhood)
+    return match_at(int(costs.argmin()), 0, search, lines, newest[np.newaxis].astype(np.int32), neighborhood)
 
 
 def neighbors_by_route(spacing_m: float) -> Neighborhood:
@@ -102,7 +89,6 @@ def test_nothing_is_claimed_where_there_is_nothing_to_compare_with() -> None:
     around = Neighborhood(np.zeros((100, 2)), UNKNOWN, np.zeros(100, dtype=np.int32), everything_near)
     found = match(np.arange(100.0)[::-1], around)
     assert found.uniqueness == 1.0
-    assert match_anywhere(np.full(100, NO_LINE), around) is None
 
 
 @pytest.mark.parametrize(("cheaper_at", "lowest"), [(1, 9), (2, 5), (4, 5), (5, 9)])

@@ -232,7 +232,8 @@ def test_a_search_that_grows_is_one_that_always_had_all_places(
         whole.push(row, driven[frame])
         part.push(row if frame > frames else row[:, : sum(lengths)], driven[frame])
         if frame == frames:
-            part = part.grown(segments, None, np.stack(rows)[:, :, sum(lengths) :])
+            begun, part = part, SequenceSearch(segments, planes, length, all_slopes, span=2 * length, open_ends=True)
+            part.take_over(begun, np.stack(rows)[:, :, sum(lengths) :])
         if frame >= frames:
             one, other = whole.lines(), part.lines()
             assert (one is None) == (other is None)

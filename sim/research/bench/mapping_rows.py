@@ -14,8 +14,7 @@ from edge.config import CameraConfig, Config, MapConfig, MappingConfig, Sampling
 from edge.descriptor.network import Network
 from edge.geodesy import VehiclePosition
 from edge.mapping import LiveMap
-from edge.mapping.completion import log_of
-from edge.mapping.place_log import create_log
+from edge.mapping.place_log import create_log, log_of
 from edge.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
 from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.reference_map import Place, RegionsKey, open_map_set

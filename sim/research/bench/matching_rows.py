@@ -8,7 +8,7 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.reference_map.costs import CostMatcher, encode, squared_norms
+from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from sim.bench.timing import race
 from sim.research.bench.machine import Machine, read_all
 from sim.research.bench.rows import Row, Section, Target, against
@@ -32,7 +32,7 @@ def measure(machine: Machine, places: list[int], rounds: int, dimensions: int = 
 def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tuple[list[Row], list[Target]]:
     rng = np.random.default_rng(places)
     descriptors, sq8 = _simulated(rng, places, dimensions)
-    matcher = CostMatcher(descriptors, np.maximum(_norms(descriptors), 1))
+    matcher = CostMatcher(descriptors, inverse_lengths(_norms(descriptors)))
     query = rng.normal(size=(1, REGIONS, dimensions)).astype(np.float32)
     ring = rng.normal(size=(40, REGIONS, dimensions)).astype(np.float32)
     flat = query.reshape(1, -1)

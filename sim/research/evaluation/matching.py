@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.feed import View
-from edge.reference_map.costs import COST_ONE, CostMatcher, encode, squared_norms
+from edge.reference_map.costs import COST_ONE, CostMatcher, encode
 from edge.sequence.evidence import Neighborhood
 from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
@@ -62,7 +62,7 @@ class FloatMatcher:
 def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
     """The recognizer's matcher on descriptors (N, R, D), quantized as a map keeps them."""
     encoded = encode(descriptors)
-    return CostMatcher(encoded, squared_norms(encoded))
+    return CostMatcher.of_encoded(encoded)
 
 
 def match(
