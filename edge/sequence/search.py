@@ -179,6 +179,11 @@ class SequenceSearch:
         self.clear()
         self._driven = [*[float(known[0])] * (self.length + 1 - len(rows)), *(float(x) for x in known)]
         self._rows = len(rows)
+        for k, slope in enumerate(self._slopes):
+            # Lines that end so near to the first place do not reach back to all rows.
+            offsets = [self._offset(slope, age) for age in range(self.length)]
+            begins = np.less.outer(np.arange(max(offsets)), offsets).sum(axis=1)
+            self._sums.of(k)[:, : len(begins)] -= (self._nothing * begins[: self._places]).astype(np.int32)
         for age, costs in enumerate(rows[::-1]):
             self.replace(age, costs)
 
@@ -202,11 +207,6 @@ class SequenceSearch:
         for plane in before.planes:
             rows[:, ORDERS.index(plane[1])] = before.recent(plane)
         self.refill(np.concatenate([rows, costs], axis=2), before._driven[len(before._driven) - len(costs) :])
-        for k, slope in enumerate(self._slopes):
-            # Lines that end so near to the first place do not reach back to all rows, for which `refill` charges them.
-            offsets = [self._offset(slope, age) for age in range(self.length)]
-            beyond = np.less.outer(np.arange(max(offsets)), offsets).sum(axis=1)[: self._places]
-            self._sums.of(k)[:, : len(beyond)] -= (self._nothing * beyond).astype(np.int32)
 
     def lines(self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})) -> Lines | None:
         """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends.

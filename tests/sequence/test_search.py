@@ -241,6 +241,24 @@ def test_a_search_that_grows_is_one_that_always_had_all_places(
                 np.testing.assert_array_equal(np.stack(one.by_plane), np.stack(other.by_plane))
 
 
+@pytest.mark.parametrize("open_ends", [False, True])
+def test_a_vehicle_that_comes_from_before_the_map_is_found_as_if_nothing_had_been_refilled(open_ends: bool) -> None:
+    rng, length, places = np.random.default_rng(5), 20, 60
+    slopes = slopes_around_diagonal(0.2, 5)
+    pushed, refilled = (
+        SequenceSearch([(0, places)], ALL_PLANES, length, slopes, open_ends=open_ends) for _ in range(2)
+    )
+    rows = rng.integers(0, 2**15 + 1, (4 * length, 2, places), dtype=np.int32)
+    for frame, row in enumerate(rows):
+        pushed.push(row, frame)
+        if frame == length:
+            refilled.refill(rows[1 : length + 1], range(1, length + 1))
+        elif frame > length:
+            refilled.push(row, frame)
+            for one, other in zip(searched_lines(pushed), searched_lines(refilled), strict=True):
+                np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("overlap", [-1, 0, 3])
 def test_lines_on_a_closed_drive_are_those_on_one_that_was_driven_three_times(overlap: int) -> None:
     rng, length, lap = np.random.default_rng(2), 9, 30
