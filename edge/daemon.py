@@ -71,7 +71,9 @@ class Daemon:
         self._autopilot.history.release()
         if parts.learner is not None:
             now_ns = self._clock_ns()
-            parts.learner.follow(now_ns, self._autopilot.vehicle.speed_mps(now_ns), parts.config.gates.min_speed_mps)
+            parts.learner.follow(
+                now_ns, self._autopilot.vehicle.motion.speed_mps(now_ns), parts.config.gates.min_speed_mps
+            )
         if self._update_health():
             self._reset()
         self._publish_position()
@@ -99,7 +101,7 @@ class Daemon:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
         pictures = self.parts.pictures
         before_ns = pictures.age_ns
-        frame = pictures.dated(frame, self._autopilot.vehicle.speed_mps(self._clock_ns()))
+        frame = pictures.dated(frame, self._autopilot.vehicle.motion.speed_mps(self._clock_ns()))
         age_ns = pictures.age_ns
         if age_ns != before_ns:
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
@@ -110,13 +112,13 @@ class Daemon:
     def _is_usable(self, frame: Frame) -> bool:
         """Whether a frame may be used: its picture shows something, and it is not the first after a gap."""
         parts = self.parts
-        is_usable = parts.pictures.is_usable(frame, self._autopilot.vehicle.speed_mps(self._clock_ns()))
+        is_usable = parts.pictures.is_usable(frame, self._autopilot.vehicle.motion.speed_mps(self._clock_ns()))
         return is_usable and not (parts.device and parts.monitor.is_first_after_gap(parts.device.health))
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
         self._measure_motion(frame)
-        distance_m = self._autopilot.vehicle.distance_m(frame.stamp_ns)
+        distance_m = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns)
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
             self._process_frame(frame, distance_m)
@@ -130,7 +132,7 @@ class Daemon:
         speed = motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
         use = self.parts.config.motion.use
         if speed is not None and use != "report":
-            self._autopilot.vehicle.use_speed(speed.stamp_ns, speed.speed_mps)
+            self._autopilot.vehicle.motion.use_speed(speed.stamp_ns, speed.speed_mps)
         if speed is not None and use == "send":
             self._autopilot.send_velocity(speed)
 
@@ -150,7 +152,7 @@ class Daemon:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
         self.parts.times.start()
         began_ns, missed = self._clock_ns(), self._sampler.missed
-        displacement = self._autopilot.vehicle.displacement(frame.stamp_ns)
+        displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
@@ -172,7 +174,8 @@ class Daemon:
         self, stamp_ns: int, match: PlaceMatch | None, displacement: Displacement | None, missed: int
     ) -> None:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
-        report, gps = self._autopilot.report(), self._autopilot.gps_fix(stamp_ns)
+        now_ns, vehicle = self._clock_ns(), self._autopilot.vehicle
+        report, gps = vehicle.report(now_ns), vehicle.gps_fix(stamp_ns, now_ns)
         in_line = self._recognizer.is_in_line
         verdict = self._estimator.update(match, stamp_ns, displacement, report, gps, missed=missed, in_line=in_line)
         if in_line:
@@ -180,8 +183,8 @@ class Daemon:
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
-        if self._distance_gaps != self._autopilot.vehicle.distance_gaps:
-            self._distance_gaps = self._autopilot.vehicle.distance_gaps
+        if self._distance_gaps != self._autopilot.vehicle.motion.distance_gaps:
+            self._distance_gaps = self._autopilot.vehicle.motion.distance_gaps
             self._recognizer.restart_odometer()
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
         if self._recognizer.was_carried:
@@ -193,7 +196,7 @@ class Daemon:
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
-        report = self._autopilot.report()
+        report = self._autopilot.vehicle.report(self._clock_ns())
         sigma_m = self._estimator.uncertainty_m(report)
         if report.position is None or sigma_m is None:
             return None
@@ -262,14 +265,14 @@ class Daemon:
         """To the live page, to the journal where it is to have every frame, and an event to people."""
         parts, maps = self.parts, self._recognizer.map_set
         used = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
-        position = self._autopilot.report().position
+        position = self._autopilot.vehicle.position(self._clock_ns())
         parts.live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
         if self.parts.config.telemetry.journal_frames:
             parts.record(used)
         if match is None or not match.accepted:
             return
         if parts.tally is not None:
-            driven_m, now_ns = self._autopilot.vehicle.distance_m(frame.stamp_ns), self._clock_ns()
+            driven_m, now_ns = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns), self._clock_ns()
             parts.tally.count(maps, match.place_index, match.direction, frame.image, driven_m, now_ns)
         if match.event:
             fix = self._estimator.place_fix(match, frame.stamp_ns)
@@ -305,7 +308,7 @@ class Daemon:
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
             withheld=self._autopilot.why_no_position,
-            driven_m=self._autopilot.vehicle.driven_m(self._clock_ns()),
+            driven_m=self._autopilot.vehicle.motion.driven_m(self._clock_ns()),
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
         return self.parts.monitor.update(inputs, parts.camera.health, hang)
@@ -318,7 +321,7 @@ class Daemon:
     def _publish_position(self) -> None:
         """A fix for the autopilot, while the vehicle is on the map and if one is due."""
         if self.parts.monitor.health.able != "on the map":
-            self._autopilot.positions.withdraw()
+            self._autopilot.positions.use.withdraw()
             return
         time_base = self._autopilot.position_due()
         if time_base is None or self.parts.pictures.fault is not None:
@@ -327,7 +330,7 @@ class Daemon:
             fix = self._estimator.position_at_exposure()
         else:
             now_ns = self._clock_ns()
-            fix = self._estimator.position(now_ns, self._autopilot.vehicle.displacement(now_ns))
+            fix = self._estimator.position(now_ns, self._autopilot.vehicle.motion.displacement(now_ns))
         if fix is not None:
             self._autopilot.send_position(fix)
 
@@ -337,14 +340,14 @@ class Daemon:
         if ros2 is None:
             return
         for odometry in ros2.odometry():
-            self._autopilot.vehicle.use_odometry(*odometry)
+            self._autopilot.vehicle.motion.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, self._autopilot.status)
         fix = self._estimator.position_at_exposure()
         if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self.parts.pictures.fault:
             return
         ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
-        report = replace(self._autopilot.report(), gps="not healthy")
-        displacement = self._autopilot.vehicle.displacement(fix.stamp_ns)
+        report = replace(self._autopilot.vehicle.report(self._clock_ns()), gps="not healthy")
+        displacement = self._autopilot.vehicle.motion.displacement(fix.stamp_ns)
         if self._estimator.decide(fix, limits, ros2.published_ns, report, displacement).refusal is None:
             ros2.publish_position(fix)
 

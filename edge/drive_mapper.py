@@ -59,9 +59,9 @@ class OwnCamera:
         busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
         self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
         frame = self.frames.take(0.0) if self._spare_s >= self._takes_s else None
-        if frame is None or not self._pictures.is_usable(frame, self._vehicle.speed_mps(self._clock_ns())):
+        if frame is None or not self._pictures.is_usable(frame, self._vehicle.motion.speed_mps(self._clock_ns())):
             return None
-        distance_m = self._vehicle.distance_m(frame.stamp_ns)
+        distance_m = self._vehicle.motion.distance_m(frame.stamp_ns)
         if distance_m is None or not self._sampler.is_place(frame.stamp_ns, distance_m):
             return None
         missed = self._sampler.missed
@@ -100,7 +100,7 @@ class DriveMapper:
         if frames is not None:
             parts.enter_context(closing(frames))
             self._own = OwnCamera(config, frames, device, autopilot.vehicle, clock_ns)
-        self._gaps = autopilot.vehicle.distance_gaps
+        self._gaps = autopilot.vehicle.motion.distance_gaps
         self.paused = ""
         """Why a person has mapping pause; "" where nobody has."""
         self._told: tuple[str, str] = (self.status.state, self.status.why)
@@ -120,7 +120,7 @@ class DriveMapper:
     def driven_m(self) -> float | None:
         """How far the vehicle has driven by the odometer of the map of this drive; None where that is not known."""
         self._notice_gap()
-        return self.live.driven_m(self._autopilot.vehicle.distance_m(self._clock_ns()))
+        return self.live.driven_m(self._autopilot.vehicle.motion.distance_m(self._clock_ns()))
 
     def map_recognized(
         self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int
@@ -134,7 +134,7 @@ class DriveMapper:
         if self._own is None:
             self._await_position(frame, raw, distance_m, missed)
         self.add_placed()
-        return self.live.newly_searchable(self._autopilot.vehicle.distance_m(self._clock_ns()))
+        return self.live.newly_searchable(self._autopilot.vehicle.motion.distance_m(self._clock_ns()))
 
     def map_next(self, waited_s: float, process: Process) -> None:
         """Map the newest frame of the second camera, if it shows a new place and the first camera left time for it.
@@ -166,8 +166,8 @@ class DriveMapper:
         self.live.add(raw, image, position, distance_m, self.paused or self._autopilot.gps_fault, missed)
 
     def _notice_gap(self) -> None:
-        if self._gaps != self._autopilot.vehicle.distance_gaps:
-            self._gaps = self._autopilot.vehicle.distance_gaps
+        if self._gaps != self._autopilot.vehicle.motion.distance_gaps:
+            self._gaps = self._autopilot.vehicle.motion.distance_gaps
             self.live.interrupt()
 
     def _publish_change(self) -> None:

@@ -113,7 +113,7 @@ class OpenedParts:
                 self._await_speed()
             frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
         self.pictures = PictureCheck(self.device, config.gates.min_speed_mps)
-        turned = self.autopilot.vehicle.turned_rad
+        turned = self.autopilot.vehicle.motion.turned_rad
         self.motion = CameraMotion(config, self.record, turned) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
         self.recorder: Recorder | None = None
@@ -128,7 +128,7 @@ class OpenedParts:
     def _await_speed(self) -> None:
         """A feed waits for nobody, and its frames are chosen by the distance driven: let an autopilot speak first."""
         until_s = time.monotonic() + FEED_WAITS_S
-        while self.autopilot.vehicle.speed_mps(self.clock_ns()) is None and time.monotonic() < until_s:
+        while self.autopilot.vehicle.motion.speed_mps(self.clock_ns()) is None and time.monotonic() < until_s:
             self.autopilot.poll()
             time.sleep(POLL_S)
 

@@ -16,10 +16,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.commands.doctor_findings import Examined, Found, bad, good, note
 from edge.config import TelemetryConfig
 from edge.errors import LookbackError
-from edge.telemetry import stream_check
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocity_aid
-from edge.telemetry.position_messages import autopilot_name, suitable_message
+from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopilot_name, suitable_message
 from edge.telemetry.vehicle import DOUBLED, Vehicle
 
 TURN_S = 0.01
@@ -65,7 +64,7 @@ class Requirement:
 
     def judge(self, vehicle: Vehicle) -> Found:
         """What is found of the vehicle's parameter."""
-        value = vehicle.parameters.get(self.parameter)
+        value = vehicle.session.parameters.get(self.parameter)
         if value is None:
             return note(f"{self.parameter}: no answer", "this firmware may not have it; see firmware_config/")
         words = f"{self.parameter} = {value:g}"
@@ -87,9 +86,7 @@ REQUIREMENTS = {
         ),
     ),
     (PX4, "global_position_sensor"): (
-        Requirement(
-            stream_check.CONTROL, "else message 296 is not fused", "set its bits 1", bits=stream_check.FUSES_POSITION
-        ),
+        Requirement(CONTROL, "else message 296 is not fused", "set its bits 1", bits=FUSES_POSITION),
     ),
 }
 """Parameters that a position message needs, by autopilot and message."""
@@ -99,22 +96,24 @@ def requirements(config: TelemetryConfig, vehicle: Vehicle) -> tuple[Requirement
     """The parameters that the configured position message needs on that firmware."""
     name: str = config.emit
     if name == "auto":
-        suitable, _ = suitable_message(vehicle.autopilot, vehicle.version)
+        suitable, _ = suitable_message(vehicle.session.autopilot, vehicle.session.version)
         name = suitable.name if suitable else "report"
-    needed = REQUIREMENTS.get((vehicle.autopilot or 0, name), ())
-    if (vehicle.autopilot, name) != (PX4, "global_position_sensor"):
+    needed = REQUIREMENTS.get((vehicle.session.autopilot or 0, name), ())
+    if (vehicle.session.autopilot, name) != (PX4, "global_position_sensor"):
         return needed
     why, own = "it must equal [telemetry] sensor_id", config.sensor_id
-    return (*needed, Requirement(stream_check.ID, why, f"set it to {own}", (own,)))
+    return (*needed, Requirement(ID, why, f"set it to {own}", (own,)))
 
 
 def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
     """The names of all parameters that are judged for the configured message on that firmware."""
-    if config.emit == "report" or vehicle.version is None:
+    if config.emit == "report" or vehicle.session.version is None:
         return set()
-    others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE,)}.get(vehicle.autopilot or 0, ())
+    others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE,)}.get(
+        vehicle.session.autopilot or 0, ()
+    )
     names = {one.parameter for one in requirements(config, vehicle)}
-    return {*names, *others, *AID_PARAMETERS.get(vehicle.autopilot or 0, ())}
+    return {*names, *others, *AID_PARAMETERS.get(vehicle.session.autopilot or 0, ())}
 
 
 def check_autopilot(examined: Examined) -> Iterator[Found]:
@@ -131,13 +130,13 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         while True:
             link.poll()
             status, wanted = link.status(), _wanted_parameters(config, vehicle)
-            link.protocol.parameters.add(wanted)
-            is_known = vehicle.version is not None and None not in (status.speed_mps, status.lat_deg)
-            is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.parameters)
+            link.requests.parameters.add(wanted)
+            is_known = vehicle.session.version is not None and None not in (status.speed_mps, status.lat_deg)
+            is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.session.parameters)
             if is_complete or time.monotonic() >= until_s:
                 break
             time.sleep(TURN_S)
-        examined.has_receiver = vehicle.gps.receiver_state(time.monotonic_ns()) == "healthy"
+        examined.has_receiver = vehicle.session.gps.receiver_state(time.monotonic_ns()) == "healthy"
     if vehicle.is_doubled:
         yield bad(f"{config.connection}: {DOUBLED}", "give each vehicle a system id of its own")
         return
@@ -148,10 +147,12 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         yield bad(link.why_closed, closed) if link.why_closed else bad(silent, remedy)
         return
     examined.autopilot = vehicle
-    version = "{}.{}".format(*vehicle.version) if vehicle.version else "(version not reported)"
-    yield good(f"{config.connection}: {autopilot_name(vehicle.autopilot)} {version}, system {vehicle.system_id}")
+    version = "{}.{}".format(*vehicle.session.version) if vehicle.session.version else "(version not reported)"
+    yield good(
+        f"{config.connection}: {autopilot_name(vehicle.session.autopilot)} {version}, system {vehicle.system_id}"
+    )
     if config.emit == "auto":
-        suitable, why = suitable_message(vehicle.autopilot, vehicle.version)
+        suitable, why = suitable_message(vehicle.session.autopilot, vehicle.session.version)
         yield good(f"emit = auto: {suitable.name}, {why}") if suitable else note(f"emit = auto: report, {why}")
     if status.speed_mps is None:
         yield note("it reports no speed", "without one no place is recognized on a map with distances")
@@ -167,7 +168,10 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
 def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
     """What measures velocity without GPS; without it, nothing replaces a GPS that the places contradict."""
     config, doubted_gps = examined.settings.telemetry, examined.settings.gates.doubted_gps
-    aid, remedy = velocity_aid(vehicle, 2 if config.emit == "vision_position" else 1), AIDS.get(vehicle.autopilot or 0)
+    aid, remedy = (
+        velocity_aid(vehicle, 2 if config.emit == "vision_position" else 1),
+        AIDS.get(vehicle.session.autopilot or 0),
+    )
     if aid is None:
         words = "whether anything measures velocity without GPS is not known: the daemon assumes that nothing does"
         yield note(words, "see firmware_config/")
@@ -178,7 +182,7 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
         yield good(f"velocity without GPS: {aid}")
     if examined.settings.motion.use == "send" and aid != VISION:
         words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
-        yield bad(words, CAMERA_AIDS.get(vehicle.autopilot or 0, 'use = "odometer"'))
+        yield bad(words, CAMERA_AIDS.get(vehicle.session.autopilot or 0, 'use = "odometer"'))
     if doubted_gps != "report" and aid in (None, NO_AID):
         words = f'[gates] doubted_gps = "{doubted_gps}" sends no position: only GPS is known to measure velocity'
         yield bad(words, remedy or "")
@@ -190,8 +194,8 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
     if config.emit == "report" or vehicle is None:
         return
     yield from (one.judge(vehicle) for one in requirements(config, vehicle))
-    values = vehicle.parameters
-    if vehicle.autopilot == ARDUPILOT:
+    values = vehicle.session.parameters
+    if vehicle.session.autopilot == ARDUPILOT:
         position = values.get("EK3_SRC1_POSXY")
         if position == 0 and examined.has_receiver:
             words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"

@@ -123,7 +123,7 @@ def _fill(
             autopilot.poll()
             frame = camera.take(TURN_S)
             if frame is not None:
-                distance_m = autopilot.vehicle.distance_m(frame.stamp_ns)
+                distance_m = autopilot.vehicle.motion.distance_m(frame.stamp_ns)
                 if sampler.is_place(frame.stamp_ns, distance_m):
                     history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
             history.release()

@@ -1,16 +1,16 @@
 """Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
-`link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` opens it
-again when it is lost. `vehicle` reads what the autopilot reports, with `boot_clock` for its time, `vehicle_motion` for
-how it moves, and `gps` for its receivers; `link_protocol` has the heartbeats, requests and lines of text that are due,
-and says what measures the velocity without GPS. `position_messages` says which message carries a position to which
-firmware, `doubted_gps` publishes what the places say of GPS, `encoders` writes all that is sent, `acknowledgements`
-says what an answer means, `position_use` and `stream_check` whether positions are used, `source_selection` selects
-ArduPilot's sources, `remembered_bound` outlives a restart, and `position_sender` joins those. `position_history` has
-the position at an exposure. `velocity_sender` sends the
-camera's velocity. `report_link` is for people. `home_requests` answers requests for the way home, which come
-by MAVLink or by `local_socket`, and `mission_transfer` uploads it. `autopilot` joins all into the one object that the
-daemon polls.
+In: `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` opens it
+again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilot's time, `gps` for its receivers,
+`vehicle_motion` for how it moves, and `confirmation` for what a single message may not change. What it knows of one
+autopilot is a `Session`, which another one replaces. `position_history` has its position at an exposure.
+
+Out: `link_protocol` requests what is read, and says what measures the velocity without GPS. `position_sender` sends
+positions by the messages of `position_messages`; `acknowledgements` says what an answer means and follows what the
+autopilot makes of each position, `own_bound` says what bounds the autopilot's own, and
+`source_selection` selects ArduPilot's sources. `people` is for people, and `encoders` writes all that is sent.
+`home_requests` answers requests for the way home, which come by MAVLink or by `local_socket`, and `mission_transfer`
+uploads it. `autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations

@@ -1,20 +1,28 @@
-"""What an acknowledgement of a position means for the next one, and whether an accepted position was used.
+"""What the autopilot makes of what it is sent: what an answer means, and whether a position then moves its own.
 
-ACCEPTED  checked against the autopilot's own position, which must move: a filter that is not in use accepts as well
+ACCEPTED  of a position: its own must then move within MOVED_NS: a filter that is not in use accepts as well
 FAILED, TEMPORARILY_REJECTED, CANCELED  not now (GPS works, no origin, not dead reckoning): pause, longer each time
 DENIED, UNSUPPORTED  never: no more until the autopilot reboots
 no answer  send once more with the present age; PX4 1.15 never answers
+
+Positions of a stream are not acknowledged: an autopilot that is far from them must come nearer within STREAM_NS.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.backoff import BackOff
 from edge.geodesy import VehiclePosition, east_north_of
+from edge.journal.records import FixAnswered, FixChecked
+from edge.localization import AGREE_SIGMAS, Decision, PlaceFix, PositionEstimator, offset_m
+from edge.telemetry.people import Publisher
+from edge.telemetry.vehicle import Vehicle
 
 Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 
@@ -23,8 +31,14 @@ BACK_OFF_LAST_NS = 30_000_000_000
 ANSWER_NS = 1_000_000_000
 NO_ANSWER = "NO_ANSWER"
 CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
+
 MOVED_NS = 1_500_000_000
-"""How long after ACCEPTED the position may take to move."""
+"""How long after ACCEPTED the position may take to move; and how long a stream may pause."""
+STREAM_NS = 10_000_000_000
+"""How long an autopilot that is far from the positions of a stream may take to come nearer."""
+FAR_SIGMAS = 2.0
+"""Standard deviations of a position beyond which the autopilot's own should come nearer to it."""
+log = logging.getLogger(__name__)
 
 VERDICTS: dict[int, Verdict] = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
@@ -45,26 +59,217 @@ def result_name(result: int, kind: str = "MAV_RESULT", prefix: str = "MAV_RESULT
     return entry.name.removeprefix(prefix) if entry else str(result)
 
 
-@dataclass(frozen=True)
-class Jump:
-    """The jump that an accepted fix should cause: meters east and north, from the position before it."""
+class Command:
+    """One command at a time, since an acknowledgement does not say which one it is for; and the pause after a failure.
 
-    before: VehiclePosition
-    east_m: float
-    north_m: float
-    sigma_m: float
+    It is over when an answer has come, or when none has in time: what then follows is for its sender to say.
+    """
+
+    def __init__(self, longest_pause_ns: int = BACK_OFF_LAST_NS) -> None:
+        self._pause = BackOff(BACK_OFF_FIRST_NS, longest_pause_ns)
+        self._sent_ns: int | None = None
+        self.is_refused = False
+        """Whether for good."""
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether one was sent, and is not over."""
+        return self._sent_ns is not None
+
+    def allows(self, now_ns: int) -> bool:
+        """Whether another one may be sent."""
+        return not (self.is_refused or self.is_waiting) and self._pause.is_over(now_ns)
+
+    def sent(self, now_ns: int) -> None:
+        """It is sent."""
+        self._sent_ns = now_ns
+
+    def is_overdue(self, now_ns: int) -> bool:
+        """Whether its answer has not come in time."""
+        return self._sent_ns is not None and now_ns - self._sent_ns > ANSWER_NS
+
+    def give_up(self) -> None:
+        """Its answer is not awaited any more."""
+        self._sent_ns = None
+
+    def failed(self, now_ns: int) -> None:
+        """It did not do what it should: the next one comes after a pause."""
+        self._pause.failed(now_ns)
+
+    def read(self, result: int, now_ns: int) -> Verdict:
+        """What the answer means. Where none is awaited, it is a second answer to one, and it takes a refusal back.
+
+        A stranger may have forged the first of two.
+        """
+        verdict = VERDICTS.get(result, "not now")
+        if verdict == "wait":
+            return verdict
+        if self._sent_ns is None:
+            self.is_refused &= verdict == "never"
+            return verdict
+        self._sent_ns, self.is_refused = None, verdict == "never"
+        if verdict == "accepted":
+            self._pause.reset()
+        else:
+            self._pause.failed(now_ns)
+        return verdict
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A position that was sent at `at_ns` of CLOCK_MONOTONIC, and the decision that it may be.
+
+    own: the autopilot's position then, None where it had none. is_again: since the first was not answered. recorded_ns:
+    when one was recorded last, this or an earlier one.
+    """
+
+    fix: PlaceFix
+    at_ns: int
+    own: VehiclePosition | None
+    decision: Decision
+    is_again: bool = False
+    recorded_ns: int = 0
+
+    @property
+    def move_m(self) -> tuple[float, float]:
+        """Meters east and north from the autopilot's position to it; by how much that should jump."""
+        return (0.0, 0.0) if self.own is None else offset_m(self.own, self.fix)
+
+    @property
+    def distance_m(self) -> float:
+        """Meters between them."""
+        return math.hypot(*self.move_m)
 
     def remaining_m(self, after: VehiclePosition) -> float:
-        """How far the position still is from that of the fix, without what was driven since then.
+        """How far the autopilot's position still is from it, without what was driven since then.
 
         Driven by the mean of both velocities, since a vehicle turns and brakes meanwhile.
         """
-        between_s = (after.stamp_ns - self.before.stamp_ns) / 1e9
-        east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (self.before.lat_deg, self.before.lon_deg))
-        driven_east_m = (self.before.east_mps + after.east_mps) / 2 * between_s
-        driven_north_m = (self.before.north_mps + after.north_mps) / 2 * between_s
-        return math.hypot(east_m - driven_east_m - self.east_m, north_m - driven_north_m - self.north_m)
+        own = self.own or after
+        between_s = (after.stamp_ns - own.stamp_ns) / 1e9
+        east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (own.lat_deg, own.lon_deg))
+        driven_m = (own.east_mps + after.east_mps) / 2 * between_s, (own.north_mps + after.north_mps) / 2 * between_s
+        return math.dist((east_m - driven_m[0], north_m - driven_m[1]), self.move_m)
 
-    def happened(self, after: VehiclePosition) -> bool:
-        """Whether the position moved at least half of the jump, or is within the standard deviation of the fix."""
-        return self.remaining_m(after) <= max(self.sigma_m, math.hypot(self.east_m, self.north_m) / 2)
+    def moved(self, remaining_m: float) -> bool:
+        """Whether so little remains that the autopilot has come nearer: half, or one standard deviation."""
+        return remaining_m <= max(self.fix.sigma_m, self.distance_m / 2)
+
+
+class PositionUse:
+    """What is expected of the autopilot after a position, and whether it happens."""
+
+    def __init__(self, vehicle: Vehicle, estimator: PositionEstimator, publisher: Publisher) -> None:
+        """estimator: is told where a position that was used bounds the autopilot's own."""
+        self._vehicle, self._estimator, self._publisher = vehicle, estimator, publisher
+        self.reset_counter = 0
+        """Of the positions of a stream: another number where they jump."""
+        self.new_session()
+
+    def new_session(self) -> None:
+        """The autopilot may be another one, and has lost all that was sent before."""
+        self.newest: Sent | None = None
+        """The newest that was sent, None before the first."""
+        self.command = Command()
+        """That which carries one that is acknowledged."""
+        self._followed: tuple[Sent, int] | None = None  # and when it was accepted; 0: not yet
+        self.is_ignored = False
+        """Whether the newest position that was accepted, and checked, has not moved the autopilot's own."""
+        self._stream: Sent | None = None  # with which the positions of a stream are compared, until they are checked
+        self._unused = ""  # why a stream is not used, as it was published
+
+    def expect(self, sent: Sent, *, is_reset: bool, unused: str = "") -> None:
+        """A position is sent now: keep what it should be answered, and how far it should move the autopilot's own.
+
+        is_reset: it is acknowledged; else it is one of a stream. unused: why the autopilot will not use that.
+        """
+        before, self.newest = self.newest, sent
+        if is_reset:
+            self.command.sent(sent.at_ns)
+            # One that was accepted is followed to its end: the next position comes before that.
+            if sent.own is not None and (self._followed is None or not self._followed[1]):
+                self._followed = sent, 0
+        elif sent.own is not None:
+            self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > MOVED_NS)
+
+    def _follow_stream(self, sent: Sent, unused: str, *, is_new: bool) -> None:
+        if unused and unused != self._unused:
+            log.error("the autopilot uses no positions: %s; see firmware_config", unused)
+            self._publisher.warn(f"Lookback: positions unused: {unused}")
+        self._unused = unused
+        distance_m, sigma_m = sent.distance_m, sent.fix.sigma_m
+        began = self._stream = sent if is_new else self._stream
+        if began is not None and sent.at_ns - began.at_ns >= STREAM_NS:
+            was_far = began.distance_m > FAR_SIGMAS * began.fix.sigma_m
+            self._stream = None if was_far else sent
+            if was_far:
+                moved = distance_m <= max(sigma_m, began.distance_m / 2)
+                self._publish_check(sent.fix, distance_m, "fixes sent", moved=moved)
+        # So near, an autopilot follows the stream.
+        if distance_m <= AGREE_SIGMAS * sigma_m:
+            self.bind(max(sigma_m, distance_m), sent.at_ns)
+        elif is_new:
+            self.reset_counter = (self.reset_counter + 1) % 256
+
+    def bind(self, sigma_m: float, now_ns: int) -> None:
+        """The autopilot has used a position: its own is as good as that."""
+        decision = Decision(None) if self.newest is None else self.newest.decision
+        self._estimator.bind(sigma_m, self._vehicle.report(now_ns), decision.bound_wrong)
+
+    def read_acknowledgement(self, result: int, now_ns: int) -> None:
+        """The autopilot has answered the newest position."""
+        fix = self.newest.fix if self.newest is not None and self.command.is_waiting else None
+        verdict = self.command.read(result, now_ns)
+        if verdict == "wait" or fix is None:
+            return
+        self._publisher.record(FixAnswered(fix.place, result_name(result), fix.map))
+        if verdict != "accepted":
+            self._drop_followed()
+        elif self._followed is not None and not self._followed[1]:  # its own position must move
+            self._followed = self._followed[0], now_ns
+        if verdict == "never":
+            log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
+            self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
+
+    def overdue(self, now_ns: int) -> Sent | None:
+        """The position whose answer did not come in time; None while there is none."""
+        return self.newest if self.command.is_overdue(now_ns) else None
+
+    def withdraw(self) -> None:
+        """What was not answered is not sent again."""
+        if self.newest is not None and self.command.is_waiting:
+            self.newest = replace(self.newest, is_again=True)
+
+    def give_up(self) -> None:
+        """A position that is not answered is not sent again."""
+        self.command.give_up()
+        self._drop_followed()
+        if self.newest is not None:
+            self._publisher.record(FixAnswered(self.newest.fix.place, NO_ANSWER, self.newest.fix.map))
+
+    def _drop_followed(self) -> None:
+        """What was not accepted moves nothing."""
+        if self._followed is not None and not self._followed[1]:
+            self._followed = None
+
+    def check(self, now_ns: int) -> None:
+        """Once it has had time, the autopilot's position must have moved to an accepted one."""
+        sent, accepted_ns = self._followed or (None, 0)
+        own = self._vehicle.position(now_ns)
+        if sent is None or not accepted_ns or own is None or own.stamp_ns <= accepted_ns:
+            return
+        remaining_m = sent.remaining_m(own)
+        moved = sent.moved(remaining_m)
+        if not moved and now_ns - accepted_ns < MOVED_NS:
+            return
+        self._followed, self.is_ignored = None, not moved
+        self._publish_check(sent.fix, remaining_m, "fix accepted", moved=moved)
+        if moved:
+            self.bind(max(sent.fix.sigma_m, remaining_m), now_ns)
+        else:
+            self.command.failed(now_ns)
+
+    def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
+        self._publisher.record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))
+        if not moved:
+            self._publisher.warn(f"Lookback: {what}, position {off_m:.0f} m off")

@@ -1,9 +1,12 @@
-"""The autopilot's boot clock, estimated from ours.
+"""The autopilot's boot clock, estimated from ours; and which stamps are not of it.
 
 With boot = monotonic + offset, each message gives a bound on the offset, because no message arrives before it is
 sent: a boot stamp in a message received at t says offset >= stamp - t, and an answer stamped `boot` to our request
 of time t says offset <= boot - t. Over many messages the tightest bounds close in on the true offset. When this
 computer reads its port late, bounds become looser but never wrong (half of the round trip, as usual, becomes wrong).
+
+A stamp of another clock is of the next boot, of a stranger, or of a second autopilot. A stranger cannot keep the
+autopilot's own messages from coming: so it is of the next boot where nothing contradicts it for a while.
 """
 
 from __future__ import annotations
@@ -11,6 +14,10 @@ from __future__ import annotations
 # Short, since the clock of a simulated autopilot was seen to run 0.75 % slow: 7.5 ms for every second of memory.
 WINDOW_NS = 250_000_000
 TURN_MS, NEAR_MS = 2**32, 60_000  # a message counts milliseconds in 32 bits; by how much it may differ
+JUMP_MS = 1000
+"""Further back than the newest stamp, or ahead of the clock: less may be messages that changed places on the way."""
+UNDISPUTED_NS = 500_000_000
+"""How long no message may be of the old clock or origin. Autopilots send positions at 10 Hz, as was requested."""
 
 
 class _Tightest:
@@ -40,6 +47,53 @@ class BootClock:
     def __init__(self) -> None:
         self._at_least = _Tightest()
         self._at_most = _Tightest()  # holds negated bounds, so that its largest is the smallest
+        self._newest_ms = -1
+        self._requested_ns = 0
+        self._another_ns: int | None = None  # since when stamps of another clock come, which nothing contradicts
+        self._another_has_position = False
+        self.took_turns = False
+        """Whether the newest stamp contradicts those of another clock, and a position of that came between."""
+
+    def read_stamp(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
+        """Add the stamp of a message, which may have a position; returns the same moment on CLOCK_MONOTONIC.
+
+        None, and the message must not be used, where the stamp is of another clock (`has_ended`).
+        """
+        if self._is_of_another(boot_ms, now_ns):
+            self._another_ns = now_ns if self._another_ns is None else self._another_ns
+            self._another_has_position |= has_position
+            return None
+        self.took_turns, self._another_ns, self._another_has_position = self._another_has_position, None, False
+        self._newest_ms = max(boot_ms, self._newest_ms)
+        self.add_stamp(boot_ms * 1_000_000, now_ns)
+        return min(self.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)
+
+    def has_ended(self, now_ns: int) -> bool:
+        """Whether there was no stamp of it between those of another one for long enough: the autopilot has rebooted."""
+        return self._another_ns is not None and now_ns - self._another_ns >= UNDISPUTED_NS
+
+    def has_ended_by(self, then_ns: int) -> bool:
+        """Whether the first stamp of another clock, of those that nothing contradicted, had come by then."""
+        return self._another_ns is not None and self._another_ns <= then_ns
+
+    def _is_of_another(self, boot_ms: int, now_ns: int) -> bool:
+        """Whether it is before the newest stamp, or ahead of the clock, by more than messages overtake each other."""
+        boot_ns = self.boot_ns(now_ns)
+        is_ahead = boot_ns is not None and boot_ms > boot_ns / 1e6 + JUMP_MS
+        return is_ahead or boot_ms < self._newest_ms - JUMP_MS
+
+    def requested(self, now_ns: int) -> None:
+        """Our TIMESYNC request, stamped `now_ns`, was sent."""
+        self._requested_ns = now_ns
+
+    def read_timesync(self, tc1_ns: int, ts1_ns: int, now_ns: int) -> None:
+        """TIMESYNC: the answer `tc1_ns` to the request of `ts1_ns`; or, with 0, its own request, stamped `ts1_ns`."""
+        if self._is_of_another((tc1_ns or ts1_ns) // 1_000_000, now_ns):
+            return
+        if tc1_ns == 0:
+            self.add_stamp(ts1_ns, now_ns)
+        elif ts1_ns == self._requested_ns:
+            self.add_answer(ts1_ns, tc1_ns, now_ns)
 
     def add_stamp(self, boot_ns: int, received_ns: int) -> None:
         """A boot stamp in any message that was received at `received_ns` (CLOCK_MONOTONIC)."""

@@ -1,7 +1,8 @@
-"""What a single message may not change: which boot the clock is of, whether the vehicle drives itself, the origin.
+"""What a single message may not change: whether the vehicle drives itself, and the origin.
 
 On an unsigned link a stranger can send a message in the autopilot's name, but cannot keep the autopilot's own messages
-from coming. So each of these changes only when nothing contradicts it for a while. No I/O.
+from coming. So both change only when nothing contradicts that for a while; and so does which boot the clock is of, see
+`boot_clock`. What two senders report in turns, `position_history` finds. No I/O.
 """
 
 from __future__ import annotations
@@ -14,11 +15,8 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.telemetry.boot_clock import UNDISPUTED_NS
 
-JUMP_MS = 1000
-"""Further back than the newest stamp, or ahead of the clock: less may be messages that changed places on the way."""
-UNDISPUTED_NS = 500_000_000
-"""How long no message may be of the old clock or origin. Autopilots send positions at 10 Hz, as was requested."""
 MODE_NS = 2_500_000_000
 """For so long each heartbeat must say that it does not drive itself: they come once a second, and one may be lost."""
 ORIGIN_M, ORIGIN_NS = 20.0, 1_000_000_000
@@ -36,29 +34,6 @@ class Origin:
     lat_deg: float
     lon_deg: float
     alt_m: float
-
-
-class AnotherClock:
-    """Stamps that are not of the boot that is known: of the next boot, of a stranger, or of a second autopilot."""
-
-    def __init__(self) -> None:
-        self._since_ns: int | None = None
-        self._has_position = False
-
-    def is_sure(self, now_ns: int, *, has_position: bool) -> bool:
-        """A stamp of another clock came; whether there was none of the known one for long enough."""
-        self._since_ns = now_ns if self._since_ns is None else self._since_ns
-        self._has_position = self._has_position or has_position
-        return now_ns - self._since_ns >= UNDISPUTED_NS
-
-    def has_begun_by(self, now_ns: int) -> bool:
-        """Whether its first stamp, of those that nothing contradicted, had come by then."""
-        return self._since_ns is not None and self._since_ns <= now_ns
-
-    def contradict(self) -> bool:
-        """A stamp of the known clock came; whether a position of the other one was between."""
-        took_turns, self._since_ns, self._has_position = self._has_position, None, False
-        return took_turns
 
 
 class Modes:

@@ -17,14 +17,14 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import HomeConfig
 from edge.errors import SetupError
-from edge.geodesy import VehiclePosition
 from edge.journal.records import HomeAnswered, Record
+from edge.localization import PositionEstimator
 from edge.mission import MissionItem, Start, WayHome, mission_items
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.mission_transfer import MissionTransfer, Next
 from edge.telemetry.replaced_mission import ReplacedMission
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle import Session, Vehicle
 
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
@@ -105,20 +105,24 @@ class HomeRequests:
         self,
         config: HomeConfig,
         vehicle: Vehicle,
+        estimator: PositionEstimator,
         record: Callable[[Record], object] = lambda record: None,
         send_text: Callable[[str, int], object] = lambda text, severity: None,
         replaced: Path | None = None,
     ) -> None:
-        """send_text: queues a line of a MAV_SEVERITY for the pilot. replaced: file of the mission that is replaced."""
-        self._config, self._vehicle = config, vehicle
+        """estimator: knows how good the vehicle's position is. send_text: queues a line of a MAV_SEVERITY.
+
+        replaced: file of the mission that is replaced.
+        """
+        self._config, self._vehicle, self._estimator = config, vehicle, estimator
         self._record, self._send_text = record, send_text
         self.plan: Plan | None = None
         """Plans the way home; None while there is no map."""
-        self.position: Callable[[], tuple[VehiclePosition | None, float | None]] = lambda: (None, None)
-        """The vehicle's position by the autopilot, and its standard deviation in meters; None where not known."""
         self._upload: Upload | None = None
         self._replaced = ReplacedMission(replaced)
-        self._check = 0, 0  # session in which the pilot was warned, and when the mission is looked at next
+        self._check: tuple[Session, int] | None = (
+            None  # where the pilot was warned, and when the mission is looked at next
+        )
         self._last: tuple[Sender, int, Answer] | None = None  # to whom, when, what
 
     def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
@@ -172,10 +176,10 @@ class HomeRequests:
     def request(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
         """Request the way home, or the mission that it replaced: the first answer, and the first of the transfer."""
         words = ("restored", "not restored") if restore else ("uploaded", "no way home")
-        home_first = self._vehicle.autopilot == ARDUPILOT
+        home_first = self._vehicle.session.autopilot == ARDUPILOT
         try:
             self._check_request()
-            items, what = self._kept_items() if restore else self._way_items(home_first=home_first)
+            items, what = self._kept_items() if restore else self._way_items(now_ns, home_first=home_first)
         except Rejected as error:
             return self._reply(asker, self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
         system_id = self._vehicle.system_id or 1
@@ -199,7 +203,7 @@ class HomeRequests:
         why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
         if why:
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
-        if self._vehicle.autopilot not in AUTOPILOTS:
+        if self._vehicle.session.autopilot not in AUTOPILOTS:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
 
     def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
@@ -208,8 +212,8 @@ class HomeRequests:
             raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
         return items, f"the mission that was replaced, {len(items)} items"
 
-    def _way_items(self, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
-        way, config = self._planned(), self._config
+    def _way_items(self, now_ns: int, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
+        way, config = self._planned(now_ns), self._config
         for warning in way.briefs:
             self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
         items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
@@ -220,7 +224,7 @@ class HomeRequests:
         kept, vehicle = self._replaced.kept, self._vehicle
         if kept.is_settled or not vehicle.connected or vehicle.system_id != kept.system_id:
             return []
-        if self._check[0] != vehicle.session:
+        if self._check is None or self._check[0] is not vehicle.session:
             self._check = vehicle.session, now_ns
             text = "Lookback: upload cut off, do not start the mission"  # 50 characters, one STATUSTEXT
             log.warning("%s", text)
@@ -236,11 +240,12 @@ class HomeRequests:
         self._upload = Upload(transfer, 0, "", "mission checked")
         return transfer.start(now_ns)
 
-    def _planned(self) -> WayHome:
+    def _planned(self, now_ns: int) -> WayHome:
         """The way home from here; Rejected."""
-        if self._vehicle.kind not in ON_THE_GROUND and not self._config.altitude_m:
+        if self._vehicle.session.kind not in ON_THE_GROUND and not self._config.altitude_m:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
-        position, sigma_m = self.position()
+        report = self._vehicle.report(now_ns)
+        position, sigma_m = report.position, self._estimator.uncertainty_m(report)
         if position is None or sigma_m is None or self.plan is None:
             what = "there is no map" if self.plan is None else "the vehicle's position is not known"
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, what)

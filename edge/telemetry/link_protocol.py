@@ -1,27 +1,33 @@
-"""What a MAVLink component sends besides positions: heartbeats, requests (time, streams, parameters), lines. No I/O.
+"""What is requested of an autopilot: its time, streams, parameters, version and origin; and our time for it. No I/O.
 
-Everything is requested again after a reboot of the autopilot and after a silence, since the autopilot does not store
-requests. Streams are requested one by one, since an acknowledgement does not say which stream it is for.
+Everything is requested again in the next session and after a silence, since the autopilot does not store requests.
+Streams are requested one by one, since an acknowledgement does not say which stream it is for.
+
+And what its parameters say of its velocity without GPS: what measures that, and whether the camera's is used. Read in
+the firmware: ArduPilot fuses a velocity alone only as VISION_POSITION_DELTA, which makes its filter aid itself as with
+wheel encoders (`readyToUseBodyOdm` in NavEKF3_core); VISION_SPEED_ESTIMATE and ODOMETRY need a position as well. PX4
+fuses ODOMETRY in the frame of the body, with its own gate (ev_vel_control.cpp). Both take nothing that is older than
+200 ms for a start, and go on alone as soon as nothing comes.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
-from edge.journal.records import Record
-from edge.localization import PlaceFix
-from edge.telemetry import encoders, stream_check
+from edge.journal.records import VelocityChanged
+from edge.motion import CameraSpeed
+from edge.telemetry import encoders
 from edge.telemetry.codec import EkfStatusReport, Message
 from edge.telemetry.confirmation import Origin
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.people import Publisher
+from edge.telemetry.position_messages import USE_PARAMETERS
+from edge.telemetry.vehicle import Session, Vehicle
 
-HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 500_000_000
 AGAIN_NS = 5_000_000_000
 STREAMS_HZ = {
@@ -36,14 +42,8 @@ STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
 }
-"""In the order in which they are requested.
-
-ODOMETRY is read where the autopilot sends it, but not requested: it is long, and adds nothing to these.
-"""
+"""In the order in which they are requested."""
 ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
-TEXT_NS = 500_000_000
-PLACE_NS = 5_000_000_000
-QUEUE_LINES = 8
 SILENT_NS = 3_000_000_000
 ANSWER_NS = 500_000_000
 AGAIN_LAST_NS = 60_000_000_000
@@ -59,25 +59,35 @@ ON_WINGS = {mavlink.MAV_TYPE_FIXED_WING, *range(mavlink.MAV_TYPE_VTOL_DUOROTOR, 
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 EV_VELOCITY = 1 << 2  # of EKF2_EV_CTRL
+CAMERA_OLDEST_NS = 500_000_000
+"""Of a speed, between its moment and sending: 0.5 m/s at the strongest usual braking of 1 m/s^2."""
+CAMERA_SILENT_NS = 1_000_000_000
+"""Without a message for so long, nothing measures the velocity: PX4 stops fusing after that time as well."""
+MOST_SHARE, LEAST_MPS = 0.2, 0.5
+"""One standard deviation, as a share of the speed, or in m/s where that is more: a speed that is less certain is not
+sent. By headlights 95 % of the errors are within 5 %."""
+MOST_SCALE = 0.05
+"""One standard deviation of what all speeds are wrong by alike: GPS of this drive or places must have shown the
+camera's height, since a filter cannot average it out."""
 FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
 
 
 class StreamRequests:
     """Requests the streams of one session, one at a time: each once, and again while it is silent."""
 
-    def __init__(self, streams_hz: Mapping[int, float] = STREAMS_HZ) -> None:
-        self._streams_hz = streams_hz
+    def __init__(self, session: Session, streams_hz: Mapping[int, float] = STREAMS_HZ) -> None:
+        self._session, self._streams_hz = session, streams_hz
         self._back_offs = {message_id: BackOff(AGAIN_NS, AGAIN_LAST_NS) for message_id in streams_hz}
         self._requested: set[int] = set()
         self._refusals: Counter[int] = Counter()
         self._asked: tuple[int, int] | None = None  # which message, and when
 
-    def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
+    def due(self, system_id: int, now_ns: int) -> list[Message]:
         """The next request, unless one is waiting for its answer."""
         if self._asked is not None and now_ns - self._asked[1] <= ANSWER_NS:
             return []
         for message_id, back_off in self._back_offs.items():
-            if self._is_due(message_id, back_off, vehicle.heard_ns(message_id), now_ns):
+            if self._is_due(message_id, back_off, self._session.heard_ns.get(message_id), now_ns):
                 self._asked = message_id, now_ns
                 self._requested.add(message_id)
                 back_off.failed(now_ns)
@@ -100,7 +110,8 @@ class StreamRequests:
 class ParameterRequests:
     """Requests parameters one by one, and again while one is missing."""
 
-    def __init__(self, names: Iterable[str] = ()) -> None:
+    def __init__(self, session: Session, names: Iterable[str] = ()) -> None:
+        self._session = session
         self._tries = dict.fromkeys(names, 0)
         self._due_ns = 0
 
@@ -109,9 +120,9 @@ class ParameterRequests:
         for name in names:
             self._tries.setdefault(name, 0)
 
-    def due(self, vehicle: Vehicle, system_id: int, now_ns: int) -> list[Message]:
+    def due(self, system_id: int, now_ns: int) -> list[Message]:
         """The next request; none where all have come, or have been requested too often."""
-        missing = self._missing(vehicle)
+        missing = self._missing()
         name = min(missing, key=missing.__getitem__, default="")
         if not name or missing[name] >= TRIES_MOST or now_ns < self._due_ns:
             return []
@@ -119,58 +130,43 @@ class ParameterRequests:
         self._due_ns = now_ns + PARAMETER_NS
         return [encoders.parameter_request(system_id, name)]
 
-    def are_over(self, vehicle: Vehicle, now_ns: int) -> bool:
+    def are_over(self, now_ns: int) -> bool:
         """Whether those that have not come have been requested too often, and the last answer would be here."""
-        tries = self._missing(vehicle).values()
+        tries = self._missing().values()
         return min(tries, default=TRIES_MOST) >= TRIES_MOST and now_ns - self._due_ns > ANSWER_NS
 
-    def _missing(self, vehicle: Vehicle) -> dict[str, int]:
+    def _missing(self) -> dict[str, int]:
         """How often each that has not come was requested."""
-        return {name: tries for name, tries in self._tries.items() if name not in vehicle.parameters}
+        return {name: tries for name, tries in self._tries.items() if name not in self._session.parameters}
 
 
-class LinkProtocol:
-    """Which messages are due on the autopilot's link."""
+class Requests:
+    """What is requested of an autopilot in one session, and answered."""
 
     def __init__(self, config: TelemetryConfig, vehicle: Vehicle, *, asks_attitude: bool = False) -> None:
-        self._streams_hz = STREAMS_HZ | ({mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {})
-        self._origin = Origin(*config.origin) if config.origin else None
-        self._vehicle = vehicle
-        self._due_ns = dict.fromkeys(("heartbeat", "timesync", "version", "origin"), 0)
-        self._streams, self.parameters = StreamRequests(self._streams_hz), ParameterRequests()
-        self._moves = config.emit != "report"
-        self._origin_requested = False
-
-    def opened(self, now_ns: int) -> None:
-        """The port is open: send a heartbeat at once."""
-        self._due_ns.update(heartbeat=now_ns, timesync=now_ns)
-
-    def new_session(self) -> None:
-        """The autopilot is another one, or has rebooted: request everything."""
-        self._due_ns.update(version=0, origin=0)
-        self._streams = StreamRequests(self._streams_hz)
+        self._vehicle, self.session = vehicle, vehicle.session
+        attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
+        self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz)
         # What aids the velocity, and whether positions are used, matters only where some are sent.
-        autopilot = self._vehicle.autopilot or 0
-        names = *AID_PARAMETERS.get(autopilot, ()), *stream_check.PARAMETERS.get(autopilot, ())
-        self.parameters = ParameterRequests(names if self._moves else ())
+        autopilot = self.session.autopilot or 0
+        names = *AID_PARAMETERS.get(autopilot, ()), *USE_PARAMETERS.get(autopilot, ())
+        self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
+        self._origin = Origin(*config.origin) if config.origin else None
         self._origin_requested = False
+        self._due_ns = dict.fromkeys(("timesync", "version", "origin"), 0)
 
-    def heartbeat(self, system_status: int, now_ns: int) -> list[Message]:
-        """Once a second, whether there is a peer or not."""
-        return [encoders.heartbeat(system_status)] if self._is_due("heartbeat", now_ns, HEARTBEAT_NS) else []
-
-    def requests(self, now_ns: int) -> list[Message]:
-        """The requests that are due to a connected autopilot."""
-        vehicle, system_id = self._vehicle, self._vehicle.system_id or FIRST_SYSTEM_ID
+    def due(self, now_ns: int) -> list[Message]:
+        """The requests that are due."""
+        session, system_id = self.session, self._vehicle.system_id or FIRST_SYSTEM_ID
         messages: list[Message] = []
         if self._is_due("timesync", now_ns, TIMESYNC_NS):
-            vehicle.timesync_sent(now_ns)
+            session.clock.requested(now_ns)
             messages.append(encoders.timesync_request(now_ns))
-        messages += self._streams.due(vehicle, system_id, now_ns)
-        messages += self.parameters.due(vehicle, system_id, now_ns)
-        if vehicle.version is None and self._is_due("version", now_ns, AGAIN_NS):
+        messages += self._streams.due(system_id, now_ns)
+        messages += self.parameters.due(system_id, now_ns)
+        if session.version is None and self._is_due("version", now_ns, AGAIN_NS):
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
-        if vehicle.origin is None and self._is_due("origin", now_ns, AGAIN_NS):
+        if session.origins.known is None and self._is_due("origin", now_ns, AGAIN_NS):
             messages += self._request_origin(system_id)
         return messages
 
@@ -199,41 +195,67 @@ class LinkProtocol:
         return True
 
 
-@dataclass(frozen=True)
-class Publisher:
-    """Where what happens is published: a record in the journal, a warning to the pilot."""
+class VelocityAid:
+    """What measures the autopilot's velocity besides our positions: a sensor of its own, or our camera."""
 
-    record: Callable[[Record], object]
-    warn: Callable[[str], object]
+    def __init__(self, vehicle: Vehicle, publisher: Publisher, *, sends: bool) -> None:
+        """sends: what the camera measures, by [motion] use and [telemetry] emit."""
+        self._vehicle, self._publisher, self._sends = vehicle, publisher, sends
+        self.without_gps: str | None = None
+        """See `velocity_aid`."""
+        self._sent_ns: int | None = None
+        self._why: str | None = None
+        self._warned: Session | None = None
 
+    def is_known(self, now_ns: int) -> bool:
+        """Whether anything besides GPS does; the camera of ours only while it sees the road."""
+        is_silent = self._sends and (self._sent_ns is None or now_ns - self._sent_ns > CAMERA_SILENT_NS)
+        return self.without_gps not in (None, NO_AID) and not (self.without_gps == VISION and is_silent)
 
-class StatusTexts:
-    """A queue of lines for the pilot: at most two a second come out, and of many only the newest.
+    def update(self, source_set: int, now_ns: int, *, is_by_gps: bool, is_needed: bool) -> None:
+        """What does now. is_by_gps: GPS does, and is not ignored. is_needed: positions are sent, which could come back.
 
-    A slow link carries the pilot's telemetry as well.
-    """
+        Where none are sent the autopilot's parameters are not requested.
+        """
+        self.without_gps = velocity_aid(self._vehicle, source_set)
+        motion, is_px4 = self._vehicle.motion, self._vehicle.session.autopilot == PX4
+        motion.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
+        motion.is_aided_by_camera = is_px4 and not is_by_gps and self._sends and self.without_gps == VISION
 
-    def __init__(self) -> None:
-        self._queue: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
-        self._next_ns = 0
-        self._next_place_ns = 0
+    def warn_without(self, *, all_came: bool) -> None:
+        """Once in a session, where none is known. all_came: whether no further parameter will."""
+        if self._warned is self._vehicle.session or not (self.without_gps == NO_AID or all_came):
+            return
+        if self.without_gps in (None, NO_AID):
+            self._warned = self._vehicle.session
+            is_known = self.without_gps == NO_AID
+            words = "the autopilot has no velocity aid" if is_known else "velocity aid not known, assuming none"
+            self._publisher.warn(f"Lookback: {words}")
 
-    def put(self, text: str, severity: int) -> None:
-        """Queue a line of any length."""
-        self._queue.append(encoders.status_text(text, severity))
-
-    def put_place(self, fix: PlaceFix, now_ns: int) -> None:
-        """Queue a line about a place, but not more than one each five seconds: places come by the second."""
-        if now_ns >= self._next_place_ns:
-            self._next_place_ns = now_ns + PLACE_NS
-            self.put(encoders.describe(fix), mavlink.MAV_SEVERITY_INFO)
-
-    def due(self, now_ns: int) -> list[Message]:
-        """The messages of the next line, if it is time for one."""
-        if not self._queue or now_ns < self._next_ns:
+    def send(self, speed: CameraSpeed, now_ns: int) -> list[Message]:
+        """What the camera measured, as this firmware takes it; nothing where something speaks against it."""
+        if not self._sends:
             return []
-        self._next_ns = now_ns + TEXT_NS
-        return self._queue.popleft()
+        why = self._refusal(speed, now_ns)
+        if why != self._why:
+            self._why = why
+            self._publisher.record(VelocityChanged(is_sent=not why, why=why))
+        if why:
+            return []
+        self._sent_ns = now_ns
+        encode = encoders.body_odometry if self._vehicle.session.autopilot == PX4 else encoders.position_delta
+        return [encode(speed)]
+
+    def _refusal(self, speed: CameraSpeed, now_ns: int) -> str:
+        if self._vehicle.session.autopilot not in (ARDUPILOT, PX4) or self._vehicle.is_doubled:
+            return "no autopilot that uses it"
+        if self.without_gps != VISION:
+            return "the autopilot's parameters do not use it"
+        if not 0 <= now_ns - speed.stamp_ns <= CAMERA_OLDEST_NS:
+            return "too old"
+        if speed.sigma_mps > max(MOST_SHARE * abs(speed.speed_mps), LEAST_MPS):
+            return "too uncertain"
+        return "the camera's height is not known well enough" if speed.scale_share > MOST_SCALE else ""
 
 
 def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:
@@ -243,33 +265,33 @@ def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:
     and a position that we send comes back as its velocity: the two agree with each other and not with the truth. The
     estimator's flags do not show it, since they return while our position is fused.
     """
-    if vehicle.kind in ON_WINGS:
+    if vehicle.session.kind in ON_WINGS:
         return AIRSPEED
-    if vehicle.autopilot == ARDUPILOT:
+    if vehicle.session.autopilot == ARDUPILOT:
         return _ardupilot(vehicle, source_set)
-    return _px4(vehicle) if vehicle.autopilot == PX4 else None
+    return _px4(vehicle) if vehicle.session.autopilot == PX4 else None
 
 
 def _ardupilot(vehicle: Vehicle, source_set: int) -> str | None:
-    source = vehicle.parameters.get(f"EK3_SRC{source_set}_VELXY")
+    source = vehicle.session.parameters.get(f"EK3_SRC{source_set}_VELXY")
     if source is None:
         return None
     sensors = {5: ("FLOW_TYPE", FLOW), 7: ("WENC_TYPE", WHEELS)}
     if round(source) not in sensors:
         return {4: BEACONS, 6: VISION}.get(round(source), NO_AID)
     parameter, aid = sensors[round(source)]
-    kind = vehicle.parameters.get(parameter)
+    kind = vehicle.session.parameters.get(parameter)
     return None if kind is None else aid if kind else NO_AID
 
 
 def _px4(vehicle: Vehicle) -> str | None:
     """Flow is enabled by default, with or without a sensor, so that it has to be heard."""
-    vision = vehicle.parameters.get("EKF2_EV_CTRL")
+    vision = vehicle.session.parameters.get("EKF2_EV_CTRL")
     if vision is None:
         return None
     if round(vision) & EV_VELOCITY:
         return VISION
-    if vehicle.heard_ns(mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD) is None:
+    if vehicle.session.heard_ns.get(mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD) is None:
         return NO_AID
-    controls = [vehicle.parameters.get(name) for name in ("EKF2_OF_CTRL", "EKF2_OF0_CTRL")]
+    controls = [vehicle.session.parameters.get(name) for name in ("EKF2_OF_CTRL", "EKF2_OF0_CTRL")]
     return FLOW if any(controls) else None if controls == [None, None] else NO_AID

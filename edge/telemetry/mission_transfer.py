@@ -14,16 +14,17 @@ that was begun and is not verified is cleared (MISSION_CLEAR_ALL).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from functools import partial
+from typing import Literal, TypeAlias, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.mission import MissionItem
 from edge.telemetry.acknowledgements import result_name
 from edge.telemetry.codec import Message
+from edge.telemetry.replaced_mission import MISSION, is_same, item_message, mission_item
 
 ANSWER_NS, ITEM_NS = 1_500_000_000, 250_000_000
 REPETITIONS = 5
@@ -31,15 +32,12 @@ LONGEST_NS = 150_000_000_000
 """For all items: 700 of them take a minute on a slow line."""
 CLEAR_REPETITIONS = 8
 """ArduPilot refuses to clear a mission until an upload that stopped has timed out, after 8 s."""
-SAME_DEG = 2.5e-7  # 2 of MAVLink's 1e-7: PX4 stores degrees as floating-point numbers, and truncates them
-SAME_M = 0.02
-SAME_PARAM = 1e-3
-SAME_FRAMES = {mavlink.MAV_FRAME_GLOBAL_INT: 0, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: 3}
-"""Frames of integers, which firmware may answer with instead of the others."""
-MISSION = mavlink.MAV_MISSION_TYPE_MISSION
 Next: TypeAlias = Literal["upload", "clear", "leave"]
 BUSY = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_DENIED)
 """Refusals of firmware that is in another transfer, or has not noticed its end."""
+ACCEPTED = mavlink.MAV_MISSION_ACCEPTED
+ACK, COUNT = mavlink.MAVLINK_MSG_ID_MISSION_ACK, mavlink.MAVLINK_MSG_ID_MISSION_COUNT
+ITEM, CURRENT = mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT, mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
 REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST)
 
 
@@ -55,8 +53,34 @@ class Outcome:
     is_settled: bool = True
 
 
+class Failed(Exception):
+    """The transfer cannot succeed; carries the reason."""
+
+
+@dataclass
+class Exchange:
+    """Messages the last of which has to be answered, and how often they are sent again while it is not."""
+
+    messages: list[Message]
+    wait_ns: int = ANSWER_NS
+    repetitions: int = REPETITIONS
+    sent_ns: int = 0
+    times: int = 0
+
+    def send(self, now_ns: int) -> list[Message]:
+        """The messages, which are sent now."""
+        self.sent_ns, self.times = now_ns, self.times + 1
+        return self.messages
+
+
+T = TypeVar("T")
+Steps: TypeAlias = Generator["Exchange | None", "Message | None", T]
+"""Yields what is to be sent, or None to wait for a further message. It gets each message that comes, and None where no
+answer has come in time, not even to the last repetition."""
+
+
 class MissionTransfer:
-    """One upload; `outcome` is None while it runs."""
+    """One upload; `outcome` is None while it runs. Read `_transfer` first: what is sent and awaited, step by step."""
 
     def __init__(
         self,
@@ -70,63 +94,42 @@ class MissionTransfer:
 
         decide: what is done about the present mission, before anything is changed.
         """
-        self._system_id, self._first_is_home, self._decide = system_id, first_is_home, decide
-        self._sent = items
-        self._items = [_item_message(system_id, number, item) for number, item in enumerate(items)]
+        self._items, self._system_id, self._first_is_home, self._decide = items, system_id, first_is_home, decide
         self.outcome: Outcome | None = None
-        self._phase: Literal["upload", "list", "download", "begin", "clear"] = "list"
-        self._why = ""
-        self._looks = True  # at the present mission: nothing is changed yet
-        self._is_busy = False  # the autopilot has refused to begin: with an upload that was cut off, for 8 s
+        self._phase: Literal["look", "upload", "verify", "begin", "clear"] = "look"
         self._began = False  # the autopilot may have changed its mission
-        self._count, self._downloaded = 0, list[MissionItem]()
-        self._assumed_complete = False  # the last acknowledgement may be lost, which the download will show
-        self._pending: list[Message] = []
-        self._sent_ns = self._tries = self._started_ns = 0
+        self._steps = self._whole()
+        self._exchange = Exchange([])
+        self._started_ns = 0
 
     def start(self, now_ns: int) -> list[Message]:
         """The first message."""
         self._started_ns = now_ns
-        return self._request_list(now_ns)
+        return self._advance(partial(next, self._steps), now_ns)
 
     def due(self, now_ns: int) -> list[Message]:
         """What has not been answered in time, again; a failure after the last repetition."""
-        if self.outcome is not None:
-            return []
+        exchange = self._exchange
         if self._phase != "clear" and now_ns - self._started_ns > LONGEST_NS:
-            return self._fail("the upload takes too long", now_ns)
-        if now_ns - self._sent_ns < (ITEM_NS if self._phase == "download" else ANSWER_NS):
+            return self.cancel("the upload takes too long", now_ns)
+        if self.outcome is not None or now_ns - exchange.sent_ns < exchange.wait_ns:
             return []
-        if self._tries > (CLEAR_REPETITIONS if self._phase == "clear" or self._is_busy else REPETITIONS):
-            return self._fail(self._unanswered(), now_ns)
-        if self._phase == "upload" and self._pending[-1] is self._items[-1] and not self._assumed_complete:
-            # Repeated, it would be an error for ArduPilot, if only its acknowledgement was lost.
-            self._assumed_complete = True
-            return self._request_list(now_ns)
-        self._sent_ns, self._tries = now_ns, self._tries + 1
-        return self._pending
+        if exchange.times <= exchange.repetitions:
+            return exchange.send(now_ns)
+        return self._advance(partial(self._steps.send, None), now_ns)
 
     def read(self, message: Message, now_ns: int) -> list[Message]:
         """Read a message of the autopilot that is addressed to us, or to nobody; returns the answers."""
-        kind = message.get_msgId()
-        if self.outcome is None and kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
-            # ArduPilot answers with the number that it was sent, PX4 once a second.
-            self.outcome = Outcome(verified=True) if self._phase == "begin" and message.seq == 0 else None
+        is_mission = message.get_msgId() == CURRENT or getattr(message, "mission_type", None) == MISSION
+        if self.outcome is not None or not is_mission:
             return []
-        if self.outcome is not None or getattr(message, "mission_type", None) != MISSION:
-            return []
-        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
-            return self._acknowledged(message.type, now_ns)
-        if kind in REQUESTS and (self._phase == "upload" or (self._phase == "list" and self._assumed_complete)):
-            return self._requested(message.seq, now_ns)
-        if kind == mavlink.MAVLINK_MSG_ID_MISSION_COUNT and self._phase == "list":
-            return self._counted(message.count, now_ns)
-        is_item = kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._phase == "download"
-        return self._compared(message, now_ns) if is_item else []
+        return self._advance(partial(self._steps.send, message), now_ns)
 
     def cancel(self, why: str, now_ns: int) -> list[Message]:
         """End it without success."""
-        return [] if self.outcome is not None or self._phase == "clear" else self._fail(why, now_ns)
+        if self.outcome is not None or self._phase == "clear":
+            return []
+        return self._advance(partial(self._steps.throw, Failed(why)), now_ns)
 
     def abandon(self) -> list[Message]:
         """End it without waiting for an answer; PX4 keeps its last mission, where ArduPilot would have a part of each.
@@ -136,157 +139,157 @@ class MissionTransfer:
         if self.outcome is not None:
             return []
         # PX4 stores what is complete.
-        is_stored = not self._looks and (self._first_is_home or self._phase != "upload")
+        is_stored = self._phase != "look" and (self._first_is_home or self._phase != "upload")
         self.outcome = Outcome(verified=False, why="Lookback ended", is_settled=not is_stored)
         empty = [mavlink.MAVLink_mission_count_message(self._system_id, 1, 0, MISSION)] if is_stored else []
-        return [self._acknowledgement(mavlink.MAV_MISSION_OPERATION_CANCELLED), *empty]
+        return [self._ended(mavlink.MAV_MISSION_OPERATION_CANCELLED), *empty]
 
-    def _requested(self, number: int, now_ns: int) -> list[Message]:
-        self._began, self._phase = True, "upload"
-        if number >= len(self._items):
-            return self._fail(f"the autopilot requests item {number} of {len(self._items)}", now_ns)
-        return self._expect([self._items[number]], now_ns)
-
-    def _acknowledged(self, result: int, now_ns: int) -> list[Message]:
-        accepted = result == mavlink.MAV_MISSION_ACCEPTED
-        if self._phase == "clear":
-            # An error while the autopilot still waits for items: try again.
-            return self._end() if accepted else []
-        is_repeated = self._phase == "upload" and result == mavlink.MAV_MISSION_INVALID_SEQUENCE  # an item
-        is_early = self._looks or (self._phase == "upload" and not self._began and result in BUSY)
-        if is_repeated or (is_early and not accepted):
-            self._is_busy = not is_repeated
-            return []  # what is not answered in time is sent again
-        if self._phase == "list" and self._assumed_complete and result == mavlink.MAV_MISSION_DENIED:
-            self._phase = "upload"  # it still waits for the last item
-            return self._expect([self._items[-1]], now_ns)
-        if not accepted:
-            name = result_name(result, "MAV_MISSION_RESULT", "MAV_MISSION_")
-            return self._fail(f"the autopilot refuses the mission: {name}", now_ns)
-        if self._phase != "upload" or not self._began:
+    def _advance(self, step: Callable[[], Exchange | None], now_ns: int) -> list[Message]:
+        """Go on to the next exchange, if there is one; the messages that it sends."""
+        try:
+            exchange = step()
+        except StopIteration as end:
+            self.outcome = end.value
             return []
-        return self._request_list(now_ns)
-
-    def _counted(self, count: int, now_ns: int) -> list[Message]:
-        if not self._looks and count != len(self._items):
-            return self._fail(f"the autopilot has {count} items of {len(self._items)}", now_ns)
-        self._phase, self._count, self._downloaded = "download", count, []
-        return self._request_next(now_ns) if count else self._decided(now_ns)
-
-    def _compared(self, item: Message, now_ns: int) -> list[Message]:
-        if item.seq != len(self._downloaded):
+        if exchange is None:
             return []
-        present = _mission_item(item)
-        is_compared = not (self._looks or (self._first_is_home and item.seq == 0))
-        if is_compared and not is_same(present, self._sent[item.seq]):
-            return self._fail(f"item {item.seq} is not the one that was uploaded", now_ns)
-        self._downloaded.append(present)
-        if len(self._downloaded) < self._count:
-            return self._request_next(now_ns)
-        if self._looks:
-            return self._decided(now_ns)
-        self._phase = "begin"
-        # PX4 ignores the second while it waits for the first, so both are repeated.
-        begin = mavlink.MAVLink_mission_set_current_message(self._system_id, 1, 0)
-        return self._expect([self._acknowledgement(mavlink.MAV_MISSION_ACCEPTED), begin], now_ns)
+        self._exchange = exchange
+        return exchange.send(now_ns)
 
-    def _decided(self, now_ns: int) -> list[Message]:
-        """The present mission is known: what `decide` says is done."""
-        self._looks = self._is_busy = False
-        ended = self._acknowledgement(mavlink.MAV_MISSION_ACCEPTED)
-        decision = self._decide(self._downloaded)
+    def _whole(self) -> Steps[Outcome]:
+        """The transfer, and what follows where it fails: the autopilot may have a mission of old and new items."""
+        try:
+            return (yield from self._transfer())
+        except Failed as error:
+            why = str(error)
+        if not self._began:
+            return Outcome(verified=False, why=why, is_settled=self._phase == "look")
+        # PX4 ignores the second during a transfer, and waits 5 s for one that has stopped.
+        return (yield from self._clear(mavlink.MAV_MISSION_OPERATION_CANCELLED, why))
+
+    def _transfer(self) -> Steps[Outcome]:
+        counted = yield from self._answer(self._list(), lambda message: message.get_msgId() == COUNT)
+        present = yield from self._download(counted.count)
+        decision = self._decide(present)
         if decision == "leave":
-            self._why = "the mission is not one that was cut off"
-            return [ended, *self._end()]
+            yield Exchange([self._ended()], wait_ns=0, repetitions=0)
+            return Outcome(verified=False, why="the mission is not one that was cut off")
         if decision == "clear":
-            self._why, self._phase = "a mission that was cut off is cleared", "clear"
-            clear = mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)
-            return self._expect([ended, clear], now_ns)
-        self._phase = "upload"
+            return (yield from self._clear(ACCEPTED, "a mission that was cut off is cleared"))
+        yield from self._upload()
+        self._phase = "begin"
+        # PX4 ignores the second while it waits for the first, so both are repeated. ArduPilot answers with the number
+        # that it was sent, PX4 sends that once a second.
+        begin = [self._ended(), mavlink.MAVLink_mission_set_current_message(self._system_id, 1, 0)]
+        yield from self._answer(Exchange(begin), lambda message: message.get_msgId() == CURRENT and message.seq == 0)
+        return Outcome(verified=True)
+
+    def _upload(self) -> Steps[None]:
+        """Send the items that are requested, until the autopilot has all of them as they were sent."""
         count = mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION)
-        return self._expect([ended, count], now_ns)
+        exchange = Exchange([self._ended(), count])
+        is_assumed = False  # complete: the last acknowledgement may be lost, which the download will show
+        while True:
+            self._phase = "upload"
+            message = yield exchange
+            while message is not None and not self._is_upload_answer(message):
+                message = yield None
+            if message is None:
+                if exchange.repetitions:
+                    raise Failed(self._unanswered())
+                is_assumed = True  # repeated, the item would be an error for ArduPilot
+            if message is None or message.get_msgId() == ACK:
+                self._phase = "verify"
+                message = yield from self._answer(self._list(), partial(_is_listed, is_assumed=is_assumed))
+            if message.get_msgId() == COUNT:
+                break
+            # It waits for an item: for the last one, where it does not say for which.
+            last = len(self._items) - 1
+            number = message.seq if message.get_msgId() in REQUESTS else last
+            self._began = True
+            if number > last:
+                raise Failed(f"the autopilot requests item {number} of {len(self._items)}")
+            item = item_message(self._system_id, number, self._items[number])
+            exchange = Exchange([item], repetitions=0 if number == last and not is_assumed else REPETITIONS)
+        if message.count != len(self._items):
+            raise Failed(f"the autopilot has {message.count} items of {len(self._items)}")
+        yield from self._download(message.count, self._items)
 
-    def _request_list(self, now_ns: int) -> list[Message]:
-        self._phase = "list"
-        return self._expect([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)], now_ns)
+    def _is_upload_answer(self, message: Message) -> bool:
+        """Whether it requests an item, or accepts all of them; Failed where it refuses them."""
+        if message.get_msgId() != ACK:
+            return message.get_msgId() in REQUESTS
+        if message.type in BUSY and not self._began:
+            self._exchange.repetitions = CLEAR_REPETITIONS
+        elif message.type != mavlink.MAV_MISSION_INVALID_SEQUENCE:  # of an item that was repeated
+            _check(message.type)
+            return self._began
+        return False
 
-    def _request_next(self, now_ns: int) -> list[Message]:
-        request = mavlink.MAVLink_mission_request_int_message(self._system_id, 1, len(self._downloaded), MISSION)
-        return self._expect([request], now_ns)
+    def _download(self, count: int, sent: Sequence[MissionItem] | None = None) -> Steps[list[MissionItem]]:
+        """The autopilot's items, each of which must be as it was sent, if it was."""
+        items: list[MissionItem] = []
+        for number in range(count):
+            request = mavlink.MAVLink_mission_request_int_message(self._system_id, 1, number, MISSION)
+            item = yield from self._answer(Exchange([request], ITEM_NS), partial(_is_item, number=number))
+            items.append(mission_item(item))
+            is_compared = sent is not None and not (self._first_is_home and number == 0)
+            if sent is not None and is_compared and not is_same(items[-1], sent[number]):
+                raise Failed(f"item {number} is not the one that was uploaded")
+        return items
+
+    def _clear(self, ended: int, why: str) -> Steps[Outcome]:
+        """Clear the mission, after the transfer has `ended` with a MAV_MISSION_RESULT."""
+        self._phase = "clear"
+        clear = mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)
+        exchange = Exchange([self._ended(ended), clear], repetitions=CLEAR_REPETITIONS)
+        try:
+            yield from self._answer(exchange, lambda message: message.get_msgId() == ACK and message.type == ACCEPTED)
+        except Failed:
+            why += "; do not start the autopilot's mission: it may be incomplete, and could not be cleared"
+            return Outcome(verified=False, why=why, is_settled=False)
+        return Outcome(verified=False, why=why)
+
+    def _answer(self, exchange: Exchange, is_answer: Callable[[Message], bool]) -> Steps[Message]:
+        """Send, and wait for the answer; Failed where the autopilot refuses, or does not answer."""
+        message = yield exchange
+        while message is not None and not is_answer(message):
+            if message.get_msgId() == ACK and self._phase == "look" and message.type != ACCEPTED:
+                exchange.repetitions = CLEAR_REPETITIONS  # busy with an upload that was cut off, for 8 s
+            elif message.get_msgId() == ACK and self._phase != "clear":  # which is tried again after an error
+                _check(message.type)
+            message = yield None
+        if message is None:
+            raise Failed(self._unanswered())
+        return message
 
     def _unanswered(self) -> str:
         """What it means that no answer has come."""
         if self._phase == "begin":
             return "the autopilot does not go back to the first item"
         # Without a request the count may have arrived or not; ArduPilot cuts its mission down to it.
-        doubt = "" if self._began or self._looks else "; look at the autopilot's mission before you start it"
+        doubt = "" if self._began or self._phase == "look" else "; look at the autopilot's mission before you start it"
         return f"the autopilot does not answer{doubt}"
 
-    def _expect(self, messages: list[Message], now_ns: int) -> list[Message]:
-        """Send messages the last of which has to be answered."""
-        self._pending, self._sent_ns, self._tries = messages, now_ns, 1
-        return self._pending
+    def _list(self) -> Exchange:
+        return Exchange([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)])
 
-    def _acknowledgement(self, result: int) -> Message:
+    def _ended(self, result: int = ACCEPTED) -> Message:
         return mavlink.MAVLink_mission_ack_message(self._system_id, 1, result, MISSION)
 
-    def _fail(self, why: str, now_ns: int) -> list[Message]:
-        if self._phase == "clear":
-            self._why += "; do not start the autopilot's mission: it may be incomplete, and could not be cleared"
-            return self._end(is_settled=False)
-        self._why = why
-        if not self._began:
-            return self._end(is_settled=self._looks)
-        self._phase = "clear"
-        # PX4 ignores the second during a transfer, and waits 5 s for one that has stopped.
-        ended = self._acknowledgement(mavlink.MAV_MISSION_OPERATION_CANCELLED)
-        return self._expect([ended, mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)], now_ns)
 
-    def _end(self, *, is_settled: bool = True) -> list[Message]:
-        self.outcome = Outcome(verified=False, why=self._why, is_settled=is_settled)
-        return []
+def _is_listed(message: Message, *, is_assumed: bool) -> bool:
+    """Whether it answers a request for the list; or, where an upload was assumed complete, shows that it is not."""
+    kind = message.get_msgId()
+    is_waiting = kind in REQUESTS or (kind == ACK and message.type == mavlink.MAV_MISSION_DENIED)
+    return kind == COUNT or (is_assumed and is_waiting)
 
 
-def _mission_item(item: Message) -> MissionItem:
-    one, two, three, four, altitude_m = (
-        None if math.isnan(value) else value for value in (item.param1, item.param2, item.param3, item.param4, item.z)
-    )
-    position = item.x / 1e7, item.y / 1e7, altitude_m
-    return MissionItem(item.command, item.frame, (one, two, three, four), *position, item.autocontinue)
+def _is_item(message: Message, *, number: int) -> bool:
+    return bool(message.get_msgId() == ITEM and message.seq == number)
 
 
-def _item_message(system_id: int, number: int, item: MissionItem) -> Message:
-    *params, altitude_m = (math.nan if value is None else value for value in (*item.params, item.altitude_m))
-    return mavlink.MAVLink_mission_item_int_message(
-        system_id,
-        1,
-        number,
-        item.frame,
-        item.command,
-        int(number == 0),  # the current one; both firmware types need MISSION_SET_CURRENT all the same
-        item.goes_on,
-        *params,
-        round(item.lat_deg * 1e7),
-        round(item.lon_deg * 1e7),
-        altitude_m,
-        MISSION,
-    )
-
-
-def is_same(item: MissionItem, sent: MissionItem) -> bool:
-    """Whether an item came back as it was sent."""
-    if item.command != sent.command:
-        return False
-    if sent.command == mavlink.MAV_CMD_NAV_WAYPOINT and not (
-        SAME_FRAMES.get(item.frame, item.frame) == SAME_FRAMES.get(sent.frame, sent.frame)
-        and abs(item.lat_deg - sent.lat_deg) <= SAME_DEG
-        and abs(item.lon_deg - sent.lon_deg) <= SAME_DEG
-        and _is_near(item.altitude_m, sent.altitude_m, SAME_M)
-    ):
-        return False
-    pairs = zip(item.params, sent.params, strict=True)
-    return all(_is_near(theirs, ours, SAME_PARAM * max(1.0, abs(ours or 0.0))) for theirs, ours in pairs)
-
-
-def _is_near(theirs: float | None, ours: float | None, tolerance: float) -> bool:
-    return ours is None or (theirs is not None and abs(theirs - ours) <= tolerance)
+def _check(result: int) -> None:
+    if result != ACCEPTED:
+        name = result_name(result, "MAV_MISSION_RESULT", "MAV_MISSION_")
+        raise Failed(f"the autopilot refuses the mission: {name}")

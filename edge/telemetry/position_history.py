@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
 
@@ -69,50 +70,6 @@ class PositionHistory:
         return _between(before, after, stamp_ns)
 
 
-class Alternation:
-    """Whether two senders have the same ids: what they report comes in turns, or their clocks seem to go back.
-
-    The other one is a second autopilot, or a stranger who forges messages.
-    """
-
-    def __init__(self, jump_m: float = JUMP_M, back_ns: int = BACK_NS) -> None:
-        self._jump_m, self._back_ns = jump_m, back_ns
-        self._newest: VehiclePosition | None = None
-        # By what jumps, position or velocity: the newest before the last jump.
-        self._left: dict[Callable[[VehiclePosition, VehiclePosition], bool], VehiclePosition] = {}
-        self._noticed_ns: deque[int] = deque(maxlen=TURNS)
-
-    def add(self, position: VehiclePosition, now_ns: int) -> None:
-        """A position; a reset moves it once, and it is back soon only where another one sent those between."""
-        before, self._newest = self._newest, position
-        for differ in (self._jumped, _turned):
-            if before is None or not differ(before, position):
-                continue
-            left, self._left[differ] = self._left.get(differ), before
-            if left and position.stamp_ns - left.stamp_ns <= self._back_ns and not differ(left, position):
-                self.notice(now_ns)
-
-    def notice(self, now_ns: int) -> None:
-        """The positions came back to where they were, or the clock went back."""
-        self._noticed_ns.append(now_ns)
-
-    def is_found(self, now_ns: int) -> bool:
-        """Whether that was so often within TURNS_NS, until it has not been so for TURNS_NS."""
-        noticed_ns = self._noticed_ns
-        is_often = len(noticed_ns) == TURNS and noticed_ns[-1] - noticed_ns[0] <= TURNS_NS
-        return is_often and now_ns - noticed_ns[-1] <= TURNS_NS
-
-    def _jumped(self, first: VehiclePosition, second: VehiclePosition) -> bool:
-        """Whether two positions cannot be of one vehicle that moves by its velocity."""
-        return _jumped(first, second, (second.stamp_ns - first.stamp_ns) / 1e9, self._jump_m)
-
-
-def _turned(first: VehiclePosition, second: VehiclePosition) -> bool:
-    """Whether two velocities cannot be of one vehicle."""
-    changed_mps = math.hypot(second.east_mps - first.east_mps, second.north_mps - first.north_mps)
-    return changed_mps > JUMP_MPS + STRONGEST_MPS2 * (second.stamp_ns - first.stamp_ns) / 1e9
-
-
 def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:
     seconds = (stamp_ns - before.stamp_ns) / 1e9
     lat_deg, lon_deg = moved(before.lat_deg, before.lon_deg, before.east_mps * seconds, before.north_mps * seconds)
@@ -123,7 +80,7 @@ def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> 
     gap_ns = after.stamp_ns - before.stamp_ns
     if gap_ns == 0:
         return before
-    if gap_ns > LONGEST_GAP_NS or _jumped(before, after, gap_ns / 1e9):
+    if gap_ns > LONGEST_GAP_NS or jumped(before, after):
         return None
     share = (stamp_ns - before.stamp_ns) / gap_ns
     east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
@@ -141,7 +98,56 @@ def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> 
     )
 
 
-def _jumped(before: VehiclePosition, after: VehiclePosition, gap_s: float, jump_m: float = JUMP_M) -> bool:
+def _heading_between(before_deg: float | None, after_deg: float | None, share: float) -> float | None:
+    if before_deg is None or after_deg is None:
+        return None
+    return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360
+
+
+class Alternation:
+    """Whether two senders have the same ids: what they report comes in turns, or their clocks seem to go back.
+
+    The other one is a second autopilot, or a stranger who forges messages.
+    """
+
+    def __init__(self, jump_m: float = JUMP_M, back_ns: int = BACK_NS) -> None:
+        self._back_ns = back_ns
+        self._differences = partial(jumped, jump_m=jump_m), turned
+        self._newest: VehiclePosition | None = None
+        # By what jumps, position or velocity: the newest before the last jump.
+        self._left: dict[Callable[[VehiclePosition, VehiclePosition], bool], VehiclePosition] = {}
+        self._noticed_ns: deque[int] = deque(maxlen=TURNS)
+
+    def add(self, position: VehiclePosition, now_ns: int) -> None:
+        """A position; a reset moves it once, and it is back soon only where another one sent those between."""
+        before, self._newest = self._newest, position
+        for differ in self._differences:
+            if before is None or not differ(before, position):
+                continue
+            left, self._left[differ] = self._left.get(differ), before
+            if left and position.stamp_ns - left.stamp_ns <= self._back_ns and not differ(left, position):
+                self.notice(now_ns)
+
+    def notice(self, now_ns: int) -> None:
+        """The positions came back to where they were, or the clock went back."""
+        self._noticed_ns.append(now_ns)
+
+    def is_found(self, now_ns: int) -> bool:
+        """Whether that was so often within TURNS_NS, until it has not been so for TURNS_NS."""
+        noticed_ns = self._noticed_ns
+        is_often = len(noticed_ns) == TURNS and noticed_ns[-1] - noticed_ns[0] <= TURNS_NS
+        return is_often and now_ns - noticed_ns[-1] <= TURNS_NS
+
+
+def turned(first: VehiclePosition, second: VehiclePosition) -> bool:
+    """Whether two velocities cannot be of one vehicle."""
+    changed_mps = math.hypot(second.east_mps - first.east_mps, second.north_mps - first.north_mps)
+    return changed_mps > JUMP_MPS + STRONGEST_MPS2 * (second.stamp_ns - first.stamp_ns) / 1e9
+
+
+def jumped(before: VehiclePosition, after: VehiclePosition, jump_m: float = JUMP_M) -> bool:
+    """Whether two positions cannot be of one vehicle that moves by its velocity."""
+    gap_s = (after.stamp_ns - before.stamp_ns) / 1e9
     east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
     by_velocity_m = [
         (first + second) / 2 * gap_s
@@ -149,9 +155,3 @@ def _jumped(before: VehiclePosition, after: VehiclePosition, gap_s: float, jump_
     ]
     allowed_m = jump_m + JUMP_SHARE * math.hypot(*by_velocity_m)
     return math.hypot(east_m - by_velocity_m[0], north_m - by_velocity_m[1]) > allowed_m
-
-
-def _heading_between(before_deg: float | None, after_deg: float | None, share: float) -> float | None:
-    if before_deg is None or after_deg is None:
-        return None
-    return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360

@@ -1,11 +1,12 @@
-"""The MAVLink messages that can carry a position to an autopilot, as a table, and which of them suits which firmware.
+"""The MAVLink messages that can carry a position to an autopilot, as a table; which of them suits which firmware, and
+what it must be set to.
 
 What each firmware does with each message was tried on the firmware itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -89,3 +90,22 @@ def suitable_message(autopilot: int | None, version: tuple[int, int] | None) -> 
         if support.autopilot == autopilot and version >= support.version:
             return POSITION_MESSAGES[support.message], f"{spelled} takes {support.message}"
     return None, f"{spelled} takes no position"
+
+
+CONTROL, ID = "EKF2_AGP0_CTRL", "EKF2_AGP0_ID"
+FUSES_POSITION = 1
+"""Bit of `CONTROL`."""
+USE_PARAMETERS = {mavlink.MAV_AUTOPILOT_PX4: (CONTROL, ID)}
+"""What an autopilot is asked to know whether it uses positions, by MAV_AUTOPILOT."""
+
+
+def unused_because(autopilot: int | None, parameters: Mapping[str, float], message: str, sensor_id: int) -> str:
+    """Why this autopilot will use no position that comes in that message; "" where nothing is known against it."""
+    if message != "global_position_sensor" or autopilot != mavlink.MAV_AUTOPILOT_PX4:
+        return ""
+    control, own_id = (parameters.get(name) for name in (CONTROL, ID))
+    if control is not None and not round(control) & FUSES_POSITION:
+        return f"{CONTROL} is {control:.0f}"
+    if own_id is not None and round(own_id) != sensor_id:
+        return f"{ID} is {own_id:.0f}"
+    return ""

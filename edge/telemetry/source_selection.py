@@ -11,18 +11,11 @@ import contextlib
 import logging
 from pathlib import Path
 
-from edge.backoff import BackOff
 from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import (
-    ANSWER_NS,
-    BACK_OFF_FIRST_NS,
-    NO_ANSWER,
-    VERDICTS,
-    result_name,
-)
+from edge.telemetry.acknowledgements import NO_ANSWER, Command, result_name
 from edge.telemetry.codec import Message
-from edge.telemetry.link_protocol import Publisher
+from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
 GPS_SET, VISION_SET = 1, 2
@@ -43,21 +36,20 @@ class SourceSelection:
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: which set it uses is not known."""
+        self._command = Command(AGAIN_NS)
+        self._asked: int | None = None  # which set was asked for last
         self._selected: int | None = None
-        self._asked: tuple[int, int] | None = None  # the set, and when
-        self._refused = False
-        self._back_off = BackOff(BACK_OFF_FIRST_NS, AGAIN_NS)
         self._published = ""
 
     def due(self, now_ns: int) -> list[Message]:
         """The command, if the wanted set is not acknowledged yet and none is waiting for its answer."""
-        if self._asked is not None and now_ns - self._asked[1] > ANSWER_NS:
-            self._not_selected(self._asked[0], NO_ANSWER, now_ns)
-        if self.wanted == GPS_SET and not self._may_be_changed:
+        if self._command.is_overdue(now_ns):
+            self._command.give_up()
+            self._command.failed(now_ns)
+            self._publish(NO_ANSWER)
+        if self.wanted in (None, self._selected) or (self.wanted == GPS_SET and not self._may_be_changed):
             return []
-        if self.wanted in (None, self._selected) or self._asked or self._refused or not self._back_off.is_over(now_ns):
-            return []
-        return self._select(self.wanted or GPS_SET, now_ns)
+        return self._select(self.wanted or GPS_SET, now_ns) if self._command.allows(now_ns) else []
 
     def restore(self, now_ns: int) -> list[Message]:
         """The command for set 1, at the end of the program, while set 2 may be selected by us."""
@@ -66,25 +58,21 @@ class SourceSelection:
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """COMMAND_ACK of 42007 that was addressed to us."""
-        verdict = VERDICTS.get(result, "not now")
+        was_asked = self._command.is_waiting
+        verdict = self._command.read(result, now_ns)
         if verdict == "wait":
             return
-        if self._asked is None:  # of two answers, a stranger may have forged the first: ask again where they differ
-            self._refused &= verdict == "never"
+        if not was_asked:  # of two answers, a stranger may have forged the first: ask again where they differ
             self._selected = self._selected if verdict == "accepted" else None
             return
-        number, _ = self._asked
-        if verdict != "accepted":
-            self._refused = verdict == "never"
-            self._not_selected(number, result_name(result), now_ns)
-            return
-        self._asked, self._selected = None, number
-        self._back_off.reset()
-        self._remember(number != GPS_SET)
-        self._publish(number, result_name(result))
+        if verdict == "accepted":
+            self._selected = self._asked
+            self._remember(self._asked != GPS_SET)
+        self._publish(result_name(result))
 
     def _select(self, number: int, now_ns: int) -> list[Message]:
-        self._asked = number, now_ns
+        self._asked = number
+        self._command.sent(now_ns)
         self._remember(self._may_be_changed or number != GPS_SET)
         return [encoders.source_set(self._vehicle.system_id or 1, number)]
 
@@ -94,13 +82,9 @@ class SourceSelection:
                 self._remembered.touch() if may_be_changed else self._remembered.unlink(missing_ok=True)
         self._may_be_changed = may_be_changed
 
-    def _not_selected(self, number: int, result: str, now_ns: int) -> None:
-        self._asked = None
-        self._back_off.failed(now_ns)
-        self._publish(number, result)
-
-    def _publish(self, number: int, result: str) -> None:
+    def _publish(self, result: str) -> None:
         """To the journal and the pilot, repetitions once."""
+        number = self._asked or GPS_SET
         if f"{number} {result}" == self._published:
             return
         self._published = f"{number} {result}"

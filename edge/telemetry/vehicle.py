@@ -9,13 +9,15 @@ import logging
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from edge.geodesy import VehiclePosition, moved
+from edge.localization import GpsFix, Report
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
-from edge.telemetry.confirmation import JUMP_MS, AnotherClock, Modes, Origin, Origins
+from edge.telemetry.confirmation import Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
 from edge.telemetry.position_messages import autopilot_name
@@ -32,7 +34,29 @@ PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT3
 log = logging.getLogger(__name__)
 
 
-class Vehicle(VehicleMotion):
+@dataclass
+class Session:
+    """What is known of an autopilot since the link came up or it has rebooted; the next session begins with nothing.
+
+    number: of the sessions so far. autopilot, kind: MAV_AUTOPILOT and MAV_TYPE, None until connected. version: major
+    and minor of the firmware, None until AUTOPILOT_VERSION arrived. heard_ns: when a message came last, by its id.
+    position: the newest; accuracy: when the autopilot reported it, and its horizontal meters.
+    """
+
+    number: int = 0
+    autopilot: int | None = None
+    kind: int | None = None
+    version: tuple[int, int] | None = None
+    clock: BootClock = field(default_factory=BootClock)
+    gps: Gps = field(default_factory=Gps)
+    origins: Origins = field(default_factory=Origins)
+    parameters: dict[str, float] = field(default_factory=dict)
+    heard_ns: dict[int, int] = field(default_factory=dict)
+    position: VehiclePosition | None = None
+    accuracy: tuple[int, float] | None = None
+
+
+class Vehicle:
     """The one vehicle on a link, known by its heartbeats; messages of all others are ignored.
 
     Noise on a serial line passes MAVLink's checksum now and then, so two heartbeats of the same autopilot make a
@@ -41,53 +65,17 @@ class Vehicle(VehicleMotion):
 
     def __init__(self, system_id: int = 0) -> None:
         """system_id: the only one whose heartbeats count; 0 is the first that is heard."""
-        super().__init__()
         self._only_system_id = system_id
         self.system_id: int | None = None
-        self.autopilot: int | None = None
-        self.kind: int | None = None
-        """MAV_TYPE of the vehicle, None until connected."""
-        self._modes = Modes()
-        self.parameters: dict[str, float] = {}
-        """Those that the autopilot has sent in this session."""
         self.connected = False
-        self.session = 0
-        """Counts up when the link comes up and when the autopilot reboots: streams must be requested again."""
-        self.version: tuple[int, int] | None = None
-        """Major and minor of the firmware, None until AUTOPILOT_VERSION arrived."""
-        self._version_ns = 0  # when it arrived
-        self._origins, self._another_clock = Origins(), AnotherClock()
+        self.session = Session()
+        """Another one when the link comes up and when the autopilot reboots: streams must be requested again."""
+        self.motion = VehicleMotion()
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
-        self._alternation, self._local_alternation = Alternation(), Alternation()
-        self._heard_ns: dict[int, int] = {}  # heartbeats, by system
-        self._message_ns: dict[int, int] = {}  # of this session, by message id
-        self._clock = BootClock()
-        self._newest_boot_ms = -1
-        self._timesync_sent_ns = 0
-        self._position: VehiclePosition | None = None
-        self.gps = Gps()
-        self._accuracy: tuple[int, float] | None = None
-        self._handlers: dict[int, Callable[[Message, int], object]] = {
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._read_global_position,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._read_local_position,
-            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._read_odometry,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._read_attitude,
-            mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: self._read_wheels,
-            mavlink.MAVLINK_MSG_ID_VFR_HUD: lambda hud, now_ns: self._add_speed(now_ns, hud.groundspeed, source=4),
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._read_gps,
-            mavlink.MAVLINK_MSG_ID_GPS2_RAW: self._read_gps,
-            EkfStatusReport.id: lambda ekf, now_ns: self.gps.read_filter(ekf.flags, self.autopilot, now_ns),
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: lambda status, now_ns: self.gps.read_sensors(
-                status.onboard_control_sensors_present, now_ns
-            ),
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: lambda time, now_ns: self._read_boot_time(time.time_boot_ms, now_ns),
-            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._read_timesync,
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._read_estimator,
-            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._read_origin,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._read_version,
-            mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._read_parameter,
-        }
+        self._alternations = {message: Alternation() for message in POSITIONS}
+        self._beats_ns: dict[int, int] = {}  # heartbeats, by system
+        self._modes = Modes()
 
     def handle(self, message: Message, now_ns: int) -> bool:
         """Read one message that was received at `now_ns`; True when it is from the vehicle."""
@@ -97,15 +85,15 @@ class Vehicle(VehicleMotion):
             return self._read_heartbeat(message, now_ns)
         if not self.connected or message.get_srcSystem() != self.system_id:
             return False
-        self._message_ns[message.get_msgId()] = now_ns
-        reader = self._handlers.get(message.get_msgId())
+        self.session.heard_ns[message.get_msgId()] = now_ns
+        reader = READERS.get(message.get_msgId())
         if reader is not None and (not self.is_doubled or message.get_msgId() in POSITIONS):
-            reader(message, now_ns)
+            reader(self, message, now_ns)
             self._notice_double(now_ns)
         return True
 
     def _notice_double(self, now_ns: int) -> None:
-        if any(one.is_found(now_ns) for one in (self._alternation, self._local_alternation)) != self.is_doubled:
+        if any(one.is_found(now_ns) for one in self._alternations.values()) != self.is_doubled:
             self.is_doubled = not self.is_doubled
             log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
             self._start_session(is_same_vehicle=False)
@@ -115,57 +103,65 @@ class Vehicle(VehicleMotion):
         """Whether it is armed, in a mode in which it finds its own way; None where the mode is not known."""
         return self._modes.drives_itself
 
-    @property
-    def origin(self) -> Origin | None:
-        """The origin of its local frame, None until it is known: it may have none."""
-        return self._origins.known
-
-    def heard_ns(self, message_id: int) -> int | None:
-        """When a message came last in this session, None before the first."""
-        return self._message_ns.get(message_id)
-
     def expire(self, now_ns: int) -> None:
         """The link is down when no heartbeat has come for five seconds."""
-        if self.connected and now_ns - self._heard_ns[self.system_id or 0] > LINK_TIMEOUT_NS:
+        if self.connected and now_ns - self._beats_ns[self.system_id or 0] > LINK_TIMEOUT_NS:
             log.warning("system %s has sent no heartbeat for %d s", self.system_id, LINK_TIMEOUT_NS // 10**9)
             self.reset_link()
 
     def reset_link(self) -> None:
         """Two heartbeats are needed again; the distance driven so far stays."""
         self.connected = False
-        self._heard_ns.clear()
-
-    def timesync_sent(self, now_ns: int) -> None:
-        """Our TIMESYNC request, stamped `now_ns`, was sent."""
-        self._timesync_sent_ns = now_ns
+        self._beats_ns.clear()
 
     def boot_time_s(self, monotonic_ns: int) -> float | None:
         """Seconds since the autopilot's boot at that moment of CLOCK_MONOTONIC; None until it has reported its time."""
-        boot_ns = self._clock.boot_ns(monotonic_ns)
+        boot_ns = self.session.clock.boot_ns(monotonic_ns)
         return None if boot_ns is None else boot_ns / 1e9
+
+    def boot_ms(self, monotonic_ns: int) -> int:
+        """The same in whole milliseconds, 0 where it is not known."""
+        return round((self.boot_time_s(monotonic_ns) or 0.0) * 1000)
 
     def position(self, now_ns: int) -> VehiclePosition | None:
         """The autopilot's own position, None when it has none or the newest is over two seconds old."""
-        if self._position is None or now_ns - self._position.stamp_ns > POSITION_FRESH_NS:
-            return None
-        return self._position
+        newest = self.session.position
+        return newest if newest is not None and now_ns - newest.stamp_ns <= POSITION_FRESH_NS else None
 
     def accuracy_m(self, now_ns: int) -> float | None:
         """Horizontal accuracy of its position as the autopilot reports it, None where it does not (ArduPilot)."""
-        if self._accuracy is None or now_ns - self._accuracy[0] > ACCURACY_FRESH_NS:
-            return None
-        return self._accuracy[1]
+        stamp_ns, meters = self.session.accuracy or (0, None)
+        return meters if now_ns - stamp_ns <= ACCURACY_FRESH_NS else None
+
+    def gps_fix(self, stamp_ns: int, now_ns: int) -> GpsFix | None:
+        """Where GPS puts the vehicle at a moment, None without GPS."""
+        return self.session.gps.fix(self.position(now_ns), stamp_ns, now_ns)
+
+    def report(self, now_ns: int) -> Report:
+        """All that the position estimator reads of it, as of now."""
+        own, gps, motion = self.position(now_ns), self.session.gps, self.motion
+        return Report(
+            now_ns,
+            gps=gps.state(now_ns),
+            gps_sigma_m=gps.bound_m(own, now_ns),
+            position=own,
+            displacement=None if own is None else motion.displacement(own.stamp_ns),
+            accuracy_m=self.accuracy_m(now_ns),
+            speed_mps=motion.speed_mps(now_ns),
+            driven_m=motion.driven_m(now_ns),
+            is_aided=motion.is_aided,
+        )
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
         sender = message.get_srcSystem()
         only_id = self.system_id if self.connected else self._only_system_id
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID or only_id not in (0, sender):
             return False
-        before_ns, self._heard_ns[sender] = self._heard_ns.get(sender), now_ns
+        before_ns, self._beats_ns[sender] = self._beats_ns.get(sender), now_ns
         if not self.connected and before_ns is not None and now_ns - before_ns <= LINK_TIMEOUT_NS:
             is_same_vehicle = sender == self.system_id
             self.connected, self.system_id = True, sender
-            self.autopilot, self.kind = message.autopilot, message.type
+            self.session.autopilot, self.session.kind = message.autopilot, message.type
             self._modes = Modes()
             self._start_session(is_same_vehicle=is_same_vehicle)
             log.info("link up: system %d, %s", sender, autopilot_name(message.autopilot))
@@ -174,41 +170,29 @@ class Vehicle(VehicleMotion):
         return self.connected
 
     def _start_session(self, *, is_same_vehicle: bool) -> None:
-        self.session += 1
-        self._message_ns.clear()
-        self.parameters.clear()
-        self._clock = BootClock()
-        self._end_leg(is_same_vehicle=is_same_vehicle)
-        self._newest_boot_ms = -1
-        self.gps = Gps()
-        self._accuracy = self._position = None
-        if not self._another_clock.has_begun_by(self._version_ns):  # a version may come before the reboot is sure
-            self.version = None
-        self._origins, self._another_clock = Origins(), AnotherClock()
+        before = self.session
+        arrived_ns = before.heard_ns.get(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0)
+        is_of_this = before.clock.has_ended_by(arrived_ns)  # a version may come before the reboot is sure
+        version = before.version if is_of_this else None
+        self.session = Session(before.number + 1, before.autopilot, before.kind, version)
+        self.motion.end_leg(is_same_vehicle=is_same_vehicle)
 
     def _read_boot_time(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC.
 
         None, and the message must not be used, where the stamp is of another clock: a reboot is not sure yet.
         """
-        boot_ms = self._clock.unwrapped_ms(boot_ms, now_ns)
-        if self._is_of_another_clock(boot_ms, now_ns):
-            if not self._another_clock.is_sure(now_ns, has_position=has_position):
-                return None
-            if not self.is_doubled:
-                log.warning("the autopilot has rebooted: its clock jumped to %d ms", boot_ms)
-            self._start_session(is_same_vehicle=not self.is_doubled)
-        elif self._another_clock.contradict():
-            self._alternation.notice(now_ns)
-        self._newest_boot_ms = max(boot_ms, self._newest_boot_ms)
-        self._clock.add_stamp(boot_ms * 1_000_000, now_ns)
-        return min(self._clock.monotonic_ns(boot_ms * 1_000_000) or now_ns, now_ns)
-
-    def _is_of_another_clock(self, boot_ms: int, now_ns: int) -> bool:
-        """Whether it is before the newest stamp, or ahead of the clock, by more than messages overtake each other."""
-        boot_ns = self._clock.boot_ns(now_ns)
-        is_ahead = boot_ns is not None and boot_ms > boot_ns / 1e6 + JUMP_MS
-        return is_ahead or boot_ms < self._newest_boot_ms - JUMP_MS
+        clock = self.session.clock
+        boot_ms = clock.unwrapped_ms(boot_ms, now_ns)
+        stamp_ns = clock.read_stamp(boot_ms, now_ns, has_position=has_position)
+        if stamp_ns is not None and clock.took_turns:
+            self._alternations[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT].notice(now_ns)
+        if stamp_ns is not None or not clock.has_ended(now_ns):
+            return stamp_ns
+        if not self.is_doubled:
+            log.warning("the autopilot has rebooted: its clock jumped to %d ms", boot_ms)
+        self._start_session(is_same_vehicle=not self.is_doubled)
+        return self.session.clock.read_stamp(boot_ms, now_ns)
 
     def _read_global_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns, has_position=True)
@@ -226,35 +210,32 @@ class Vehicle(VehicleMotion):
             message.vx / 100,
             message.vy / 100,
         )
-        self._alternation.add(now, now_ns)
+        self._alternations[message.get_msgId()].add(now, now_ns)
         if self.is_doubled:
             return
-        before, self._position = self._position, now
-        self._move(before, now)
+        before, self.session.position = self.session.position, now
+        self.motion.move(before, now)
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         if stamp_ns is None:
             return
         at = stamp_ns, *moved(0.0, 0.0, message.y, message.x), 0.0, None
-        self._local_alternation.add(VehiclePosition(*at, 0.0, message.vy, message.vx), now_ns)
+        self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vy, message.vx), now_ns)
         if self.is_doubled:
             return
-        self._origins.add_local(stamp_ns, message.y, message.x)
+        self.session.origins.add_local(stamp_ns, message.y, message.x)
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
-        self._add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
-        if self._position is None or stamp_ns - self._position.stamp_ns > POSITIONS_APART_S * 1e9:
-            self._add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
+        self.motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
+        newest = self.session.position
+        if newest is None or stamp_ns - newest.stamp_ns > POSITIONS_APART_S * 1e9:
+            self.motion.add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
 
     def _read_attitude(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         if stamp_ns is not None:
-            self._turn(stamp_ns, message.pitchspeed, message.yawspeed)
-
-    def _read_odometry(self, message: Message, now_ns: int) -> None:
-        # Its time may be of any clock; its velocity is in the body's frame, of which the horizontal length matters.
-        self._add_speed(now_ns, signed_speed(message.vy, message.vx, 0.0), source=2)
+            self.motion.turn(stamp_ns, message.pitchspeed, message.yawspeed)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
@@ -262,38 +243,63 @@ class Vehicle(VehicleMotion):
         if stamp_ns is None:
             return
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
-        self._turn_wheels(stamp_ns, driven_m)
+        self.motion.turn_wheels(stamp_ns, driven_m)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
-        self.gps.read_filter(message.flags, self.autopilot, now_ns)
+        self._read_filter(message, now_ns)
         if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:
-            self._accuracy = now_ns, message.pos_horiz_accuracy
+            self.session.accuracy = now_ns, message.pos_horiz_accuracy
 
     def _read_origin(self, message: Message, now_ns: int) -> None:
         if message.latitude or message.longitude:
             origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
-            self._origins.add(origin, self.position(now_ns), now_ns)
+            self.session.origins.add(origin, self.position(now_ns), now_ns)
 
     def _read_version(self, message: Message, now_ns: int) -> None:
-        self._version_ns = now_ns
-        self.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
+        self.session.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
     def _read_parameter(self, message: Message, now_ns: int) -> None:
         value, layout = float(message.param_value), PX4_INTEGERS.get(message.param_type)
-        if self.autopilot == mavlink.MAV_AUTOPILOT_PX4 and layout:
+        if self.session.autopilot == mavlink.MAV_AUTOPILOT_PX4 and layout:
             # PX4 puts the bytes of an integer where the float goes; ArduPilot converts.
             value = float(struct.unpack(layout, struct.pack("<f", value))[0])
         if math.isfinite(value):
-            self.parameters[str(message.param_id).rstrip("\0")] = value
+            self.session.parameters[str(message.param_id).rstrip("\0")] = value
 
     def _read_gps(self, message: Message, now_ns: int) -> None:
-        self.gps.receivers[message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW].read(message, now_ns)
+        self.session.gps.receivers[message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW].read(message, now_ns)
+
+    def _read_filter(self, message: Message, now_ns: int) -> None:
+        self.session.gps.read_filter(message.flags, self.session.autopilot, now_ns)
+
+    def _read_sensors(self, message: Message, now_ns: int) -> None:
+        self.session.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
+
+    def _read_hud(self, message: Message, now_ns: int) -> None:
+        self.motion.add_speed(now_ns, message.groundspeed, source=4)
+
+    def _read_system_time(self, message: Message, now_ns: int) -> None:
+        self._read_boot_time(message.time_boot_ms, now_ns)
 
     def _read_timesync(self, message: Message, now_ns: int) -> None:
-        boot_ns = message.tc1 or message.ts1  # the latter: the autopilot's own request, stamped when it was sent
-        if self._is_of_another_clock(boot_ns // 1_000_000, now_ns):
-            return
-        if message.tc1 == 0:
-            self._clock.add_stamp(boot_ns, now_ns)
-        elif message.ts1 == self._timesync_sent_ns:
-            self._clock.add_answer(message.ts1, message.tc1, now_ns)
+        self.session.clock.read_timesync(message.tc1, message.ts1, now_ns)
+
+
+READERS: dict[int, Callable[[Vehicle, Message, int], object]] = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: Vehicle._read_global_position,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: Vehicle._read_local_position,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: Vehicle._read_attitude,
+    mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: Vehicle._read_wheels,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: Vehicle._read_hud,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: Vehicle._read_gps,
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: Vehicle._read_gps,
+    EkfStatusReport.id: Vehicle._read_filter,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Vehicle._read_estimator,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: Vehicle._read_sensors,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: Vehicle._read_system_time,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: Vehicle._read_timesync,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: Vehicle._read_origin,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: Vehicle._read_version,
+    mavlink.MAVLINK_MSG_ID_PARAM_VALUE: Vehicle._read_parameter,
+}
+"""Of each message that is read, by its id."""

@@ -41,7 +41,7 @@ class VehicleMotion:
         self.has_our_position = False
         """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
 
-    def _end_leg(self, *, is_same_vehicle: bool) -> None:
+    def end_leg(self, *, is_same_vehicle: bool) -> None:
         """The session has ended."""
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._wheels = None
@@ -74,7 +74,7 @@ class VehicleMotion:
         east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, may_slip=False)
 
-    def _turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
+    def turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
         """The body turns so fast by the autopilot's gyroscopes."""
         last_ns = self._turned.last_ns
         if not max(abs(nose_up_radps), abs(right_radps)) <= MOST_RADPS or (last_ns is not None and stamp_ns <= last_ns):
@@ -106,11 +106,11 @@ class VehicleMotion:
         """Ground speed, None when the newest is over a second old."""
         return self._motion.speed_mps(now_ns)
 
-    def _move(self, before: VehiclePosition | None, now: VehiclePosition) -> None:
+    def move(self, before: VehiclePosition | None, now: VehiclePosition) -> None:
         """The autopilot's own position, and the one before it."""
         reported = now.east_mps, now.north_mps
-        self._add_speed(now.stamp_ns, signed_speed(*reported, now.heading_deg), source=1)
-        self._add_velocity(now.stamp_ns, *self._east_north_mps(before, now), now.heading_deg, reported)
+        self.add_speed(now.stamp_ns, signed_speed(*reported, now.heading_deg), source=1)
+        self.add_velocity(now.stamp_ns, *self._east_north_mps(before, now), now.heading_deg, reported)
 
     def _east_north_mps(self, before: VehiclePosition | None, now: VehiclePosition) -> tuple[float, float]:
         """Velocity by two positions, while no position of ours has moved them; else, and over jumps, as reported.
@@ -126,7 +126,7 @@ class VehicleMotion:
         by_positions = moved_m[0] / apart_s, moved_m[1] / apart_s
         return by_positions if math.dist(by_positions, reported) <= ALIKE_MPS + ALIKE * now.speed_mps else reported
 
-    def _turn_wheels(self, stamp_ns: int, driven_m: float) -> None:
+    def turn_wheels(self, stamp_ns: int, driven_m: float) -> None:
         """Meters that the wheels have turned since some moment."""
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
@@ -134,12 +134,12 @@ class VehicleMotion:
             self._speeds[WHEELS] = stamp_ns, speed_mps
             self._motion.add_speed(stamp_ns, speed_mps, WHEELS)
 
-    def _add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
+    def add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
         """A speed by the autopilot's estimate, which counts only where something aids that."""
         if self.is_aided and not self.is_aided_by_camera:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
-    def _add_velocity(
+    def add_velocity(
         self,
         stamp_ns: int,
         east_mps: float,

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.telemetry import stream_check
+from edge.telemetry.position_messages import CONTROL, ID
 from sim.vehicle.estimator import FilterNoise, VelocitySource
 
 EKF3 = FilterNoise()
@@ -111,8 +111,8 @@ def parameters_of(firmware: Firmware, source: VelocitySource) -> dict[str, tuple
     if firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         return {
             "EKF2_EV_CTRL": (4.0 * is_aided, kind),
-            stream_check.CONTROL: (float(firmware.fuses_sensor), kind),
-            stream_check.ID: (float(firmware.fuses_sensor), kind),
+            CONTROL: (float(firmware.fuses_sensor), kind),
+            ID: (float(firmware.fuses_sensor), kind),
         }
     wheels = 6.0 if source == "camera" else 7.0 * is_aided
     return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}

@@ -251,13 +251,15 @@ class Turns:
                 fix = PlaceFix(
                     now_ns, 1, -27.4705, 153.02, 0.0, 3.0, 2.0, "reverse", "same", 1.3, matches=20, confidence=0.9
                 )
-                self.estimator.observe(fix, self.link.report(), self.link.vehicle.displacement(now_ns))
+                vehicle = self.link.vehicle
+                self.estimator.observe(fix, vehicle.report(now_ns), vehicle.motion.displacement(now_ns))
                 self.link.send_position(fix)
             self.link.set_system_status(4)
             assert self.link.status().state == self.link.state
-            report = self.link.report()
+            report = self.link.vehicle.report(now_ns)
             position, speed_mps = report.position, report.speed_mps
-            self.link.vehicle.distance_m(now_ns), self.link.gps_fix(now_ns)
+            self.link.vehicle.motion.distance_m(now_ns)
+            self.link.vehicle.gps_fix(now_ns, now_ns)
         assert position is None or math.isfinite(position.lat_deg + position.lon_deg + position.speed_mps)
         assert speed_mps is None or math.isfinite(speed_mps)
 

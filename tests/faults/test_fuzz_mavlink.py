@@ -57,10 +57,10 @@ def test_any_content(cases: int, seed: int, figures: Callable[[str], None]) -> N
             cable.receive()
             vehicle = connection.vehicle
             connected += vehicle.connected
-            position, speed_mps = vehicle.position(now_ns), vehicle.speed_mps(now_ns)
+            position, speed_mps = vehicle.position(now_ns), vehicle.motion.speed_mps(now_ns)
             assert position is None or math.isfinite(position.lat_deg + position.lon_deg + position.speed_mps)
             assert speed_mps is None or math.isfinite(speed_mps)
-            assert math.isfinite(vehicle.distance_m(now_ns) or 0.0)
+            assert math.isfinite(vehicle.motion.distance_m(now_ns) or 0.0)
             assert math.isfinite(vehicle.boot_time_s(now_ns) or 0.0)
             assert math.isfinite(vehicle.accuracy_m(now_ns) or 0.0)
             connection.position_due()

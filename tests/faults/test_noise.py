@@ -58,7 +58,7 @@ def test_the_line_is_noise(
     assert [type(record).__name__ for record in recorded] == ["LinkChanged"]
     assert not connection.vehicle.connected
     assert connection.vehicle.position(now_ns) is None
-    assert connection.vehicle.distance_m(now_ns) is None
+    assert connection.vehicle.motion.distance_m(now_ns) is None
     assert grown < 5 * MB
 
 

@@ -83,7 +83,7 @@ def test_attacks_on_a_signed_link(rounds: int, tmp_path: Path, seed: int, figure
         connection.poll()
         old += frames
         cable.receive()
-        position, speed_mps = connection.vehicle.position(now_ns), connection.vehicle.speed_mps(now_ns)
+        position, speed_mps = connection.vehicle.position(now_ns), connection.vehicle.motion.speed_mps(now_ns)
         assert position is None or position.lat_deg > -27.48, name
         assert speed_mps is None or speed_mps == pytest.approx(5.0, abs=0.02), name
     assert connection.state == "up"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.motion.height import EARLIER_SHARE, WINDOW_M, CameraHeight, KeptHeight, PassedLine, read_height
-from edge.telemetry.velocity_sender import MOST_SCALE
+from edge.telemetry.link_protocol import MOST_SCALE
 
 TRUE_M, STEP_M, STEP_NS, FRAMES = 1.4, 2.0, 200_000_000, 40
 BACK = (FRAMES - 1) / 2

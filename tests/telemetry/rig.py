@@ -9,7 +9,7 @@ from typing import Any
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
-from edge.localization import GpsVerdict, PlaceFix, PositionEstimator
+from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.journal import R, records_of
@@ -101,12 +101,13 @@ class Rig:
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""
         connection = self.connection
-        self.estimator.observe(fix, connection.report(), connection.vehicle.displacement(fix.stamp_ns))
+        vehicle = connection.vehicle
+        self.estimator.observe(fix, vehicle.report(self.now_ns), vehicle.motion.displacement(fix.stamp_ns))
         return connection.send_position(fix)
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS, after a frame."""
-        self.connection.judge_gps(self.estimator.use_verdict(verdict, self.connection.report()))
+        self.connection.judge_gps(self.estimator.use_verdict(verdict, self.connection.vehicle.report(self.now_ns)))
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
@@ -143,16 +144,25 @@ class Rig:
         return False
 
     @property
+    def bounded_m(self) -> float | None:
+        """One standard deviation of the autopilot's own position, None where nothing bounds it."""
+        return self.estimator.uncertainty_m(self.connection.vehicle.report(self.now_ns))
+
+    @property
     def uncertainty_m(self) -> float:
-        """Of the autopilot's own position, which must be bounded."""
-        found = self.connection.uncertainty_m
-        assert found is not None
-        return found
+        """The same, where something must."""
+        assert self.bounded_m is not None
+        return self.bounded_m
+
+    @property
+    def gps_fix(self) -> GpsFix | None:
+        """Where GPS puts the vehicle now."""
+        return self.connection.vehicle.gps_fix(self.now_ns, self.now_ns)
 
     @property
     def position(self) -> VehiclePosition:
         """The autopilot's own, which must be known."""
-        found = self.connection.report().position
+        found = self.connection.vehicle.position(self.now_ns)
         assert found is not None
         return found
 

@@ -41,16 +41,16 @@ def test_heartbeats_go_out_and_the_link_comes_up_with_streams(rig: Rig) -> None:
 def test_distance_speed_position_and_boot_clock_come_from_the_autopilot(rig: Rig) -> None:
     rig.run(12.0)
     vehicle = rig.connection.vehicle
-    before, after = (vehicle.distance_m(rig.now_ns - round(back_s * 1e9)) for back_s in (5.0, 0.0))
+    before, after = (vehicle.motion.distance_m(rig.now_ns - round(back_s * 1e9)) for back_s in (5.0, 0.0))
     assert before is not None and after is not None
     assert after - before == pytest.approx(5.0 * SPEED_MPS, rel=0.01)
-    assert vehicle.speed_mps(rig.now_ns) == pytest.approx(SPEED_MPS, rel=0.01)
+    assert vehicle.motion.speed_mps(rig.now_ns) == pytest.approx(SPEED_MPS, rel=0.01)
     boot_s = vehicle.boot_time_s(rig.now_ns)
     assert boot_s == pytest.approx(rig.autopilot.boot_s, abs=0.011)
     position = vehicle.position(rig.now_ns)
     assert position is not None
     assert position.heading_deg == pytest.approx(60.0)
-    assert vehicle.gps.state(rig.now_ns) == "healthy"
+    assert vehicle.session.gps.state(rig.now_ns) == "healthy"
 
 
 def test_the_autopilots_own_system_id_is_taken(open_rig: Callable[..., Rig]) -> None:
@@ -210,7 +210,7 @@ def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> No
 def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG")
     rig.run(5.0)
-    driven_m = rig.connection.vehicle.distance_m(rig.now_ns)
+    driven_m = rig.connection.vehicle.motion.distance_m(rig.now_ns)
     rig.unplug()
     assert rig.run(1.0, lambda: rig.connection.state == "closed")
     caplog.clear()
@@ -221,7 +221,7 @@ def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytes
     rig.plug()
     assert rig.run(4.0, lambda: rig.connection.state == "up")  # two heartbeats after at most a second
     rig.run(3.0)
-    after_m = rig.connection.vehicle.distance_m(rig.now_ns)
+    after_m = rig.connection.vehicle.motion.distance_m(rig.now_ns)
     assert driven_m is not None and after_m is not None
     assert after_m > driven_m
     assert [record.state for record in rig.journalled(LinkChanged)] == ["waiting", "up", "closed", "waiting", "up"]
@@ -231,7 +231,7 @@ def test_a_silent_autopilot_is_reported(rig: Rig) -> None:
     rig.run(4.0)
     pty, rig.pty = rig.pty, None  # plugged in, but no longer stepped
     assert rig.run(7.0, lambda: rig.connection.state == "waiting")
-    assert rig.connection.vehicle.distance_m(rig.now_ns) is None
+    assert rig.connection.vehicle.motion.distance_m(rig.now_ns) is None
     rig.pty = pty
     assert rig.run(4.0, lambda: rig.connection.state == "up")
 

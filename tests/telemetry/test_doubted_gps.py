@@ -160,7 +160,7 @@ def test_gps_is_that_of_the_filter_or_else_of_the_receiver(open_rig: OpenRig) ->
     rig = spoofed(open_rig, "switch")
     for expected in (1, 2):
         assert rig.autopilot.inputs.source_set == expected
-        gps = rig.connection.gps_fix(rig.now_ns)
+        gps = rig.gps_fix
         assert gps is not None
         at = rig.autopilot._pose.geodetic()
         east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, at)
@@ -169,4 +169,4 @@ def test_gps_is_that_of_the_filter_or_else_of_the_receiver(open_rig: OpenRig) ->
         rig.run(5.0)
     rig.autopilot.gps = False
     rig.run(5.0)
-    assert rig.connection.gps_fix(rig.now_ns) is None
+    assert rig.gps_fix is None

@@ -98,7 +98,8 @@ class Setting:
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""
-        self.estimator.observe(fix, self.ours.report(), self.ours.vehicle.displacement(fix.stamp_ns))
+        vehicle = self.ours.vehicle
+        self.estimator.observe(fix, vehicle.report(time.monotonic_ns()), vehicle.motion.displacement(fix.stamp_ns))
         return self.ours.send_position(fix)
 
     def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
@@ -151,9 +152,9 @@ def tell_time_and_speed(setting: Setting) -> None:
     vehicle, gps = setting.ours.vehicle, {"fix_type": 3, "lat": -274772000, "lon": 1530283000, "h_acc": 1000}
     setting.foreigner.say("SYSTEM_TIME", time_boot_ms=4_000_000, time_unix_usec=0)
     setting.foreigner.say("GPS_RAW_INT", time_usec=3_999_400_000, **gps)
-    setting.until(lambda: vehicle.boot_time_s(0) is not None and vehicle.is_aided)
+    setting.until(lambda: vehicle.boot_time_s(0) is not None and vehicle.motion.is_aided)
     setting.foreigner.say("LOCAL_POSITION_NED", time_boot_ms=3_999_400, x=0, y=0, z=0, vx=3.0, vy=4.0, vz=0)
-    setting.until(lambda: vehicle.speed_mps(time.monotonic_ns()) is not None)
+    setting.until(lambda: vehicle.motion.speed_mps(time.monotonic_ns()) is not None)
 
 
 def place_fix(stamp_ns: int) -> PlaceFix:
@@ -166,13 +167,13 @@ def test_every_message_of_ours_is_decoded_with_the_right_fields(setting: Setting
     ours, foreigner = setting.ours, setting.foreigner
     setting.until(lambda: foreigner.subscribed() and ours.state == "up")
     # What was asked before MAVSDK handed messages on is not seen here, and MAVSDK may have answered it: it reboots.
-    session = ours.vehicle.session
+    session = ours.vehicle.session.number
     foreigner.say("SYSTEM_TIME", time_boot_ms=9_000_000, time_unix_usec=0)
     setting.until(lambda: ours.vehicle.boot_time_s(0) is not None)
 
     def has_rebooted() -> bool:
         foreigner.say("SYSTEM_TIME", time_boot_ms=4_000_000, time_unix_usec=0)
-        return ours.vehicle.session > session
+        return ours.vehicle.session.number > session
 
     setting.until(has_rebooted)
     tell_time_and_speed(setting)
@@ -288,7 +289,7 @@ def position_sent(setting: Setting, name: str) -> list[dict[str, Any]]:
     ours, foreigner = setting.ours, setting.foreigner
     setting.until(lambda: foreigner.subscribed() and ours.state == "up")
     foreigner.say("GPS_GLOBAL_ORIGIN", latitude=-274780000, longitude=1530280000, altitude=20000, time_usec=0)
-    setting.until(lambda: ours.vehicle.origin is not None)
+    setting.until(lambda: ours.vehicle.session.origins.known is not None)
     tell_time_and_speed(setting)
     assert setting.send_position(place_fix(time.monotonic_ns()))
     setting.until(lambda: foreigner.read(name))

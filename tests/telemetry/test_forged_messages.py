@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.journal.records import FixAnswered
 from edge.telemetry.confirmation import Origin
-from edge.telemetry.link_protocol import Publisher
+from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.rig import Rig
@@ -42,19 +42,19 @@ def test_one_forged_time_a_second_is_no_reboot(boot_ms: int, kind: str) -> None:
         "position": mavlink.MAVLink_local_position_ned_message(boot_ms, 1e6, 0, 0, 8, 0, 0),
     }[kind]
     drive(vehicle, forged)
-    assert vehicle.session == 1
+    assert vehicle.session.number == 1
     assert vehicle.boot_time_s(12 * S) == pytest.approx(510.0, abs=0.2)
-    assert vehicle.driven_m(12 * S) == pytest.approx(80.0, abs=5.0)
+    assert vehicle.motion.driven_m(12 * S) == pytest.approx(80.0, abs=5.0)
 
 
 def test_a_forged_origin_moves_nothing(caplog: pytest.LogCaptureFixture) -> None:
     vehicle, speaker = connect(Speaker()), Speaker()
     here, there = ((round((-27.0 + off) * 1e7), 1530000000, 30_000) for off in (0.0, 0.001))
     drive(vehicle, mavlink.MAVLink_gps_global_origin_message(*here), 20)
-    assert vehicle.origin == Origin(-27.0, 153.0, 30.0)
+    assert vehicle.session.origins.known == Origin(-27.0, 153.0, 30.0)
     for now_ns in (4 * S, 5 * S):
         vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(*there)), now_ns)
-    assert vehicle.origin == Origin(-27.0, 153.0, 30.0)
+    assert vehicle.session.origins.known == Origin(-27.0, 153.0, 30.0)
     assert "GPS_GLOBAL_ORIGIN ignored: the autopilot's own positions say that it is 111 m off" in caplog.text
 
 
@@ -66,8 +66,8 @@ def test_an_origin_that_nothing_can_be_compared_with_needs_two_messages_to_chang
     known = []
     for seconds, message in zip((2, 3, 4, 5, 6), messages, strict=True):
         vehicle.handle(message, seconds * S)
-        assert vehicle.origin is not None
-        known.append(round(vehicle.origin.lat_deg * 1e7))
+        assert vehicle.session.origins.known is not None
+        known.append(round(vehicle.session.origins.known.lat_deg * 1e7))
     assert known == [10, 10, 10, 10, 20]
 
 
@@ -75,9 +75,9 @@ def test_an_origin_is_believed_once_it_was_undisputed_for_half_a_second() -> Non
     vehicle, speaker = connect(Speaker()), Speaker()
     for tenths, degrees in ((20, 10), (30, 20), (34, 20)):
         vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(degrees, 1, 0)), tenths * S // 10)
-    assert vehicle.origin is not None and round(vehicle.origin.lat_deg * 1e7) == 10
+    assert vehicle.session.origins.known is not None and round(vehicle.session.origins.known.lat_deg * 1e7) == 10
     vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(20, 1, 0)), 35 * S // 10)
-    assert vehicle.origin is not None and round(vehicle.origin.lat_deg * 1e7) == 20
+    assert vehicle.session.origins.known is not None and round(vehicle.session.origins.known.lat_deg * 1e7) == 20
 
 
 def test_a_mode_is_known_once_no_heartbeat_contradicts_it() -> None:
@@ -111,8 +111,8 @@ def test_of_two_autopilots_with_the_same_ids_nothing_is_known(apart_m: float, ap
                 vehicle.handle(speaker.fix(10_000 + 100 * tick + off_ms, off_m + 0.8 * tick, 8.0, 0.0), now_ns)
         assert vehicle.is_doubled or first < 6
     assert vehicle.position(now_ns) is None
-    assert vehicle.speed_mps(now_ns) is None
-    assert vehicle.displacement(now_ns) is None
+    assert vehicle.motion.speed_mps(now_ns) is None
+    assert vehicle.motion.displacement(now_ns) is None
     assert vehicle.connected
     for tick in range(100, 220):
         vehicle.handle(speaker.fix(10_000 + 100 * tick, 0.8 * tick, 8.0, 0.0), 2 * S + tick * S // 10)
@@ -181,13 +181,16 @@ def test_forged_gps_and_motion_beside_the_autopilots_stop_positions(kind: str, l
             vehicle.handle(speaker.say(message), now_ns)
         if ms < 5500:
             continue
-        fix, speed_mps = vehicle.gps.fix(vehicle.position(now_ns), now_ns, now_ns), vehicle.speed_mps(now_ns)
+        fix, speed_mps = (
+            vehicle.session.gps.fix(vehicle.position(now_ns), now_ns, now_ns),
+            vehicle.motion.speed_mps(now_ns),
+        )
         assert fix is None or abs((fix.lat_deg + 27.0) * 110_773 - north_m) < 3.0
         assert speed_mps is None or speed_mps == pytest.approx(8.0)
         if "velocity" in kind:
             assert vehicle.is_doubled
         elif lost or kind == "fix":
-            assert vehicle.gps.receiver_state(now_ns) != "healthy"
+            assert vehicle.session.gps.receiver_state(now_ns) != "healthy"
 
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)

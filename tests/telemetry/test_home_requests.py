@@ -36,7 +36,7 @@ def test_the_mission_is_uploaded_verified_and_acknowledged(home: Rig) -> None:
     assert (ack.result, ack.result_param2) == (ACCEPTED, len(home.autopilot.mission.items))
     assert (ack.target_system, ack.target_component) == (1, 1)
     waypoints = home.autopilot.mission.waypoints_deg
-    vehicle = home.connection.report().position
+    vehicle = home.connection.vehicle.position(home.now_ns)
     assert vehicle is not None
     assert waypoints[0] == pytest.approx((vehicle.lat_deg, vehicle.lon_deg), abs=2e-4)
     assert len(waypoints) > 2

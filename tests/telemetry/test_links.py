@@ -169,12 +169,12 @@ def test_a_second_autopilot_with_the_same_ids_stops_positions_and_is_reported(op
         return False
 
     rig.run(6.0, step)
-    assert rig.connection.report().position is None
+    assert rig.connection.vehicle.position(rig.now_ns) is None
     assert rig.connection.position_due() is None
     assert not rig.send_position(rig.fix())
     assert [one.text for one in rig.received("STATUSTEXT")].count("Lookback: two autopilots have the same ids") == 1
     assert rig.journalled(LinkChanged)[-1] == LinkChanged("up", "two autopilots have the same ids")
     rig.run(12.0)
-    assert rig.connection.report().position is not None
+    assert rig.connection.vehicle.position(rig.now_ns) is not None
     assert rig.connection.position_due() is not None
     assert rig.journalled(LinkChanged)[-1] == LinkChanged("up", "")

@@ -80,7 +80,7 @@ def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
 def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
     assert lost_gps.send_position(lost_gps.fix())
-    lost_gps.connection.positions.withdraw()
+    lost_gps.connection.positions.use.withdraw()
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
 
@@ -115,7 +115,7 @@ def test_the_set_that_the_pilot_has_selected_stays(open_rig: OpenRig) -> None:
     rig = open_rig(emit="vision_position", gates=GatesConfig(risk=1.0))
     rig.autopilot.inputs.source_set = 2
     rig.run(20.0)
-    assert rig.connection.vehicle.gps.receiver_state(rig.now_ns) == "healthy"
+    assert rig.connection.vehicle.session.gps.receiver_state(rig.now_ns) == "healthy"
     assert not selections(rig)
     assert rig.autopilot.inputs.source_set == 2
 
@@ -168,15 +168,15 @@ def test_after_a_crash_the_first_set_is_restored_when_gps_is_healthy_again(visio
 
 def uncertainty_after(rig: Rig, seconds: float) -> float | None:
     rig.run(seconds)
-    return rig.connection.uncertainty_m
+    return rig.bounded_m
 
 
 def test_a_restarted_daemon_remembers_the_bound_of_an_autopilot_that_did_not_reboot(lost_gps: Rig) -> None:
-    before_m = lost_gps.connection.uncertainty_m
+    before_m = lost_gps.bounded_m
     assert before_m is not None and before_m < 5
     lost_gps.crash()
     lost_gps.connect()
-    assert lost_gps.connection.uncertainty_m is None
+    assert lost_gps.bounded_m is None
     after_m = uncertainty_after(lost_gps, 5.0)
     # 8 m/s for some 5 s, half as much again, of which 5 % may be an error.
     assert after_m is not None and before_m < after_m < before_m + 5
@@ -188,14 +188,14 @@ def test_a_disk_that_hangs_under_the_bound_stops_nothing(lost_gps: Rig) -> None:
     hung = lost_gps.port.with_name("events.bound.new")
     os.mkfifo(hung)
     lost_gps.run(5.0)
-    assert lost_gps.connection.state == "up" and lost_gps.connection.uncertainty_m is not None
+    assert lost_gps.connection.state == "up" and lost_gps.bounded_m is not None
     hung.read_bytes()
     wait_for_files()
 
 
 @pytest.mark.parametrize("silent_s", [6.0, 60.0])
 def test_a_silent_link_is_no_reason_to_forget_the_bound(lost_gps: Rig, silent_s: float) -> None:
-    before_m = lost_gps.connection.uncertainty_m
+    before_m = lost_gps.bounded_m
     lost_gps.wire.loses = lambda message: True
     lost_gps.run(silent_s)
     assert lost_gps.connection.state == "waiting"

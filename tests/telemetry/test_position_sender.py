@@ -178,7 +178,7 @@ def test_a_position_that_px4_weighs_too_little_is_noticed_and_forced(open_rig: O
 
 def see_road(rig: Rig) -> None:
     """The camera measures the speed of a vehicle that drives at 8 m/s, ten times a second."""
-    rig.connection.vehicle.use_speed(rig.now_ns, 8.0)
+    rig.connection.vehicle.motion.use_speed(rig.now_ns, 8.0)
 
 
 def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
@@ -199,11 +199,11 @@ def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
 def test_what_runs_away_does_not_speak_against_a_position(open_rig: OpenRig) -> None:
     """It is compared with where the vehicle is by GPS, and by what the camera measured since."""
     rig = unaided(open_rig)
-    assert rig.connection.uncertainty_m is None
+    assert rig.bounded_m is None
     assert offer_for(rig, 1.0)
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
-    assert rig.connection.uncertainty_m is None, "our own position, which that velocity carries away, bounds nothing"
+    assert rig.bounded_m is None, "our own position, which that velocity carries away, bounds nothing"
 
 
 def test_a_position_is_not_sent_that_is_far_from_where_the_vehicle_is_by_the_camera(open_rig: OpenRig) -> None:
@@ -228,16 +228,16 @@ def test_where_nothing_is_known_to_measure_the_velocity_no_position_is_sent(
     said = [message.text for message in rig.received("STATUSTEXT") if "velocity" in message.text]
     assert said == ([warning] if warning else [])
     rig.run(8.0)
-    assert (rig.connection.vehicle.distance_m(rig.now_ns) is None) == (warning is not None)
+    assert (rig.connection.vehicle.motion.distance_m(rig.now_ns) is None) == (warning is not None)
     if warning:
-        assert rig.connection.uncertainty_m is None
+        assert rig.bounded_m is None
         assert offer_for(rig, 3.0) == 0
         assert rig.journalled(FixWithheld)[-1].reason == "the speed is not known"
 
 
 def test_with_a_velocity_aid_a_position_is_compared_with_the_autopilots_own(open_rig: OpenRig) -> None:
     rig = unaided(open_rig, vision=4.0)
-    assert rig.connection.uncertainty_m is not None
+    assert rig.bounded_m is not None
     assert offer_for(rig, 3.0) == 0
     assert rig.journalled(FixWithheld)[-1].reason == "impossibly far"
 

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
-from edge.telemetry import stream_check
 from edge.telemetry.encoders import SET_EKF_SOURCE_SET
+from edge.telemetry.position_messages import CONTROL, ID
 from tests.telemetry.positions import OFTEN, offer_for
 from tests.telemetry.rig import OpenRig
 
@@ -57,7 +57,7 @@ def test_parameters_that_ignore_positions_are_named_with_the_first_one(
     open_rig: OpenRig, control: int, sensor_id: int, why: str
 ) -> None:
     rig = open_rig(emit="auto", gates=OFTEN, firmware="px4")
-    values = {"EKF2_EV_CTRL": 4.0, stream_check.CONTROL: float(control), stream_check.ID: float(sensor_id)}
+    values = {"EKF2_EV_CTRL": 4.0, CONTROL: float(control), ID: float(sensor_id)}
     rig.autopilot.parameters = {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}
     rig.run(8.0)
     rig.autopilot.gps = False
@@ -122,7 +122,7 @@ def test_vision_waits_for_an_origin_chooses_its_sources_and_leaves_them_to_gps(o
 def test_the_set_of_sources_that_the_pilot_chose_stays_while_gps_works(open_rig: OpenRig) -> None:
     rig = open_rig(emit="vision_position", gates=GatesConfig())
     rig.run(12.0)
-    assert rig.connection.vehicle.gps.state(rig.now_ns) == "healthy"
+    assert rig.connection.vehicle.session.gps.state(rig.now_ns) == "healthy"
     assert not [one for one in rig.received("COMMAND_LONG") if one.command == SET_EKF_SOURCE_SET]
 
 
@@ -145,11 +145,11 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
     rig = open_rig(emit="external_position", gps=False, has_origin=False, config={"origin": origin})
     rig.run(4.0)
     assert rig.connection.vehicle.position(rig.now_ns) is None, "zeros are nowhere"
-    assert rig.connection.vehicle.origin is None
+    assert rig.connection.vehicle.session.origins.known is None
     rig.run(8.0)
     (message,) = rig.received("SET_GPS_GLOBAL_ORIGIN")
     assert (message.latitude, message.longitude, message.altitude) == (-274772000, 1530283000, 20000)
-    assert rig.connection.vehicle.origin is not None
+    assert rig.connection.vehicle.session.origins.known is not None
     assert rig.send_position(rig.fix())
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
@@ -159,8 +159,8 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
 def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
     rig = open_rig(config={"origin": (1.0, 2.0, 3.0)})
     rig.run(12.0)
-    assert rig.connection.vehicle.origin is not None
-    assert rig.connection.vehicle.origin.lat_deg == pytest.approx(-27.4772)
+    assert rig.connection.vehicle.session.origins.known is not None
+    assert rig.connection.vehicle.session.origins.known.lat_deg == pytest.approx(-27.4772)
     assert not rig.received("SET_GPS_GLOBAL_ORIGIN")
 
 

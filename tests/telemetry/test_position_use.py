@@ -2,40 +2,105 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from edge.geodesy import moved
-from edge.journal.records import PlaceFix, Record, SourceSetAnswered
-from edge.telemetry.acknowledgements import ANSWER_NS
-from edge.telemetry.link_protocol import Publisher
-from edge.telemetry.position_messages import POSITION_MESSAGES
-from edge.telemetry.position_use import PositionUse
+from edge.config import Config
+from edge.geodesy import VehiclePosition, moved
+from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
+from edge.localization import Decision, PositionEstimator
+from edge.telemetry.acknowledgements import ANSWER_NS, PositionUse, Sent
+from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import VISION_SET, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 
 
+def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> Sent:
+    """A position so many meters north of the autopilot's."""
+    lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
+    fix = PlaceFix(
+        stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_across_m=sigma_m,
+        direction="forward", order="same", uniqueness=1.2, category="", matches=9, segment=0, recording="drive",
+        confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
+    )  # fmt: skip
+    return Sent(fix, own.stamp_ns, own, Decision(None))
+
+
 @pytest.mark.parametrize(("north_m", "follows"), [(8.0, True), (14.0, False)])
 def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follows: bool) -> None:
     """One standard deviation is 2.8 m. Beyond three, the next position counts as a jump."""
-    speaker = Speaker()
+    speaker, estimator = Speaker(), PositionEstimator(Config())
     vehicle = connect(speaker)
     vehicle.handle(speaker.fix(2000, 0.0, vn_mps=10.0, ve_mps=0.0), 2 * S)
     own = vehicle.position(2 * S)
     assert own is not None
-    lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
-    fix = PlaceFix(
-        stamp_ns=2 * S, place=0, heading_deg=0.0, sigma_along_m=2.0, sigma_across_m=2.0, direction="forward",
-        order="same", uniqueness=1.2, category="", matches=9, segment=0, recording="drive", confidence=0.9,
-        velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
-    )  # fmt: skip
-    bound: list[float] = []
-    use = PositionUse(
-        vehicle, lambda sigma_m, now_ns: bound.append(sigma_m), 1, Publisher(lambda record: None, lambda text: None)
-    )
-    use.expect(fix, POSITION_MESSAGES["vision_position"], 2 * S, again=False, is_new_stream=True)
-    assert (bound == [pytest.approx(north_m, abs=0.1)]) is follows
+    use = PositionUse(vehicle, estimator, Publisher(lambda record: None, lambda text: None))
+    use.expect(sent(own, north_m), is_reset=False)
+    assert estimator.uncertainty_m(vehicle.report(2 * S)) == (pytest.approx(north_m, abs=0.1) if follows else None)
     assert use.reset_counter == (0 if follows else 1)
+
+
+BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
+
+
+@pytest.mark.parametrize(
+    ("north_m", "remaining_m", "has_moved"),
+    [(50.0, 0.0, True), (30.5, 19.5, True), (29.0, 21.0, False), (10.0, 40.0, False)],
+)
+def test_a_jump_is_the_move_that_driving_does_not_explain(north_m: float, remaining_m: float, has_moved: bool) -> None:
+    fix = sent(BEFORE, 40.0)
+    lat_deg, _ = moved(0.0, 10.0, 0.0, north_m)
+    a_second_later = replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)
+    assert fix.remaining_m(a_second_later) == pytest.approx(remaining_m, abs=0.05)
+    assert fix.moved(fix.remaining_m(a_second_later)) is has_moved
+
+
+def test_a_jump_within_the_fixs_own_deviation_has_always_happened() -> None:
+    fix = sent(BEFORE, 4.0, sigma_m=5.0)
+    lat_deg, _ = moved(0.0, 10.0, 0.0, 10.0)
+    assert fix.moved(fix.remaining_m(replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)))
+
+
+class Stream:
+    """Positions of a stream, one a second, at given distances from the autopilot's own."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+        publisher = Publisher(self.records.append, lambda text: None)
+        self.use = PositionUse(Vehicle(), PositionEstimator(Config()), publisher)
+
+    def checked(self, distances_m: list[float], from_s: int = 100) -> list[tuple[int, bool]]:
+        """After which second it was said whether the autopilot has come nearer."""
+        said = []
+        for second, far_m in enumerate(distances_m):
+            own = replace(BEFORE, stamp_ns=(from_s + second) * S)
+            self.use.expect(sent(own, far_m, sigma_m=1.414), is_reset=False)
+            said += [(second, one.moved) for one in self.records if isinstance(one, FixChecked)]
+            self.records.clear()
+        return said
+
+
+@pytest.mark.parametrize(("far_m", "later_m", "is_used"), [(25.0, 25.0, False), (25.0, 12.0, True), (5.0, 1.9, True)])
+def test_an_autopilot_that_is_far_from_a_stream_must_come_nearer(far_m: float, later_m: float, is_used: bool) -> None:
+    """One standard deviation is 2 m."""
+    assert Stream().checked([far_m] * 5 + [later_m] * 10) == [(10, is_used)]
+
+
+def test_one_that_drifts_away_from_a_stream_does_not_use_it() -> None:
+    """It is near at first, which says nothing: the autopilot has just lost GPS."""
+    assert Stream().checked([0.3 * second for second in range(60)]) == [(30, False)]
+
+
+def test_one_that_stays_near_a_stream_says_nothing() -> None:
+    assert Stream().checked([1.0, 3.0, 2.0] * 40) == []
+
+
+def test_each_stream_is_checked_anew() -> None:
+    stream = Stream()
+    assert stream.checked([25.0] * 30) == [(10, False)]
+    assert stream.checked([25.0] * 30, from_s=200) == [(10, False)]
 
 
 def test_a_selection_of_sources_that_is_not_answered_for_a_second_is_recorded() -> None:

@@ -16,7 +16,7 @@ def unaided(speaker: Speaker) -> Vehicle:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-    vehicle.is_aided = False
+    vehicle.motion.is_aided = False
     return vehicle
 
 
@@ -31,13 +31,13 @@ def run_away(vehicle: Vehicle, speaker: Speaker, *, wheels_mps: float | None = N
 
 
 def moved_m(vehicle: Vehicle, first_ns: int, last_ns: int) -> tuple[float, float]:
-    first, last = vehicle.displacement(first_ns), vehicle.displacement(last_ns)
+    first, last = vehicle.motion.displacement(first_ns), vehicle.motion.displacement(last_ns)
     assert first is not None and last is not None and first.leg == last.leg
     return last.east_m - first.east_m, last.north_m - first.north_m
 
 
 def driven_m(vehicle: Vehicle, first_ns: int, last_ns: int) -> float:
-    first_m, last_m = vehicle.distance_m(first_ns), vehicle.distance_m(last_ns)
+    first_m, last_m = vehicle.motion.distance_m(first_ns), vehicle.motion.distance_m(last_ns)
     assert first_m is not None and last_m is not None
     return last_m - first_m
 
@@ -46,9 +46,9 @@ def test_a_velocity_that_nothing_measures_counts_for_nothing() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)
     run_away(vehicle, speaker)
-    assert vehicle.displacement(8 * S) is None
-    assert vehicle.speed_mps(8 * S) is None
-    assert vehicle.distance_m(8 * S) is None
+    assert vehicle.motion.displacement(8 * S) is None
+    assert vehicle.motion.speed_mps(8 * S) is None
+    assert vehicle.motion.distance_m(8 * S) is None
 
 
 def test_wheels_measure_it_along_the_heading() -> None:
@@ -67,20 +67,20 @@ def test_wheels_that_pause_for_long_say_no_speed(apart_s: int, is_known: bool) -
     for now_s in (5, 5 + apart_s):
         message = mavlink.MAVLink_wheel_distance_message(now_s * 1_000_000, 1, [9.0 * now_s] + [0.0] * 15)
         vehicle.handle(speaker.say(message), now_s * S)
-    assert (vehicle.speed_mps((5 + apart_s) * S) is not None) == is_known
+    assert (vehicle.motion.speed_mps((5 + apart_s) * S) is not None) == is_known
 
 
 def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)
     for tenth in range(41, 81):
-        vehicle.use_speed(tenth * S // 10 - S // 20, 9.0)
+        vehicle.motion.use_speed(tenth * S // 10 - S // 20, 9.0)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=-float(tenth)), tenth * S // 10)
     assert moved_m(vehicle, 5 * S, 8 * S) == pytest.approx((0.0, 27.0), abs=0.1)
     assert driven_m(vehicle, 6 * S, 8 * S) == pytest.approx(18.0, abs=0.1)
     for tenth in range(81, 111):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=-float(tenth)), tenth * S // 10)
-    assert vehicle.distance_m(11 * S) is None and vehicle.displacement(11 * S) is None
+    assert vehicle.motion.distance_m(11 * S) is None and vehicle.motion.displacement(11 * S) is None
 
 
 @pytest.mark.parametrize(("wheels", "doubtful"), [(True, True), (False, False)])
@@ -95,9 +95,9 @@ def test_wheels_may_slip_but_a_camera_that_saw_nothing_has_missed_a_braking(whee
             message = mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 1, [turned_m] + [0.0] * 15)
             vehicle.handle(speaker.say(message), now_ns)
         else:
-            vehicle.use_speed(now_ns - S // 20, mps)
+            vehicle.motion.use_speed(now_ns - S // 20, mps)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), now_ns)
-    moved = vehicle.displacement(8 * S)
+    moved = vehicle.motion.displacement(8 * S)
     assert moved is not None and (moved.doubtful_north_m != 0) == doubtful
 
 
@@ -106,8 +106,8 @@ def test_wheels_count_before_the_camera() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)
     run_away(vehicle, speaker, wheels_mps=5.0)
-    vehicle.use_speed(8 * S + 1, 9.0)
-    assert vehicle.speed_mps(8 * S + 1) == pytest.approx(5.0)
+    vehicle.motion.use_speed(8 * S + 1, 9.0)
+    assert vehicle.motion.speed_mps(8 * S + 1) == pytest.approx(5.0)
 
 
 def test_the_camera_counts_not_where_the_autopilot_measures_its_speed() -> None:
@@ -115,8 +115,8 @@ def test_the_camera_counts_not_where_the_autopilot_measures_its_speed() -> None:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-        vehicle.use_speed(tenth * S // 10 + 1, 3.0)
-    assert vehicle.speed_mps(4 * S) == pytest.approx(10.0)
+        vehicle.motion.use_speed(tenth * S // 10 + 1, 3.0)
+    assert vehicle.motion.speed_mps(4 * S) == pytest.approx(10.0)
 
 
 def test_how_far_the_body_turned_between_two_pictures_but_not_over_a_silence() -> None:
@@ -129,10 +129,12 @@ def test_how_far_the_body_turned_between_two_pictures_but_not_over_a_silence() -
             vehicle.handle(speaker.say(message), ms * S // 1000)
 
     turn(1000, 1400)
-    assert vehicle.turned_rad(11 * S // 10, 12 * S // 10) == pytest.approx((0.02, -0.05))
+    assert vehicle.motion.turned_rad(11 * S // 10, 12 * S // 10) == pytest.approx((0.02, -0.05))
     turn(1800, 2000)
-    assert vehicle.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075)), "as it turned last"
-    assert vehicle.turned_rad(13 * S // 10, 19 * S // 10) is None
-    assert vehicle.turned_rad(19 * S // 10, 22 * S // 10) is None
+    assert vehicle.motion.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075)), (
+        "as it turned last"
+    )
+    assert vehicle.motion.turned_rad(13 * S // 10, 19 * S // 10) is None
+    assert vehicle.motion.turned_rad(19 * S // 10, 22 * S // 10) is None
     turn(2000, 2020, math.nan, 1e9)
-    assert vehicle.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075))
+    assert vehicle.motion.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075))

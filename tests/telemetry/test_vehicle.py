@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
-from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle import Session, Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
@@ -41,7 +41,7 @@ def test_the_boot_clock_is_right_to_20_ms(read_tlog: ReadTlog, recording: str) -
     ]
     assert len(errors_s) >= 7
     assert max(map(abs, errors_s)) < 0.020
-    assert (vehicle.connected, vehicle.system_id, vehicle.autopilot) == (True, 1, RECORDINGS[recording])
+    assert (vehicle.connected, vehicle.system_id, vehicle.session.autopilot) == (True, 1, RECORDINGS[recording])
 
 
 def test_the_boot_clock_agrees_with_the_wall_clock_of_px4(read_tlog: ReadTlog) -> None:
@@ -64,7 +64,7 @@ def test_the_distance_of_a_recorded_drive_is_that_of_its_wheels(read_tlog: ReadT
             wheels_m.append((now_ns, sum(map(abs, message.distance[:2])) / 2))
     (_, first_m), (end_ns, last_m) = wheels_m[0], wheels_m[-1]
     assert last_m - first_m > 100
-    assert vehicle.distance_m(end_ns) == pytest.approx(last_m - first_m, rel=0.05)
+    assert vehicle.motion.distance_m(end_ns) == pytest.approx(last_m - first_m, rel=0.05)
 
 
 def test_gps_is_healthy_until_it_is_switched_off(read_tlog: ReadTlog) -> None:
@@ -72,7 +72,7 @@ def test_gps_is_healthy_until_it_is_switched_off(read_tlog: ReadTlog) -> None:
     start_ns, healthy = 0, {}
     for now_ns, _ in replay(read_tlog("px4-1.18-agp"), vehicle):
         start_ns = start_ns or now_ns
-        healthy[(now_ns - start_ns) // S] = vehicle.gps.state(now_ns)
+        healthy[(now_ns - start_ns) // S] = vehicle.session.gps.state(now_ns)
     assert {healthy[second] for second in range(3, 36)} == {"healthy"}  # switched off at 36.4 s
     assert {healthy[second] for second in range(40, 119)} == {"not healthy"}
 
@@ -132,7 +132,7 @@ def test_the_link_is_lost_after_five_silent_seconds_and_comes_back() -> None:
     vehicle.handle(speaker.heartbeat(), 20 * S)
     vehicle.handle(speaker.heartbeat(), 21 * S)
     assert vehicle.connected
-    assert vehicle.session == 2
+    assert vehicle.session.number == 2
 
 
 def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> None:
@@ -140,12 +140,12 @@ def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> No
     vehicle = connect(speaker)
     for boot_ms in (500_000, 500_100, 500_050, 500_200):
         vehicle.handle(speaker.position(boot_ms), 2 * S)
-    assert vehicle.session == 1
+    assert vehicle.session.number == 1
     for tenth in range(5):
         vehicle.handle(speaker.position(3_000 + 100 * tenth), 4 * S + tenth * S // 10)
-    assert vehicle.session == 1, "half a second without a message of the old clock makes it sure"
+    assert vehicle.session.number == 1, "half a second without a message of the old clock makes it sure"
     vehicle.handle(speaker.position(3_500), 4 * S + S // 2)
-    assert vehicle.session == 2
+    assert vehicle.session.number == 2
     assert vehicle.boot_time_s(5 * S) == pytest.approx(4.0)
 
 
@@ -154,7 +154,7 @@ def test_a_clock_of_32_bits_that_begins_again_is_no_reboot() -> None:
     vehicle = connect(speaker)
     for step in range(20):
         vehicle.handle(speaker.position((2**32 - 1000 + 100 * step) % 2**32), 2 * S + step * S // 10)
-    assert vehicle.session == 1
+    assert vehicle.session.number == 1
     assert vehicle.boot_time_s(4 * S) == pytest.approx(2**32 / 1000 + 1.0, abs=0.2)
 
 
@@ -163,20 +163,20 @@ def test_distance_between_and_beyond_the_reports() -> None:
     vehicle = connect(speaker)
     for boot_ms, speed_mps in ((1000, 10.0), (2000, 10.0), (3000, 20.0)):
         vehicle.handle(speaker.position(boot_ms, speed_mps), boot_ms * 1_000_000)
-    assert vehicle.distance_m(S // 2) is None, "before the first report"
-    assert vehicle.distance_m(3 * S // 2) == pytest.approx(5.0)
-    assert vehicle.distance_m(5 * S // 2) == pytest.approx(17.5)
-    assert vehicle.distance_m(7 * S // 2) == pytest.approx(35.0), "extrapolated"
-    assert vehicle.distance_m(5 * S) is None, "too far beyond the last report"
+    assert vehicle.motion.distance_m(S // 2) is None, "before the first report"
+    assert vehicle.motion.distance_m(3 * S // 2) == pytest.approx(5.0)
+    assert vehicle.motion.distance_m(5 * S // 2) == pytest.approx(17.5)
+    assert vehicle.motion.distance_m(7 * S // 2) == pytest.approx(35.0), "extrapolated"
+    assert vehicle.motion.distance_m(5 * S) is None, "too far beyond the last report"
 
 
 def test_distance_never_goes_back_when_the_vehicle_brakes() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
     vehicle.handle(speaker.position(2000, 10.0), 2 * S)
-    ahead_m = vehicle.distance_m(3 * S)
+    ahead_m = vehicle.motion.distance_m(3 * S)
     vehicle.handle(speaker.position(2900, 0.0), round(2.9 * S))
-    after_m = vehicle.distance_m(round(3.1 * S))
+    after_m = vehicle.motion.distance_m(round(3.1 * S))
     assert ahead_m == pytest.approx(10.0)
     assert after_m == ahead_m
 
@@ -186,7 +186,7 @@ def test_a_standing_vehicle_covers_no_distance_though_its_filter_jitters() -> No
     vehicle = connect(speaker)
     for tenth in range(20, 620):
         vehicle.handle(speaker.position(tenth * 100, 0.04), tenth * S // 10)
-    assert vehicle.distance_m(62 * S) == 0.0
+    assert vehicle.motion.distance_m(62 * S) == 0.0
 
 
 def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_moved_them() -> None:
@@ -195,19 +195,19 @@ def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_mo
     vehicle = connect(speaker)
 
     def drive(first_ms: int, count: int, jump_m: float = 0.0) -> tuple[float, float]:
-        begin = vehicle.displacement(first_ms * 1_000_000)
+        begin = vehicle.motion.displacement(first_ms * 1_000_000)
         for tenth in range(1, count + 1):
             boot_ms = first_ms + 100 * tenth
             north_m = boot_ms / 100.0 + (jump_m if tenth > count // 2 else 0.0)
             vehicle.handle(speaker.fix(boot_ms, north_m, vn_mps=9.986, ve_mps=0.523), boot_ms * 1_000_000)
-        end = vehicle.displacement((first_ms + 100 * count) * 1_000_000)
+        end = vehicle.motion.displacement((first_ms + 100 * count) * 1_000_000)
         assert begin is not None and end is not None and begin.leg == end.leg
         return end.east_m - begin.east_m, end.north_m - begin.north_m
 
     vehicle.handle(speaker.fix(2000, 20.0, vn_mps=9.986, ve_mps=0.523), 2 * S)
     assert drive(2000, 20) == pytest.approx((0.0, 20.0), abs=0.06)
     assert drive(4000, 20, jump_m=5.0)[1] == pytest.approx(20.0, abs=0.2), "a jump is no displacement"
-    vehicle.has_our_position = True
+    vehicle.motion.has_our_position = True
     assert drive(6000, 20) == pytest.approx((1.05, 19.97), abs=0.1)
 
 
@@ -215,7 +215,7 @@ def test_our_timesync_answers_are_taken_and_those_of_others_are_not() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
     for sent_ns in range(2 * S, 8 * S, S // 2):
-        vehicle.timesync_sent(sent_ns)
+        vehicle.session.clock.requested(sent_ns)
         answer = speaker.say(mavlink.MAVLink_timesync_message(sent_ns + 2_000_000 + 100 * S, sent_ns))
         vehicle.handle(answer, sent_ns + 4_000_000)
         stranger = speaker.say(mavlink.MAVLink_timesync_message(sent_ns + 130 * S, sent_ns - 1))
@@ -234,26 +234,15 @@ def test_the_recorded_rover_tells_its_origin_and_px4_its_accuracy(read_tlog: Rea
     rover, px4, accuracies_m = Vehicle(), Vehicle(), []
     for _ in replay(read_tlog("ardurover-4.6.3-nogps"), rover):
         pass
-    assert rover.origin is not None
-    assert (rover.origin.lat_deg, rover.origin.lon_deg) == pytest.approx((-35.363262, 149.165237))
-    assert rover.origin.alt_m == pytest.approx(584.0)
+    origin = rover.session.origins.known
+    assert origin is not None
+    assert (origin.lat_deg, origin.lon_deg) == pytest.approx((-35.363262, 149.165237))
+    assert origin.alt_m == pytest.approx(584.0)
     for now_ns, message in replay(read_tlog("px4-1.18-agp"), px4):
         if message.get_type() == "ESTIMATOR_STATUS" and px4.accuracy_m(now_ns) is not None:
             accuracies_m.append(px4.accuracy_m(now_ns))
     assert len(accuracies_m) > 100
     assert rover.accuracy_m(0) is None
-
-
-def test_the_distance_by_odometry_and_by_position_agree(read_tlog: ReadTlog) -> None:
-    """Of the recorded PX4: the same drive with ODOMETRY alone, and with what is better than it."""
-    whole, odometry = Vehicle(), Vehicle()
-    end_ns = 0
-    for end_ns, message in replay(read_tlog("px4-1.18-agp"), whole):
-        if message.get_type() not in ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "VFR_HUD"):
-            odometry.handle(message, end_ns)
-    driven_m = whole.driven_m(end_ns)
-    assert driven_m is not None and driven_m > 50
-    assert odometry.driven_m(end_ns) == pytest.approx(driven_m, rel=0.03)
 
 
 def test_the_distance_by_wheels_alone(read_tlog: ReadTlog) -> None:
@@ -262,7 +251,7 @@ def test_the_distance_by_wheels_alone(read_tlog: ReadTlog) -> None:
     for end_ns, message in replay(read_tlog("ardurover-4.6.3-nogps"), whole):
         if message.get_type() in ("HEARTBEAT", "WHEEL_DISTANCE"):
             wheels.handle(message, end_ns)
-    assert wheels.distance_m(end_ns) == pytest.approx(whole.distance_m(end_ns), rel=0.06)
+    assert wheels.motion.distance_m(end_ns) == pytest.approx(whole.motion.distance_m(end_ns), rel=0.06)
 
 
 def test_wheels_that_turn_against_each_other_turn_the_vehicle_on_the_spot() -> None:
@@ -272,7 +261,7 @@ def test_wheels_that_turn_against_each_other_turn_the_vehicle_on_the_spot() -> N
         distances_m = [0.1 * tenth, -0.1 * tenth] + [0.0] * 14
         message = speaker.say(mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 2, distances_m))
         vehicle.handle(message, tenth * S // 10)
-    assert vehicle.distance_m(6 * S - S // 10) == 0.0
+    assert vehicle.motion.distance_m(6 * S - S // 10) == 0.0
 
 
 def test_a_version_that_comes_before_a_reboot_is_sure_is_of_the_new_boot() -> None:
@@ -286,8 +275,8 @@ def test_a_version_that_comes_before_a_reboot_is_sure_is_of_the_new_boot() -> No
     )
     vehicle.handle(speaker.say(version), 4 * S + S // 10)
     vehicle.handle(speaker.position(3_500), 4 * S + S // 2)
-    assert vehicle.session == 2
-    assert vehicle.version == (4, 6)
+    assert vehicle.session.number == 2
+    assert vehicle.session.version == (4, 6)
 
 
 def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them() -> None:
@@ -299,21 +288,21 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
     vehicle.handle(speaker.say(version), 2 * S)
     vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(10, 20, 30_000)), 2 * S)
     vehicle.handle(speaker.say(mavlink.MAVLink_estimator_status_message(0, 0, 0, 0, 0, 0, 0, 0, 4.5, 1)), 2 * S)
-    assert vehicle.version == (1, 18)
-    assert vehicle.origin == Origin(1e-6, 2e-6, 30.0)
+    assert vehicle.session.version == (1, 18)
+    assert vehicle.session.origins.known == Origin(1e-6, 2e-6, 30.0)
     assert vehicle.accuracy_m(5 * S) == 4.5
     assert vehicle.accuracy_m(5 * S + 1) is None, "stale"
     vehicle.handle(speaker.position(500_000), 3 * S)
     for now_ns in (3 * S, 3 * S + S // 2):
         vehicle.handle(speaker.position(now_ns // 1_000_000), now_ns)
-    assert vehicle.origin is None and vehicle.version is None
+    assert vehicle.session.origins.known is None and vehicle.session.version is None
     assert vehicle.accuracy_m(3 * S) is None
 
 
 def test_a_stream_that_is_refused_twice_is_given_up() -> None:
-    requests, asked = StreamRequests(), Counter[int]()
+    requests, asked = StreamRequests(Session()), Counter[int]()
     for now_ns in range(S, 1000 * S, S):
-        for message in requests.due(Vehicle(), 1, now_ns):
+        for message in requests.due(1, now_ns):
             asked[int(message.param1)] += 1
             requests.read_acknowledgement(mavlink.MAV_RESULT_UNSUPPORTED)
     assert asked == dict.fromkeys(STREAMS_HZ, 2)

@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from edge.config import Config
 from edge.errors import FeedError
 from edge.journal.records import FixSent, FrameUsed, JournalOpened
+from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.confirmation import JUMP_MS
 from edge.toml_file import parse_toml, read_toml
 from sim.datasets.flight_logs import tlog_frames
 from sim.journal import read_journal

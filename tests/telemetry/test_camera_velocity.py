@@ -13,8 +13,8 @@ from edge.journal.records import VelocityChanged
 from edge.motion import CameraSpeed
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.link_protocol import NO_AID, VISION
-from edge.telemetry.velocity_sender import VelocitySender
+from edge.telemetry.link_protocol import NO_AID, VISION, VelocityAid
+from edge.telemetry.people import Publisher
 from sim.journal import records_of
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig
@@ -39,7 +39,7 @@ def see(rig: Rig, seconds: float, mps: float = SPEED_MPS, followed_mps: float | 
     for _ in range(round(10 * seconds)):
         rig.run(0.1)
         measured = speed(rig.now_ns, mps)
-        rig.connection.vehicle.use_speed(measured.stamp_ns, followed_mps or measured.speed_mps)
+        rig.connection.vehicle.motion.use_speed(measured.stamp_ns, followed_mps or measured.speed_mps)
         rig.connection.send_velocity(measured)
 
 
@@ -50,7 +50,7 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert rig.autopilot.estimate.error_m < 3.0
     assert kind in {one.message.get_type() for one in rig.autopilot.received}
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
-    assert rig.connection.vehicle.is_aided
+    assert rig.connection.vehicle.motion.is_aided
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
 
 
@@ -64,7 +64,7 @@ def test_px4_moves_as_the_camera_measures_and_not_as_its_filter_makes_of_it(
     found = []
     for _ in range(2):
         see(rig, 3.0, followed_mps=6.0)
-        found.append(rig.connection.vehicle.displacement(rig.now_ns))
+        found.append(rig.connection.vehicle.motion.displacement(rig.now_ns))
     before, after = found
     assert before is not None and after is not None
     assert math.hypot(after.east_m - before.east_m, after.north_m - before.north_m) == pytest.approx(moved_m, abs=1.0)
@@ -75,7 +75,7 @@ def test_the_attitude_is_requested_for_the_camera_alone(motion: str, tmp_path: P
     rig = Rig(tmp_path, "report", LENIENT, motion=motion, firmware="ardupilot", errors=RUNS_AWAY)
     rig.run(8.0)
     now_ns = rig.now_ns
-    turned = rig.connection.vehicle.turned_rad(now_ns - S, now_ns)
+    turned = rig.connection.vehicle.motion.turned_rad(now_ns - S, now_ns)
     assert (turned is None) == (motion == "off")
 
 
@@ -95,13 +95,13 @@ def test_a_report_sends_no_velocity(tmp_path: Path) -> None:
 def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_position(tmp_path: Path) -> None:
     rig = flying(tmp_path, "px4")
     see(rig, 12.0)
-    assert rig.connection.uncertainty_m is not None
+    assert rig.bounded_m is not None
     rig.run(1.3)
-    assert not rig.connection.vehicle.is_aided
-    assert rig.connection.uncertainty_m is None
+    assert not rig.connection.vehicle.motion.is_aided
+    assert rig.bounded_m is None
     see(rig, 2.0)
-    assert rig.connection.vehicle.is_aided
-    assert rig.connection.uncertainty_m is None, "how far it went meanwhile, nobody knows"
+    assert rig.connection.vehicle.motion.is_aided
+    assert rig.bounded_m is None, "how far it went meanwhile, nobody knows"
 
 
 @pytest.mark.parametrize(
@@ -119,10 +119,11 @@ def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_
 )
 def test_what_speaks_against_sending(measured: CameraSpeed, aid: str | None, why: str) -> None:
     records: list[object] = []
-    sender = VelocitySender(connect(Speaker()), records.append, is_on=True)
-    assert bool(sender.send(measured, aid, 10 * S)) == (not why)
+    sender = VelocityAid(connect(Speaker()), Publisher(records.append, lambda text: None), sends=True)
+    sender.without_gps = aid
+    assert bool(sender.send(measured, 10 * S)) == (not why)
     assert records == [VelocityChanged(is_sent=not why, why=why)]
-    assert sender.is_silent(10 * S) == bool(why)
+    assert sender.is_known(10 * S) == (not why)
 
 
 def test_the_messages_as_others_read_them() -> None:
