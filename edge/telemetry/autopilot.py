@@ -20,7 +20,7 @@ from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
-from edge.telemetry.link_protocol import FIRST_SYSTEM_ID, Requests, VelocityAid
+from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.own_bound import OwnBound
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
@@ -28,7 +28,7 @@ from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender, level_m
 from edge.telemetry.signing import Signer, load_key
-from edge.telemetry.vehicle import DOUBLED, Vehicle
+from edge.telemetry.vehicle import DOUBLED, FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3

@@ -182,7 +182,7 @@ class HomeRequests:
             items, what = self._kept_items() if restore else self._way_items(now_ns, home_first=home_first)
         except Rejected as error:
             return self._reply(asker, self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
-        system_id = self._vehicle.system_id or 1
+        system_id = self._vehicle.target_id
 
         def keep(present: list[MissionItem]) -> Next:
             if self._replaced.begin(system_id, int(home_first), present, items):
@@ -207,7 +207,7 @@ class HomeRequests:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
 
     def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
-        items = self._replaced.items(self._vehicle.system_id or 1)
+        items = self._replaced.items(self._vehicle.target_id)
         if len(items) <= self._replaced.kept.first:
             raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
         return items, f"the mission that was replaced, {len(items)} items"

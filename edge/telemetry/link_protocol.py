@@ -69,7 +69,6 @@ sent. By headlights 95 % of the errors are within 5 %."""
 MOST_SCALE = 0.05
 """One standard deviation of what all speeds are wrong by alike: GPS of this drive or places must have shown the
 camera's height, since a filter cannot average it out."""
-FIRST_SYSTEM_ID = 1  # the default of autopilots, until the vehicle's own is known
 
 
 class StreamRequests:
@@ -157,7 +156,7 @@ class Requests:
 
     def due(self, now_ns: int) -> list[Message]:
         """The requests that are due."""
-        session, system_id = self.session, self._vehicle.system_id or FIRST_SYSTEM_ID
+        session, system_id = self.session, self._vehicle.target_id
         messages: list[Message] = []
         if self._is_due("timesync", now_ns, TIMESYNC_NS):
             session.clock.requested(now_ns)

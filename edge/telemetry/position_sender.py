@@ -172,7 +172,7 @@ class PositionSender:
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
         is_px4 = session.autopilot == mavlink.MAV_AUTOPILOT_PX4
         sending = Sending(
-            vehicle.system_id or 1,
+            vehicle.target_id,
             boot_s,
             age_s=(now_ns - fix.stamp_ns) / 1e9,
             sensor_id=sensor_id,

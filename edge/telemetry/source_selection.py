@@ -74,7 +74,7 @@ class SourceSelection:
         self._asked = number
         self._command.sent(now_ns)
         self._remember(self._may_be_changed or number != GPS_SET)
-        return [encoders.source_set(self._vehicle.system_id or 1, number)]
+        return [encoders.source_set(self._vehicle.target_id, number)]
 
     def _remember(self, may_be_changed: bool) -> None:
         if self._remembered is not None and may_be_changed != self._may_be_changed:

@@ -21,7 +21,7 @@ from edge.telemetry.confirmation import Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
 from edge.telemetry.position_messages import autopilot_name
-from edge.telemetry.vehicle_motion import POSITIONS_APART_S, VehicleMotion, signed_speed
+from edge.telemetry.vehicle_motion import HUD, LOCAL, POSITIONS_APART_S, VehicleMotion, signed_speed
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -29,6 +29,7 @@ ACCURACY_FRESH_NS = 3_000_000_000
 DOUBLED = "two autopilots have the same ids"
 POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 HEADING_UNKNOWN = 65535
+FIRST_SYSTEM_ID = 1
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
@@ -97,6 +98,11 @@ class Vehicle:
             self.is_doubled = not self.is_doubled
             log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
             self._start_session(is_same_vehicle=False)
+
+    @property
+    def target_id(self) -> int:
+        """The system that messages are for; the default of autopilots, until the vehicle's own is known."""
+        return self.system_id or FIRST_SYSTEM_ID
 
     @property
     def drives_itself(self) -> bool | None:
@@ -227,7 +233,7 @@ class Vehicle:
         self.session.origins.add_local(stamp_ns, message.y, message.x)
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
-        self.motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), source=0)
+        self.motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), LOCAL)
         newest = self.session.position
         if newest is None or stamp_ns - newest.stamp_ns > POSITIONS_APART_S * 1e9:
             self.motion.add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
@@ -276,7 +282,7 @@ class Vehicle:
         self.session.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
     def _read_hud(self, message: Message, now_ns: int) -> None:
-        self.motion.add_speed(now_ns, message.groundspeed, source=4)
+        self.motion.add_speed(now_ns, message.groundspeed, HUD)
 
     def _read_system_time(self, message: Message, now_ns: int) -> None:
         self._read_boot_time(message.time_boot_ms, now_ns)

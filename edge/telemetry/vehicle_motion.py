@@ -16,7 +16,8 @@ SPEED_FRESH_NS = 5_000_000_000
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
 RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
 """Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
-WHEELS, ODOMETRY, CAMERA = 3, 5, 6  # ranks of speeds, after those of the autopilot
+LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA = range(6)
+"""What a speed comes from, the best first: the autopilot's two positions, wheels, its display, ROS 2, our camera."""
 POSITIONS_APART_S = 0.5
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
@@ -59,7 +60,7 @@ class VehicleMotion:
         return next((one for one in (wheels_mps, *others) if one is not None), None)
 
     def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
-        """The speed ahead by the camera or by ODOMETRY; of use where neither autopilot nor wheels report one."""
+        """The speed ahead by the camera or by another program; of use where neither autopilot nor wheels report one."""
         if math.isfinite(speed_mps):
             self._speeds[source] = stamp_ns, speed_mps
         if _newest(self._speeds.get(WHEELS), stamp_ns) is None:
@@ -109,7 +110,7 @@ class VehicleMotion:
     def move(self, before: VehiclePosition | None, now: VehiclePosition) -> None:
         """The autopilot's own position, and the one before it."""
         reported = now.east_mps, now.north_mps
-        self.add_speed(now.stamp_ns, signed_speed(*reported, now.heading_deg), source=1)
+        self.add_speed(now.stamp_ns, signed_speed(*reported, now.heading_deg), GLOBAL)
         self.add_velocity(now.stamp_ns, *self._east_north_mps(before, now), now.heading_deg, reported)
 
     def _east_north_mps(self, before: VehiclePosition | None, now: VehiclePosition) -> tuple[float, float]:
