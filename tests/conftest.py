@@ -24,8 +24,8 @@ from edge.reference_map.store import ModelKey, RegionsKey
 from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
-from sim.model_tools.onnx_graph import MEAN_RGB, PAD_LEVEL, STD_RGB, alexnet_info
-from sim.model_tools.weights import Weights
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, Weights
+from sim.research.alexnet.graph import PAD_LEVEL, alexnet_info
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

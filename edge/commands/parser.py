@@ -34,6 +34,7 @@ COMMANDS = {
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
 ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
+    "alexnet": "sim.research.alexnet.command",
     "bench": "sim.bench.board",
     "flights": "sim.research.trial.flights_command",
     "gps": "sim.research.trial.gps_command",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from pathlib import Path
 
 import msgspec
@@ -13,12 +12,11 @@ from edge.descriptor.network import REGION_COUNT, Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ModelError
 from edge.feed import read_feed
-from sim.model_tools import onnx_graph, providers
+from sim.model_tools import providers
 from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import describe_feed
 from sim.model_tools.import_command import add_import
 from sim.model_tools.use_command import add_use
-from sim.model_tools.weights import read_weights
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,14 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     info.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     info.set_defaults(run=_info)
 
-    verify = actions.add_parser("verify", help="compare an int8 network with its float weights on a feed")
+    verify = actions.add_parser("verify", help="compare an int8 network with its float one on a feed")
     verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     verify.add_argument("feed", type=Path, metavar="FEED")
     verify.add_argument(
         "--weights",
         type=Path,
         required=True,
-        help="the weights or the float network",
+        help="the float network, as `model import --float` writes it",
     )
     verify.set_defaults(run=_verify)
 
@@ -61,7 +59,7 @@ def _info(args: argparse.Namespace) -> int:
 
 def _verify(args: argparse.Namespace) -> int:
     rounded = Network.load(args.model)
-    networks = (_float_of(rounded, args.weights), rounded)
+    networks = (_checked_float(rounded, Network.load(args.weights)), rounded)
     feed = read_feed(args.feed)
     passed = True
     for kind in REGION_COUNT:
@@ -74,22 +72,6 @@ def _verify(args: argparse.Namespace) -> int:
         )
     print("passed" if passed else f"FAILED: mean cosine after NSD below {NSD_COSINE_MIN}")
     return 0 if passed else 1
-
-
-def _float_of(network: Network, weights_file: Path) -> Network:
-    """The float network of the same tap; ModelError if the weights are not those that `network` was made from."""
-    if weights_file.suffix == ".onnx" or weights_file.is_dir():
-        return _checked_float(network, Network.load(weights_file))
-    weights, sha256 = read_weights(weights_file)
-    if sha256 != network.info.weights_sha256:
-        raise ModelError(
-            f"{weights_file}: {network.path} was made from other weights (sha256 {network.info.weights_sha256[:12]})"
-        )
-    info = msgspec.structs.replace(network.info, precision="float32", sha256="")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "float32.onnx"
-        file.write_bytes(onnx_graph.build_float(weights, info).SerializeToString())
-        return Network.load(file)
 
 
 def _checked_float(network: Network, exact: Network) -> Network:

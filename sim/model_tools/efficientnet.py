@@ -8,17 +8,19 @@ The layers are those of the authors' efficientnet_lite_builder.py
 from __future__ import annotations
 
 import hashlib
+import io
+import pickle
+from collections import OrderedDict
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.errors import ModelError
 from edge.extras import install_command
-from sim.model_tools.onnx_graph import GraphBuilder
-from sim.model_tools.torch_file import read_state
-from sim.model_tools.weights import Weights
+from sim.model_tools.onnx_graph import GraphBuilder, Weights
 
 if TYPE_CHECKING:
     import onnx
@@ -48,7 +50,40 @@ def read_packaged_weights() -> tuple[Weights, str]:
     sha256 = hashlib.sha256(data).hexdigest()
     if sha256 != SHA256:
         raise ModelError(f"{path}: not the weights of {PACKAGE} 0.1.0 (sha256 {sha256[:12]}); install that version")
-    return read_state(path, data), sha256
+    return _read_tensors(data), sha256
+
+
+def _read_tensors(data: bytes) -> Weights:
+    """The arrays in that one file, as PyTorch wrote them until 2020: five pickles, then the numbers of each storage.
+
+    A pickle can run programs, and these are read as they are: the checksum above says that they hold tensors alone.
+    """
+    stream, storages = io.BytesIO(data), dict[str, NDArray[Any]]()
+
+    class Tensors(pickle.Unpickler):
+        """Names of PyTorch's classes stand for types of numbers; the numbers of a storage come after all pickles."""
+
+        def find_class(self, module: str, name: str) -> Any:
+            if module == "torch._utils":
+                return _tensor
+            return {"FloatStorage": np.float32, "LongStorage": np.int64}.get(name, OrderedDict)
+
+        def persistent_load(self, pid: Any) -> NDArray[Any]:
+            _, kind, key, _, count, *_ = pid
+            return storages.setdefault(key, np.zeros(count, kind))
+
+    *_, state, keys = (Tensors(stream).load() for _ in range(5))
+    for key in keys:
+        stream.seek(8, io.SEEK_CUR)  # how many there are, which is known
+        storages[key][:] = np.frombuffer(stream.read(storages[key].nbytes), storages[key].dtype)
+    return dict(state)
+
+
+def _tensor(
+    storage: NDArray[Any], offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
+) -> NDArray[Any]:
+    strides = [step * storage.itemsize for step in stride]
+    return np.lib.stride_tricks.as_strided(storage[offset:], size, strides)
 
 
 def build(weights: Weights) -> onnx.ModelProto:

@@ -1,4 +1,4 @@
-"""`lookback model import`: the network of a vehicle, from weights, an ONNX or PyTorch network or a recipe."""
+"""`lookback model import`: the network of a vehicle, from an ONNX or PyTorch network or a recipe."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import regions_of
 from sim.model_tools.torch_file import export_onnx
-from sim.model_tools.weights import has_head, read_label_lines, read_labels, read_weights
 
 if TYPE_CHECKING:
     import onnx
@@ -46,18 +45,16 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "weights",
         type=Path,
         metavar="MODEL",
-        help="an image network (.onnx, TorchScript .pt, exported program .pt2); AlexNet weights (.npz, .pth, .pth.tar);"
-        f" or {efficientnet.NAME}, whose weights are in the extra efficientnet",
+        help="an image network (.onnx, TorchScript .pt, exported program .pt2), or"
+        f" {efficientnet.NAME}, whose weights are in the extra efficientnet",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
     parser.add_argument("--labels", type=Path, help="names of the categories, one per line")
     ranges = parser.add_mutually_exclusive_group()
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
-    parser.add_argument("--name", help="name of the network (default: that of the file)")
-    parser.add_argument("--license", help="terms of the weights, kept in the file")
-    parser.add_argument("--source", help="origin of the weights, kept in the file")
-    parser.add_argument("--tap", help="the tensor to use (default: the network's output; AlexNet: fc6, or conv3)")
+    add_kept_texts(parser)
+    parser.add_argument("--tap", help="the tensor to use (default: the network's output)")
     parser.add_argument("--float", action="store_true", help="write the float network beside it, for `model verify`")
     parser.add_argument("--float-only", action="store_true", help="write the float network instead of an int8 one")
     image = parser.add_argument_group("image networks")
@@ -80,49 +77,11 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Write the network file, and its head if there is one."""
-    if not (args.ranges or args.calibrate or args.float_only or str(args.weights) == efficientnet.NAME):
-        raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
-    if str(args.weights) == efficientnet.NAME or args.weights.suffix in (".onnx", ".pt", ".pt2"):
-        return _import_network(args)
-    return _import_alexnet(args)
-
-
-def _import_alexnet(args: argparse.Namespace) -> int:
-    weights, sha256 = read_weights(args.weights)
-    tap = args.tap or "fc6"
-    if tap not in onnx_graph.DIMENSIONS:
-        raise ConfigError(f"--tap: {tap!r} is not a layer of AlexNet that can be used; fc6 and conv3 are")
-    info = onnx_graph.alexnet_info(
-        args.name or args.weights.name.partition(".")[0],
-        tap,
-        labels=read_labels(args.labels, weights),
-        license=args.license or "not stated",
-        source=args.source or "not stated",
-        weights_sha256=sha256,
-        calibration=_spell_calibration(args, quantize.RANGE_SHARE),
-    )
-    file = _output_file(args, f"{tap}_int8.onnx")
-    exact = onnx_graph.build_float(weights, info)
-    if args.float or args.float_only:
-        _write(exact, file.with_name(f"{tap}_float32.onnx"))
-    if args.float_only:
-        return 0
-    ranges = (
-        quantize.read_ranges(args.ranges)
-        if args.ranges
-        else quantize.measure_ranges(exact, _images(args.calibrate, info))
-    )
-    info = msgspec.structs.replace(info, precision="int8")
-    network_sha256 = _write(quantize.quantize(exact, ranges, info), file)
-    if tap == "fc6" and has_head(weights):
-        head_info = msgspec.structs.replace(
-            info, tap="categories", dimensions=len(info.labels), fc6_sha256=network_sha256
-        )
-        head = onnx_graph.build_head(weights, head_info)
-        _write(quantize.quantize(head, ranges, head_info), file.with_name(HEAD_FILE))
-    return 0
+def add_kept_texts(parser: argparse.ArgumentParser) -> None:
+    """Add the options for what a network file says of itself."""
+    parser.add_argument("--name", help="name of the network (default: that of the file)")
+    parser.add_argument("--license", help="terms of the weights, kept in the file")
+    parser.add_argument("--source", help="origin of the weights, kept in the file")
 
 
 @dataclass(frozen=True)
@@ -139,25 +98,33 @@ class _Source:
     pool: tuple[int, int] | None
 
 
-def _import_network(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Write the network file, and its head if there is one."""
+    is_recipe = str(args.weights) == efficientnet.NAME
+    if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
+        raise ConfigError(
+            f"{args.weights}: not an .onnx, .pt or .pt2 file; weights of AlexNet are for `lookback dev alexnet`"
+        )
+    if not (args.ranges or args.calibrate or args.float_only or is_recipe):
+        raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
     labels = read_label_lines(args.labels) if args.labels else ()
-    source = _recipe(args) if str(args.weights) == efficientnet.NAME else _file(args)
+    source = _recipe(args) if is_recipe else _file(args)
     found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, bool(labels))
     if labels and len(labels) != found.classes:
         raise ModelError(f"{args.labels}: {len(labels)} labels, but the network has {found.classes} categories")
     info = _info(args, source, found, labels)
-    file = _output_file(args, NETWORK_FILE)
+    file = network_file(args.output, NETWORK_FILE)
     exact = found.model
     onnx_graph.set_info(exact, info)
     if args.float or args.float_only:
         written = file if args.float_only and args.output.suffix == ".onnx" else file.with_name("network_float32.onnx")
-        sha256 = _write(exact, written)
+        sha256 = write(exact, written)
     if not args.float_only:
-        sha256 = _write(_rounded(args, exact, info), file)
+        sha256 = write(_rounded(args, exact, info), file)
     if found.head is not None:
         head_info = msgspec.structs.replace(info, tap="categories", pool="", dimensions=len(labels), fc6_sha256=sha256)
         onnx_graph.set_info(found.head, head_info)
-        _write(found.head, file.with_name(HEAD_FILE))
+        write(found.head, file.with_name(HEAD_FILE))
     return 0
 
 
@@ -210,7 +177,7 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         license=source.license,
         source=source.source,
         weights_sha256=source.sha256,
-        calibration="" if args.float_only else _spell_calibration(args, 1.0),
+        calibration="" if args.float_only else spell_calibration(args.calibrate, args.ranges),
         pool=onnx_import.spell(source.pool) if source.pool else "",
     )
 
@@ -221,10 +188,10 @@ def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) 
     is_recipe = str(args.weights) == efficientnet.NAME and not args.calibrate
     layers = args.float_layers if args.float_layers is not None or not is_recipe else RECIPE_FLOAT_LAYERS
     if args.calibrate:
-        images = [list(_images([path], info)) for path in args.calibrate]
+        images = [list(calibration_images([path], info)) for path in args.calibrate]
         ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
     else:
-        ranges = quantize.read_tensor_ranges(args.ranges or RECIPE_RANGES)
+        ranges = quantize.read_ranges(args.ranges or RECIPE_RANGES)
         ranges |= {f"{info.tap}.map": ranges[info.tap]} if info.tap in ranges else {}  # its name before the grid
         images = []
     missing = quantize.unknown_tensors(exact, ranges)
@@ -235,7 +202,7 @@ def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) 
     for count in tries:
         said = f"{info.calibration}, first {count} layers in float" if count else info.calibration
         as_made = msgspec.structs.replace(info, calibration=said)
-        model = quantize.quantize(exact, ranges, as_made, signed=False, share=1.0, float_layers=count)
+        model = quantize.quantize(exact, ranges, as_made, float_layers=count)
         if not images:
             return model
         cosine = min(_agreement(exact, model, feed[:: -(-len(feed) // MAX_COMPARED)]) for feed in images)
@@ -260,15 +227,13 @@ def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[ND
     return compare(described[0], described[1]).nsd_mean
 
 
-def _spell_calibration(args: argparse.Namespace, share: float) -> str:
-    if not args.calibrate:
-        found = (args.ranges or RECIPE_RANGES).name
-    else:
-        found = "feeds " + ", ".join(path.name for path in args.calibrate)
+def spell_calibration(feeds: list[Path] | None, ranges: Path | None, share: float = 1.0) -> str:
+    """What the ranges are of. share: of the greatest values that int8 spans."""
+    found = "feeds " + ", ".join(path.name for path in feeds) if feeds else (ranges or RECIPE_RANGES).name
     return f"{share:g} of the greatest values in {found}"
 
 
-def _images(paths: list[Path], info: ModelInfo) -> Iterator[NDArray[np.uint8]]:
+def calibration_images(paths: list[Path], info: ModelInfo) -> Iterator[NDArray[np.uint8]]:
     """Whole images and both sides of the feeds' frames."""
     for feed in [read_feed(path) for path in paths]:
         step = -(-len(feed.rows) // MAX_CALIBRATION_FRAMES)
@@ -288,17 +253,17 @@ def _pair(option: str, text: str | None) -> tuple[int, int] | None:
     return pair
 
 
-def _output_file(args: argparse.Namespace, name: str) -> Path:
-    """The network file; its folder is made before the long work."""
-    file = args.output if args.output.suffix == ".onnx" else args.output / name
+def network_file(output: Path, name: str) -> Path:
+    """`output`, or the file of that name in it; the folder is made before the long work. ModelError."""
+    file = output if output.suffix == ".onnx" else output / name
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
-    return Path(file)
+    return file
 
 
-def _write(model: onnx.ModelProto, file: Path) -> str:
+def write(model: onnx.ModelProto, file: Path) -> str:
     """Write a network in one step, read it back, and return its sha256."""
     try:
         with replacing(file) as stream:
@@ -308,3 +273,14 @@ def _write(model: onnx.ModelProto, file: Path) -> str:
     info = read_model_file(file).info
     print(f"{file}: {info.output}, {info.precision}, {file.stat().st_size / 1e6:.1f} MB, sha256 {info.sha256}")
     return info.sha256
+
+
+def read_label_lines(path: Path) -> tuple[str, ...]:
+    """Names of categories, one a line; those of Places365 ("/a/arena/hockey 1") lose path and number. ModelError."""
+    try:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the labels: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelError(f"{path}: not UTF-8 text") from None
+    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

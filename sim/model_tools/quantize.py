@@ -1,4 +1,4 @@
-"""Float graph to int8: static QDQ, signed activations, signed weights per output channel.
+"""Float graph to int8: static QDQ, signed weights per output channel.
 
 The graph is quantized with given ranges, so that ranges measured elsewhere and ranges measured here take one way.
 Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tensors that the ranges are given for.
@@ -7,9 +7,9 @@ Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tens
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -19,7 +19,6 @@ from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import NORMALIZE, set_info
-from sim.model_tools.weights import CONVS, FC6, FC8
 
 if TYPE_CHECKING:
     import onnx
@@ -28,23 +27,9 @@ Decoded = TypeVar("Decoded")
 Ranges = dict[str, tuple[float, float]]
 """Least and greatest value by tensor name."""
 
-_LAYERS = (*(conv.layer for conv in CONVS), FC6)
-RANGE_SHARE = 0.8
-"""Share of a tensor's least and greatest value that int8 spans; what is beyond is clipped.
-
-The greatest value of many images is an outlier, and the finer step gains more than clipping it loses: cosine to
-float after NSD 0.9963 to 0.9970 (mean over the corridor and track feeds), 0.967 to 0.978 on darkened frames.
-"""
 QUANTIZED_OPERATORS = ["Conv", "Relu", "Clip", "Add", "Mul", "MaxPool", "Flatten", "Gemm", "Concat"]
 _SAME_RANGE = ("MaxPool", "Flatten")
 _PIXELS = "input"  # the tensor of pixels less the gray that stands for nothing
-
-
-class LayerRange(msgspec.Struct, frozen=True):
-    """Least and greatest output of a layer before ReLU, over all calibration images."""
-
-    min: float
-    max: Annotated[float, msgspec.Meta(gt=0)]
 
 
 class TensorRange(msgspec.Struct, frozen=True):
@@ -55,26 +40,13 @@ class TensorRange(msgspec.Struct, frozen=True):
 
 
 def read_ranges(path: Path) -> Ranges:
-    """Ranges of AlexNet's layers after ReLU, from a JSON file {layer: {min, max}}. ModelError names file and layer."""
-    given = _decode(path, dict[str, msgspec.Raw])
-    ranges = {}
-    for layer in _LAYERS:
-        if layer not in given:
-            raise ModelError(f"{path}: no range of {layer}; it needs {{min, max}} of {', '.join(_LAYERS)}")
-        try:
-            ranges[layer] = (0.0, msgspec.json.decode(given[layer], type=LayerRange).max)
-        except msgspec.ValidationError as error:
-            raise ModelError(f"{path}: {layer}: {error}") from None
-    return ranges
-
-
-def read_tensor_ranges(path: Path) -> Ranges:
     """Ranges by tensor from a JSON file {tensor: {min, max}}. ModelError names the file."""
-    given = _decode(path, dict[str, TensorRange])
+    given = decode_ranges(path, dict[str, TensorRange])
     return {name: (one.min, one.max) for name, one in given.items()}
 
 
-def _decode(path: Path, kind: type[dict[str, Decoded]]) -> dict[str, Decoded]:
+def decode_ranges(path: Path, kind: type[dict[str, Decoded]]) -> dict[str, Decoded]:
+    """A JSON file of ranges by name. ModelError names it."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
@@ -109,15 +81,16 @@ def quantize(
     ranges: Ranges,
     info: ModelInfo,
     *,
-    signed: bool = True,
-    share: float = RANGE_SHARE,
+    signed: bool = False,
+    share: float = 1.0,
     float_layers: int = 0,
+    in_float: Sequence[str] = (),
 ) -> onnx.ModelProto:
-    """int8 model of a network or head, with the ranges of its tensors (of a head: of fc6, under classifier.1).
+    """int8 model of a network or head, with the ranges of its tensors.
 
     Every output of a fully connected layer stays float32: its accumulators are int32 anyway. signed: of activations;
-    ONNX Runtime fuses additions only where they are not. share: see RANGE_SHARE. float_layers: so many of the first
-    convolutions and fully connected layers stay in float.
+    ONNX Runtime fuses additions only where they are not. share: of a tensor's least and greatest value that int8 spans.
+    float_layers: so many of the first convolutions and fully connected layers stay in float; in_float: nodes that do.
     """
     import onnx
     from onnxruntime.quantization import CalibrationMethod, QuantType
@@ -138,8 +111,7 @@ def quantize(
         activation_qType=QuantType.QInt8 if signed else QuantType.QUInt8,
         tensors_range=TensorsData(CalibrationMethod.MinMax, spans),
         nodes_to_quantize=[],
-        # Of a head: small, and no range of its input is known. The average over a grid: small as well.
-        nodes_to_exclude=[FC8, *_in_float(model, float_layers)],
+        nodes_to_exclude=[*in_float, *_in_float(model, float_layers)],
         op_types_to_quantize=QUANTIZED_OPERATORS,
         extra_options={"OpTypesToExcludeOutputQuantization": ["Gemm"]},
     )
@@ -196,8 +168,9 @@ def _tensor_ranges(model: onnx.ModelProto, given: Ranges, share: float) -> Range
 
     spans = {name: (share * low, share * high) for name, (low, high) in given.items()}
     ranges: Ranges = {}
-    if model.graph.input[0].name == "fc6":
-        ranges["fc6"] = spans[FC6]
+    given_name = model.graph.input[0].name
+    if given_name in spans:  # of a head
+        ranges[given_name] = spans[given_name]
     else:
         grey = next(tensor for tensor in model.graph.initializer if tensor.name == "grey")
         level = float(onnx.numpy_helper.to_array(grey))

@@ -2,6 +2,7 @@
 
 evaluation  `lookback dev paper`: the paper's comparisons, other methods, networks side by side
 trial       `lookback dev gps`, `lookback dev flights`: errors of GPS, and recorded drives computed anew
+alexnet     `lookback dev alexnet`: networks from weights of AlexNet, as the shipped one was made
 training    `lookback dev train`: the shipped network trained again
 bench       `make bench`: what each stage costs
 """

@@ -12,8 +12,10 @@ import msgspec
 from edge.descriptor.model_file import HEAD_FILE, ModelFile, ModelInfo, resolve_model
 from edge.descriptor.network import Head, Network
 from edge.errors import ConfigError
-from sim.model_tools import onnx_graph, quantize
-from sim.model_tools.weights import Weights, has_head, read_labels, read_weights
+from sim.model_tools.onnx_graph import Weights
+from sim.research.alexnet.command import as_int8, read_layer_ranges
+from sim.research.alexnet.graph import alexnet_info, build_float, build_head
+from sim.research.alexnet.weights import has_head, read_labels, read_weights
 from sim.research.evaluation.plan import NetworkPlan
 
 Tap = Literal["fc6", "conv3"]
@@ -35,7 +37,7 @@ def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision
             return Network(_make(plan, folder, tap, one))
     raise ConfigError(
         f"[networks.{name}]: has no {tap} in {' or '.join(wanted)}; give it weights, or import it with"
-        f" `lookback model import --tap {tap}`"
+        f" `lookback dev alexnet --tap {tap}`"
     )
 
 
@@ -60,16 +62,16 @@ def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> H
         _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
     )
     info = msgspec.structs.replace(info, tap="categories")
-    data = onnx_graph.build_head(weights, info).SerializeToString(deterministic=True)
+    data = build_head(weights, info).SerializeToString(deterministic=True)
     return Head(ModelFile(folder / plan.weights, data, info), network.info)
 
 
 def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
     weights, sha256 = _weights(folder / plan.weights)
     info = _info(plan, tap, precision, sha256)
-    model = onnx_graph.build_float(weights, info)
+    model = build_float(weights, info)
     if precision == "int8":
-        model = quantize.quantize(model, quantize.read_ranges(folder / plan.ranges), info)
+        model = as_int8(model, read_layer_ranges(folder / plan.ranges), info)
     data = model.SerializeToString(deterministic=True)
     info = msgspec.structs.replace(info, sha256=hashlib.sha256(data).hexdigest())
     return ModelFile(folder / plan.weights, data, info)
@@ -81,7 +83,7 @@ def _weights(path: Path) -> tuple[Weights, str]:
 
 
 def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> ModelInfo:
-    info = onnx_graph.alexnet_info(
+    info = alexnet_info(
         Path(plan.weights).name.partition(".")[0],
         tap,
         license="as that of the weights",

@@ -2,7 +2,7 @@
 
 images    a folder of pictures for each class, read into one array
 views     random views of a picture: crop, mirror, light
-alexnet   the network with batch norm; batch norm folded away, and saved for `lookback model import`
+alexnet   the network with batch norm; batch norm folded away, and saved for `lookback dev alexnet`
 training  loss, schedule, averaged weights, checkpoints
 measure   what a trained network is worth on held-out pictures, and the ranges of its layers for int8
 command   the options

@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from edge.errors import ModelError
-from sim.model_tools.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, read_weights
+from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, read_weights
 
 FC7_WIDTH = 1024
 LAYERS = (*(conv.layer for conv in CONVS), FC6, FC7, FC8)
@@ -66,7 +66,7 @@ def fold(net: nn.Sequential) -> dict[str, NDArray[np.float32]]:
 
 
 def save_weights(weights: dict[str, NDArray[np.float32]], file: Path) -> None:
-    """Write an .npz for `lookback model import`: matrices float16, biases float32. ModelError names the file."""
+    """Write an .npz for `lookback dev alexnet`: matrices float16, biases float32. ModelError names the file."""
     with np.errstate(over="ignore"):  # becomes infinite, and is found below
         halved: dict[str, Any] = {
             name: array.astype(np.float16) if array.ndim > 1 else array for name, array in weights.items()

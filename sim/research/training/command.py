@@ -1,4 +1,4 @@
-"""`lookback dev train`: train AlexNet on labeled images, to weights for `lookback model import`."""
+"""`lookback dev train`: train AlexNet on labeled images, to weights for `lookback dev alexnet`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Train AlexNet on a folder of images for each class, such as MiniPlaces' images/train, as the"
         " shipped network was trained. Beside WEIGHTS.npz come WEIGHTS.labels.txt and WEIGHTS.ranges.json, which"
-        " `lookback model import` takes. A training that was cut off goes on when the same command is given again."
+        " `lookback dev alexnet` takes. A training that was cut off goes on when the same command is given again."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with a subfolder of images for each class")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="WEIGHTS.npz")
@@ -117,4 +117,4 @@ def _train(output: Path, images: LabeledImages, held_out: LabeledImages, recipe:
     output.with_suffix(".ranges.json").write_bytes(msgspec.json.format(ranges))
     save_weights(fold(net), output)
     checkpoint.unlink()
-    print(f"{output}: for lookback model import, with --labels and --ranges of the files beside it")
+    print(f"{output}: for `lookback dev alexnet`, with --labels and --ranges of the files beside it")

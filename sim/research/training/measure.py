@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
-from sim.model_tools.weights import FC6
+from sim.research.alexnet.weights import FC6
 from sim.research.training.alexnet import LAYERS
 from sim.research.training.images import LabeledImages
 from sim.research.training.views import normalized, random_light, whole_view
@@ -29,7 +29,7 @@ def top_shares(net: nn.Sequential, images: LabeledImages, device: str) -> tuple[
 
 
 def layer_ranges(net: nn.Sequential, images: LabeledImages, device: str, seed: int) -> dict[str, dict[str, float]]:
-    """{layer: {min, max}} before ReLU, up to fc6, in random light: `lookback model import --ranges`."""
+    """{layer: {min, max}} before ReLU, up to fc6, in random light: `lookback dev alexnet --ranges`."""
     torch.manual_seed(seed)
     names = LAYERS[: LAYERS.index(FC6) + 1]
     least, greatest = (torch.full((len(names),), value, device=device) for value in (torch.inf, -torch.inf))

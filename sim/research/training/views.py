@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from sim.model_tools.onnx_graph import INPUT_SIZE, MEAN_RGB, STD_RGB
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
+from sim.research.alexnet.graph import INPUT_SIZE
 
 LEAST_AREA = 0.25
 MIRRORED, GRAY, BLURRED, NOISY = 0.5, 0.15, 0.35, 0.5  # shares of the pictures

@@ -28,7 +28,7 @@ def test_pictures_become_an_int8_network(write_classes: Any, tmp_path: Path, cap
         "small.ranges.json",
     ]
     beside = ["--labels", str(tmp_path / "small.labels.txt"), "--ranges", str(tmp_path / "small.ranges.json")]
-    assert main(["model", "import", str(weights), "-o", str(tmp_path / "model"), *beside]) == 0
+    assert main(["dev", "alexnet", str(weights), "-o", str(tmp_path / "model"), *beside]) == 0
     network = Network.load(tmp_path / "model")
     images = np.random.default_rng(1).integers(0, 255, (2, 224, 224, 3), dtype=np.uint8)
     fc6 = network.describe(images)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.model_tools.weights import CONVS, FC6_SHAPE
+from sim.research.alexnet.weights import CONVS, FC6_SHAPE
 
 
 def random_weights(hidden: int, classes: int) -> dict[str, NDArray[np.float16]]:

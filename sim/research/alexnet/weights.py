@@ -2,13 +2,13 @@
 
 The layout is that of torchvision.models.alexnet
 (https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py) and of the published Places365 network; fc7
-and fc8 may have any width."""
+and fc8 may have any width.
+"""
 
 from __future__ import annotations
 
 import hashlib
-import io
-import re
+import pickle
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ModelError
-from sim.model_tools.torch_file import read_state
-
-Weights = Mapping[str, NDArray[np.float32]]
-
-MAX_WEIGHTS_BYTES = 2**30  # AlexNet with 365 classes and all of its layers in float32 has 234 MB
+from edge.extras import install_command
+from sim.model_tools.import_command import read_label_lines
+from sim.model_tools.onnx_graph import Weights
 
 
 @dataclass(frozen=True)
@@ -52,28 +50,36 @@ FC6_SHAPE = (4096, 9216)
 def read_weights(path: Path) -> tuple[Weights, str]:
     """Weights as float32 by torchvision's names, and the file's sha256. ModelError names the file and the layer."""
     try:
-        if path.stat().st_size > MAX_WEIGHTS_BYTES:
-            raise ModelError(f"{path}: over {MAX_WEIGHTS_BYTES} bytes; AlexNet's weights take far less")
-        data = path.read_bytes()
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise ModelError(f"{path}: cannot read the weights: {error.strerror}") from None
-    raw = _read_npz(path, data) if path.suffix == ".npz" else read_state(path, data)
+    raw = _read_npz(path) if path.suffix == ".npz" else _read_checkpoint(path)
     # Published checkpoints were saved from DataParallel, which puts "module." into the names.
     weights = {name.replace("module.", ""): np.asarray(value, dtype=np.float32) for name, value in raw.items()}
     _check_weights(path, weights)
-    return weights, hashlib.sha256(data).hexdigest()
+    return weights, sha256
 
 
-def _read_npz(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
+def _read_npz(path: Path) -> Mapping[str, NDArray[Any]]:
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            claimed = sum(member.file_size for member in archive.infolist())
-        if claimed > MAX_WEIGHTS_BYTES:
-            raise ModelError(f"{path}: unpacks to {claimed} bytes; AlexNet's weights take far less")
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return dict(arrays)
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, MemoryError, NotImplementedError) as error:
         raise ModelError(f"{path}: not a whole .npz file: {error}") from None
+
+
+def _read_checkpoint(path: Path) -> Mapping[str, Any]:
+    """A state dictionary that PyTorch saved, or a checkpoint that has one; nothing in it is run."""
+    try:
+        import torch
+    except ImportError:
+        raise ModelError(f"{path}: needs PyTorch to be read: {install_command('torch')}") from None
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+        return dict(checkpoint.get("state_dict", checkpoint))
+    except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError, TypeError, ValueError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ModelError(f"{path}: not a PyTorch checkpoint of weights: {reason}") from None
 
 
 def _check_weights(path: Path, weights: Weights) -> None:
@@ -99,10 +105,7 @@ def has_head(weights: Weights) -> bool:
 
 
 def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
-    """Names of the categories, one a line; without a file they are numbered. Empty where there is no head.
-
-    Lines of Places365 ("/a/airport_terminal 2") lose their path and their number.
-    """
+    """Names of the categories, one a line; without a file they are numbered. Empty where there is no head."""
     if not has_head(weights):
         return ()
     count = weights[f"{FC8}.weight"].shape[0]
@@ -112,14 +115,3 @@ def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
     if len(labels) != count:
         raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
     return labels
-
-
-def read_label_lines(path: Path) -> tuple[str, ...]:
-    """The names of a file, one a line; ModelError names it."""
-    try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the labels: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ModelError(f"{path}: not UTF-8 text") from None
-    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, ModelInfo, read_model_file
 from edge.descriptor.network import Head, Network
 from edge.errors import ModelError
-from sim.model_tools.onnx_graph import DIMENSIONS, build_float, build_head
-from sim.model_tools.quantize import measure_ranges, quantize, read_ranges
-from sim.model_tools.weights import Weights, read_labels, read_weights
+from sim.model_tools.onnx_graph import Weights
+from sim.model_tools.quantize import measure_ranges
+from sim.research.alexnet.command import as_int8, read_layer_ranges
+from sim.research.alexnet.graph import DIMENSIONS, build_float, build_head
+from sim.research.alexnet.weights import FC6, read_labels, read_weights
 
 onnx = pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
@@ -60,9 +62,9 @@ def test_int8_network_and_head_are_close_to_alexnet(
     info = msgspec.structs.replace(info, labels=labels)
     exact = build_float(weights, info)
     greatest = measure_ranges(exact, [image, image[::-1].copy(), 255 - image])
-    network = Network.load(save(quantize(exact, greatest, info), tmp_path / "fc6_int8.onnx"))
+    network = Network.load(save(as_int8(exact, greatest, info), tmp_path / "fc6_int8.onnx"))
     head_info = msgspec.structs.replace(info, tap="categories", dimensions=365, fc6_sha256=network.info.sha256)
-    save(quantize(build_head(weights, head_info), greatest, head_info), tmp_path / HEAD_FILE)
+    save(as_int8(build_head(weights, head_info), {"fc6": greatest[FC6]}, head_info), tmp_path / HEAD_FILE)
 
     expected = alexnet(weights, image)
     found = network.describe(image[None])
@@ -80,7 +82,7 @@ def test_shipped_network_is_what_its_weights_and_ranges_make(shared: Path) -> No
     shipped = onnx.load(SHIPPED_MODEL / FC6_FILE)
     weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
     info = read_model_file(SHIPPED_MODEL / FC6_FILE).info
-    made = quantize(build_float(weights, info), read_ranges(shared / "model" / "activation_ranges.json"), info)
+    made = as_int8(build_float(weights, info), read_layer_ranges(shared / "model" / "activation_ranges.json"), info)
     assert [node.op_type for node in made.graph.node] == [node.op_type for node in shipped.graph.node]
     constants = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in made.graph.initializer}
     assert constants.keys() == {tensor.name for tensor in shipped.graph.initializer}
@@ -94,14 +96,14 @@ def test_ranges_without_a_layer(tmp_path: Path) -> None:
     with pytest.raises(
         ModelError, match=r"ranges\.json: no range of features\.3; it needs \{min, max\} of features\.0"
     ):
-        read_ranges(file)
+        read_layer_ranges(file)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"features.0": 3', "{}"])
 def test_ranges_that_are_no_ranges(text: str, tmp_path: Path) -> None:
     (tmp_path / "ranges.json").write_text(text)
     with pytest.raises(ModelError, match=r"ranges\.json: "):
-        read_ranges(tmp_path / "ranges.json")
+        read_layer_ranges(tmp_path / "ranges.json")
 
 
 def test_range_that_is_empty(tmp_path: Path) -> None:
@@ -109,4 +111,4 @@ def test_range_that_is_empty(tmp_path: Path) -> None:
     ranges = {layer: {"min": -1.0, "max": 0.0 if layer == "features.8" else 1.0} for layer in layers}
     (tmp_path / "ranges.json").write_text(json.dumps(ranges))
     with pytest.raises(ModelError, match=r"ranges\.json: features\.8: Expected `float` > 0"):
-        read_ranges(tmp_path / "ranges.json")
+        read_layer_ranges(tmp_path / "ranges.json")

@@ -15,7 +15,7 @@ from edge.descriptor.network import Head, Network, cut_regions
 from edge.feed import Feed, FeedImages, read_feed
 from sim.model_tools.fidelity import compare, matching_accuracy
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
-from sim.model_tools.weights import read_weights
+from sim.research.alexnet.weights import read_weights
 
 torch: Any = pytest.importorskip("torch", reason="needs the extra `torch`")
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")
@@ -82,7 +82,7 @@ def test_trained_weights_in_the_published_shape(
     weights, _ = read_weights(shared / "model/alexnet_places100_fp16.npz")
     file = write_checkpoint(widened(weights), tmp_path / "alexnet_places365.pth.tar")
     ranges = shared / "model/activation_ranges.json"
-    assert main(["model", "import", str(file), "-o", str(tmp_path / "model"), "--ranges", str(ranges)]) == 0
+    assert main(["dev", "alexnet", str(file), "-o", str(tmp_path / "model"), "--ranges", str(ranges)]) == 0
     network, exact = Network.load(tmp_path / "model"), torch_network(file)
     feeds = [read_feed(shared / "feeds" / name) for name in ("corridor_query", "corridor_reference")]
     rows = np.arange(len(feeds[0].rows))
@@ -108,7 +108,7 @@ def test_random_weights_in_the_published_shape(
     arrays = read_weights(published_weights)[0]
     file = write_checkpoint(dict(arrays), tmp_path / "alexnet_places365.pth.tar")
     feed = write_traverse(tmp_path / "street", range(8))
-    assert main(["model", "import", str(file), "-o", str(tmp_path / "model"), "--calibrate", str(feed)]) == 0
+    assert main(["dev", "alexnet", str(file), "-o", str(tmp_path / "model"), "--calibrate", str(feed)]) == 0
     network = Network.load(tmp_path / "model")
     assert network.info.name == "alexnet_places365" and len(Head.load(network).labels) == CLASSES
     int8, exact = network.describe, torch_network(file)
