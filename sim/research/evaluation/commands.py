@@ -6,32 +6,27 @@ Each action is imported when it runs: matplotlib alone takes half a second.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev paper`."""
     actions = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_run(actions.add_parser("run", help="run a plan and write its report"))
-    _add_networks(actions.add_parser("networks", help="compare networks on the traverses of a plan"))
-    _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
-
-
-def _add_run(parser: argparse.ArgumentParser) -> None:
-    _add_plan(parser)
-    parser.set_defaults(run=_run)
-
-
-def _add_networks(parser: argparse.ArgumentParser) -> None:
-    _add_plan(parser)
-    parser.add_argument(
+    run = actions.add_parser("run", help="run a plan and write its report")
+    networks = actions.add_parser("networks", help="compare networks on the traverses of a plan")
+    for action, module in ((run, "run"), (networks, "network_comparison")):
+        _add_plan(action)
+        action.set_defaults(run=_later(module))
+    networks.add_argument(
         "--model",
         action="append",
         default=[],
         metavar="NAME=PATH",
         help="a network file or folder beside those of the plan; may be repeated",
     )
-    parser.set_defaults(run=_networks)
+    _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -71,22 +66,9 @@ def _add_match(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--length", type=int, help="frames in a sequence (default 20; 1 for VPR-Bench)")
     parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches to this CSV file")
-    parser.set_defaults(run=_match)
+    parser.set_defaults(run=_later("match_command"))
 
 
-def _run(args: argparse.Namespace) -> int:
-    from sim.research.evaluation.run import run
-
-    return run(args)
-
-
-def _networks(args: argparse.Namespace) -> int:
-    from sim.research.evaluation.network_comparison import run
-
-    return run(args)
-
-
-def _match(args: argparse.Namespace) -> int:
-    from sim.research.evaluation.match_command import run
-
-    return run(args)
+def _later(module: str) -> Callable[[argparse.Namespace], int]:
+    """What runs an action, whose module is imported when it runs."""
+    return lambda args: int(import_module(f"sim.research.evaluation.{module}").run(args))

@@ -1,28 +1,19 @@
-"""Every method on every pair: tables and curves of figs. 5 to 9, and pictures of the best and worst matches."""
+"""Every method on every pair: tables and curves of figs. 5 to 9."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall, recall_at_precision
-from sim.evaluation.report import Cell, Figure, Picture, Section, Table
+from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots
 from sim.research.evaluation.bootstrap import difference, interval
-from sim.research.evaluation.matching import CANDIDATES, errors_of
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair
-from sim.research.evaluation.scores import at_threshold, max_f1_of_places, recall_of_best, scores
-from sim.research.evaluation.traverses import open_pictures
-
-COUNTS = (1, 5, 10)
-THUMBNAIL_PX = 200
-SHOWN = 3
+from sim.research.evaluation.scores import at_threshold, max_f1_of_places, scores
 
 Results = dict[tuple[str, str], Outcome]
 """Outcome by the names of pair and method."""
@@ -42,15 +33,15 @@ def compare(runner: MethodRunner, step: Callable[[str], None]) -> Results:
     """Run every method on every pair; `step` is called before each with its name."""
     found: Results = {}
     for pair in runner.plan.pairs:
-        for text in runner.methods_for(pair):
+        for text in runner.plan.methods:
             step(f"{pair.name}: {text}")
             found[pair.name, text] = runner.run(pair, text)
     return found
 
 
 def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
-    """All scores of one pair, its curves, its matches, and pictures of one method's best and worst."""
-    outcomes = [results[pair.name, text] for text in runner.methods_for(pair)]
+    """All scores of one pair, its curves, and the matches of one method."""
+    outcomes = [results[pair.name, text] for text in runner.plan.methods]
     shown = shown_outcome(runner, pair, results)
     slug = slug_of(pair)
     wrong = ~(shown.error_of_best() <= pair.tolerance)
@@ -59,21 +50,19 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
-        tables=[_score_table(runner, pair, slug, outcomes), _recall_table(runner, pair, slug, outcomes)],
+        tables=[_score_table(runner, pair, slug, outcomes)],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
-            Figure(f"{slug}_recall", f"R@N within {pair.tolerance:g}", _recall_plot(pair, outcomes)),
             Figure(
                 f"{slug}_matches", f"Costs and matches of {shown.method.name}", plot, "Between the blue lines: true."
             ),
         ],
-        pictures=match_pictures(shown, wrong),
     )
 
 
 def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome:
     """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
-    texts = runner.methods_for(pair)
+    texts = runner.plan.methods
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
 
@@ -95,72 +84,14 @@ def overview(runner: MethodRunner, results: Results) -> Section:
     columns, note = ("method", *pairs), " ".join(offset_warnings(runner, results))
     table = Table("overview", "Max-F1 (places) of every method on every pair", columns, rows, note)
     plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
-    tables = [table, _first_answers(runner, results), *_differences(runner, results)]
+    tables = [table, *_differences(runner, results)]
     return Section("Overview", _methods_text(runner), tables, [plot])
-
-
-def match_pictures(outcome: Outcome, wrong: NDArray[np.bool_]) -> list[list[Picture]]:
-    """Query beside match: the surest right ones and the surest wrong ones, apart from each other."""
-    confidence = np.full(len(wrong), np.nan)
-    confidence[outcome.judged] = outcome.answers.confidence
-    rows = []
-    for chosen, word in ((~wrong, "right"), (wrong, "wrong")):
-        ranked = [q for q in np.argsort(-confidence, kind="stable") if chosen[q] and not np.isnan(confidence[q])]
-        apart: list[int] = []
-        for query in ranked:
-            if all(abs(query - other) >= outcome.length for other in apart):
-                apart.append(int(query))
-        rows += [_picture_row(outcome, query, word) for query in apart[:SHOWN]]
-    return rows
 
 
 def median_ahead(outcome: Outcome) -> float:
     """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
     ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
     return float(np.median(ahead)) if ahead.size else float("nan")
-
-
-def lags(outcome: Outcome) -> list[float]:
-    """Frames from each entry into the map to the first right accepted answer, inf where there is none until its end.
-
-    Frames count from the entry on, before the first whole sequence too.
-    """
-    on_map = outcome.errors.min(axis=1) <= outcome.pair.tolerance  # NaN is not
-    right = (outcome.error_of_best() <= outcome.pair.tolerance) & (outcome.matches.confidence >= outcome.threshold)
-    found = []
-    for drive in outcome.query.drives():
-        edges = np.diff(on_map[drive], prepend=False, append=False).nonzero()[0] + drive.start
-        for entry, end in zip(edges[::2], edges[1::2], strict=True):
-            first = np.flatnonzero(right[entry:end])
-            found.append(float(first[0]) if first.size else np.inf)
-    return found
-
-
-def _picture_row(outcome: Outcome, query: int, word: str) -> list[Picture]:
-    place = int(outcome.matches.place[query])
-    error = outcome.errors[query, place]
-    true_place = int(outcome.errors[query].argmin())
-    said = f"off by {error:.0f}"
-    row = [
-        _picture(outcome, query, f"query frame {query}", of_query=True),
-        _picture(outcome, place, f"{word}: place {place}, {said}", of_query=False),
-    ]
-    if word == "wrong" and outcome.errors[query, true_place] <= outcome.pair.tolerance:
-        row.append(_picture(outcome, true_place, f"the truth: place {true_place}", of_query=False))
-    return row
-
-
-def _picture(outcome: Outcome, index: int, caption: str, *, of_query: bool) -> Picture:
-    traverse = outcome.query if of_query else outcome.reference
-    with closing(open_pictures(traverse.feed)) as images:
-        return Picture(thumbnail(images.read(int(traverse.rows[index]))), caption)
-
-
-def thumbnail(image: NDArray[np.uint8]) -> bytes:
-    """A JPEG for the report."""
-    height = max(1, round(image.shape[0] * THUMBNAIL_PX / image.shape[1]))
-    small = cv2.resize(image, (THUMBNAIL_PX, height), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
 
 
 def _describe(pair: Pair, outcome: Outcome) -> str:
@@ -233,62 +164,6 @@ def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
                 f" {shown.ahead:.0f} is expected, near the tolerance of {pair.tolerance:g}: set ahead or calibration."
             )
     return lines
-
-
-def _recall_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
-    radii = (
-        [float(radius) for radius in runner.plan.radii]
-        if pair.truth in ("positions", "route_m")
-        else [pair.tolerance * share for share in (0.5, 1, 2)]
-    )
-    rows: list[Sequence[Cell]] = []
-    for outcome in outcomes:
-        errors = errors_of(outcome.matches.candidates, outcome.errors)[outcome.judged]
-        nearest = outcome.errors.min(axis=1)[outcome.judged]
-        rows.append([outcome.method.name, *recall_of_best(errors, nearest, COUNTS, radii).T.ravel().tolist()])
-    columns = ("method", *(f"R@{count} in {radius:g}" for radius in radii for count in COUNTS))
-    return Table(
-        f"{slug}_recall",
-        "Recall of the best 1, 5 and 10 places within a radius",
-        columns,
-        rows,
-        "The best places of the sequence search, neighbors included.",
-    )
-
-
-def _recall_plot(pair: Pair, outcomes: Sequence[Outcome]) -> bytes:
-    """Recall of the best N places within the tolerance, over N."""
-    counts = range(1, CANDIDATES + 1)
-    lines = {}
-    for outcome in outcomes:
-        errors = errors_of(outcome.matches.candidates, outcome.errors)[outcome.judged]
-        nearest = outcome.errors.min(axis=1)[outcome.judged]
-        recalls = recall_of_best(errors, nearest, counts, [pair.tolerance])[:, 0]
-        lines[outcome.method.name] = (counts, recalls.tolist())
-    return plots.line_plot(lines, "N", "recall of the best N")
-
-
-def _first_answers(runner: MethodRunner, results: Results) -> Table:
-    """Lag of every method on every pair, in meters where frames are chosen by distance."""
-    sampling = runner.plan.sampling
-    meters, unit = (sampling.spacing_m, "m") if sampling.by == "distance" else (1.0, "frames")
-    rows: list[Sequence[Cell]] = []
-    for text in runner.plan.methods:
-        outcomes = [results.get((pair.name, text)) for pair in runner.plan.pairs]
-        rows.append([text, *(_lag_text(lags(one), meters) if one else "" for one in outcomes)])
-    note = (
-        f"From entering the map to the first right match that is accepted by the default threshold, {unit}; of several"
-        " entries the median. Entries without one until the map ends are counted, as longer than any lag."
-    )
-    return Table(
-        "first_answers", "First right answer", ("method", *(pair.name for pair in runner.plan.pairs)), rows, note
-    )
-
-
-def _lag_text(found: Sequence[float], meters: float) -> str:
-    median, never = float(np.median(found)) if found else np.nan, sum(map(np.isinf, found))
-    text = "never" if np.isinf(median) else f"{median * meters:.0f}"
-    return text + (f" ({never} of {len(found)} never)" if never and len(found) > 1 else "")
 
 
 def _differences(runner: MethodRunner, results: Results) -> list[Table]:

@@ -124,24 +124,17 @@ def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_pl
     return match(rows, lambda row: row.astype(np.int32), matcher)
 
 
-def match_seqslam(
-    reference: NDArray[np.float32], query: NDArray[np.float32], length: int, window: int, *, centered: bool
-) -> Matches:
-    """SeqSLAM on frames as it describes them, (N, 32, 64) and (Q, 32, 64).
-
-    Centered is as published, forward only and with its own window. Causal searches both directions, with the window of
-    the other methods, so that they can be compared.
-    """
+def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], length: int) -> Matches:
+    """SeqSLAM as published, on frames as it describes them, (N, 32, 64) and (Q, 32, 64)."""
     differences = seqslam.difference_matrix(reference, query)
     ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
-    if centered:
-        enhanced = seqslam.enhance_contrast(differences, 10)
-        return _from_seqslam(seqslam.search(enhanced, seqslam.SeqslamSettings(length=ds)), differences)
-    settings = seqslam.SeqslamSettings(length=ds, window=2 * window, mode="causal")
-    enhanced = seqslam.enhance_contrast(differences, settings.contrast_window)
-    forward = _from_seqslam(seqslam.search(enhanced, settings), differences)
-    mirrored = _from_seqslam(seqslam.search(enhanced[::-1], settings), differences)
-    return _better_way(forward, mirrored, len(reference))
+    found = seqslam.search(seqslam.enhance_contrast(differences, 10), seqslam.SeqslamSettings(length=ds))
+    shift = found.place - found.scores.argmin(axis=1)  # of the answer against its trajectory's start
+    starts = np.stack([lowest(scores, np.inf) for scores in found.scores])
+    candidates = np.where((starts < 0) | (found.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
+    candidates[candidates >= len(differences)] = -1
+    # Best over second best: its inverse is the uniqueness of the other methods.
+    return Matches(found.place, -found.ratio, np.zeros(len(query), np.bool_), candidates, differences.T)
 
 
 def lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
@@ -150,29 +143,6 @@ def lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
     out = np.full(CANDIDATES, -1)
     out[: len(order)] = np.where(costs[order] == none, -1, order)
     return out
-
-
-def _from_seqslam(matches: seqslam.SeqslamMatches, differences: NDArray[np.float32]) -> Matches:
-    shift = matches.place - matches.scores.argmin(axis=1)  # of the answer against its trajectory's start
-    starts = np.stack([lowest(scores, np.inf) for scores in matches.scores])
-    candidates = np.where((starts < 0) | (matches.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
-    candidates[candidates >= len(differences)] = -1
-    # Best over second best: its inverse is the uniqueness of the other methods.
-    confidence = -matches.ratio
-    return Matches(matches.place, confidence, np.zeros(len(confidence), np.bool_), candidates, differences.T)
-
-
-def _better_way(forward: Matches, mirrored: Matches, places: int) -> Matches:
-    """For each query the direction of higher confidence; places of `mirrored` are counted from the end."""
-    back = np.nan_to_num(mirrored.confidence, nan=-np.inf) > np.nan_to_num(forward.confidence, nan=-np.inf)
-    swapped = np.where(mirrored.candidates < 0, -1, places - 1 - mirrored.candidates)
-    return Matches(
-        place=np.where(back, places - 1 - mirrored.place, forward.place),
-        confidence=np.where(back, mirrored.confidence, forward.confidence),
-        reverse=back,
-        candidates=np.where(back[:, np.newaxis], swapped, forward.candidates),
-        costs=forward.costs,
-    )
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:

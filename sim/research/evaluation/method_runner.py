@@ -27,7 +27,7 @@ from sim.research.evaluation.matching import (
     match_seqslam,
     open_matcher,
 )
-from sim.research.evaluation.methods import Method, find_method, needs_segments, query_rows, reference_rows
+from sim.research.evaluation.methods import Method, find_method, query_rows, reference_rows
 from sim.research.evaluation.networks import Precision
 from sim.research.evaluation.plan import Pair, Plan
 from sim.research.evaluation.traverses import Traverse, place_coordinates, true_errors
@@ -76,15 +76,6 @@ class Outcome:
             return default.confidence_min
         return -1 / default.uniqueness_min if self.method.layer == "pixels" else default.uniqueness_min
 
-    def places_of_vehicle(self) -> NDArray[np.intp]:
-        """(Q,) the place of the match's drive that lies `ahead` behind the match; -1 without one."""
-        along, places = place_coordinates(self.reference, self.pair)[1], self.matches.place.copy()
-        wanted = along[places] - np.where(self.matches.reverse, -self.ahead, self.ahead)
-        for drive in self.reference.drives() if self.ahead else ():
-            inside = np.flatnonzero((places >= drive.start) & (places < drive.stop) & ~np.isnan(wanted))
-            places[inside] = drive.start + np.abs(along[drive] - wanted[inside, np.newaxis]).argmin(axis=1)
-        return places
-
     def ahead_of_query(self) -> NDArray[np.float64]:
         """(Q,) how far ahead of the query each match lies in the direction of travel, NaN without one."""
         along = place_coordinates(self.reference, self.pair)[1]
@@ -129,10 +120,6 @@ class MethodRunner:
     def resampling(self, length: int) -> Resampling:
         """Blocks of two sequences: sequences that far apart share no frame."""
         return Resampling(block=2 * length, resamples=self.plan.resamples)
-
-    def methods_for(self, pair: Pair) -> list[str]:
-        """The plan's methods, less those that start warm where the pair has no earlier drive."""
-        return [text for text in self.plan.methods if pair.warm_start or not self.method(text).warm]
 
     def run(
         self,
@@ -181,43 +168,30 @@ class MethodRunner:
         length: int,
         precision: Precision | None,
     ) -> Matches:
-        ground, along = place_coordinates(reference, pair)
-        # The second-best match of the uniqueness lies outside twice the tolerance.
-        window = 2 * pair.tolerance
         if method.layer == "pixels":
             if len(reference.paths) > 1 or len(query.paths) > 1:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
-            places = max(1, round(window / max(float(np.median(np.abs(np.diff(along)))), 1e-9)))
-            return match_seqslam(reference.pixels, query.pixels, length, places, centered=method.centered)
+            return match_seqslam(reference.pixels, query.pixels, length)
+        raw = self._raw(method, reference, precision), self._raw(method, query, precision)
         if method.recognizer:
-            raw = self._raw(method, reference, precision), self._raw(method, query, precision)
-            sequence = SequenceConfig(length=length, region_order=method.order)
-            config = config_of(pair, reference, query, sequence, self.plan.region_width)
+            config = config_of(pair, reference, query, SequenceConfig(length=length), self.plan.region_width)
             network = self.descriptions.network(method.network, "fc6", precision)
             return match_as_run(reference, query, raw, config, model_key(network), method.recognizer)
-        described = reference_rows(method, self._raw(method, reference, precision), self._segments(method, reference))
+        described = reference_rows(method, raw[0])
         costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
-        earlier = self.traverse(pair.warm_start, query.sampling) if method.warm and pair.warm_start else None
         starts = {drive.start for drive in query.drives()}
-        rows = query_rows(
-            method,
-            self._raw(method, query, precision),
-            length,
-            segments=self._segments(method, query),
-            earlier=self._raw(method, earlier, precision) if earlier else None,
-            starts=starts,
+        search = open_matcher(
+            *place_coordinates(reference, pair),
+            2 * pair.tolerance,  # the second-best match of the uniqueness lies outside
+            SequenceConfig(length=length, region_order="frame"),
+            regions=described.shape[1],
+            views=(reference.feed.header.view, query.feed.header.view),
+            drives=reference.drives(),
         )
-        views = (reference.feed.header.view, query.feed.header.view)
-        sequence = SequenceConfig(length=length, region_order=method.order)
-        regions = described.shape[1]
-        search = open_matcher(ground, along, window, sequence, regions=regions, views=views, drives=reference.drives())
-        return match(rows, costs.costs, search, starts)
+        return match(query_rows(method, raw[1], length, starts), costs.costs, search, starts)
 
     def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
         if method.layer == "external":
             return self.descriptions.external(traverse, method.external)
         assert method.layer != "pixels"
         return self.descriptions.raw(traverse, method.network, method.layer, method.regions, precision)
-
-    def _segments(self, method: Method, traverse: Traverse) -> list[tuple[int, int]]:
-        return self.descriptions.segments(traverse, method.network) if needs_segments(method) else []

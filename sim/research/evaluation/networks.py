@@ -9,13 +9,13 @@ from typing import Literal
 
 import msgspec
 
-from edge.descriptor.model_file import HEAD_FILE, ModelFile, ModelInfo, resolve_model
-from edge.descriptor.network import Head, Network
+from edge.descriptor.model_file import ModelFile, ModelInfo, resolve_model
+from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.model_tools.onnx_graph import Weights
 from sim.research.alexnet.command import as_int8, read_layer_ranges
-from sim.research.alexnet.graph import alexnet_info, build_float, build_head
-from sim.research.alexnet.weights import has_head, read_labels, read_weights
+from sim.research.alexnet.graph import alexnet_info, build_float
+from sim.research.alexnet.weights import read_weights
 from sim.research.evaluation.plan import NetworkPlan
 
 Tap = Literal["fc6", "conv3"]
@@ -46,24 +46,6 @@ def _file_of(model: Path | None, tap: Tap, precision: Precision) -> Path:
     file = resolve_model(model, f"{tap}_{precision}.onnx")
     other = file.with_name(f"network_{precision}.onnx")
     return other if tap == "fc6" and not file.exists() and model is not None and model.is_dir() else file
-
-
-def open_head(name: str, plan: NetworkPlan, folder: Path, network: Network) -> Head:
-    """The categories of a network's fc6. ConfigError if neither its folder nor its weights have them."""
-    if network.path.with_name(HEAD_FILE).is_file():
-        return Head.load(network)
-    if not plan.weights:
-        raise ConfigError(f"[networks.{name}]: {network.path} has no categories; import it with --labels")
-    weights, sha256 = _weights(folder / plan.weights)
-    if not has_head(weights):
-        raise ConfigError(f"[networks.{name}]: neither {HEAD_FILE} nor weights of fc7 and fc8, so no categories")
-    labels = read_labels(folder / plan.labels if plan.labels else None, weights)
-    info = msgspec.structs.replace(
-        _info(plan, "fc6", "float32", sha256), fc6_sha256=network.info.sha256, labels=labels, dimensions=len(labels)
-    )
-    info = msgspec.structs.replace(info, tap="categories")
-    data = build_head(weights, info).SerializeToString(deterministic=True)
-    return Head(ModelFile(folder / plan.weights, data, info), network.info)
 
 
 def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:

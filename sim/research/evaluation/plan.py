@@ -4,7 +4,6 @@ title = "My street"
 methods = ["Raw-conv3", "Raw-fc6", "NSD-fc6", "NSD-CR", "SeqSLAM"]   # rows of METHODS, or NAME@NETWORK
 region_width = 0.4          # of each region of NSD-CR, fraction of the picture
 resamples = 1000            # of the bootstrap
-radii = [10.0, 20.0, 40.0]  # of recall@K, meters or frames as the pair has it
 
 [sampling]                  # as in Lookback's configuration
 by = "distance"
@@ -52,15 +51,11 @@ Named = TypeVar("Named")
 
 
 class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
-    """[networks.NAME]: the files of a network. With `ranges` (JSON), int8 layers can be made of the weights too.
-
-    labels: names of the categories, one a line, for weights without a model folder that has them.
-    """
+    """[networks.NAME]: the files of a network. With `ranges` (JSON), int8 layers can be made of the weights too."""
 
     model: str = ""
     weights: str = ""
     ranges: str = ""
-    labels: str = ""
 
 
 class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
@@ -91,7 +86,6 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
-    warm_start: an earlier traverse of this vehicle, for the statistics of methods that start warm.
     figure: of the paper. published: method -> max-F1 in the paper, marked as from another data set unless `dataset`
     names the paper's own.
     """
@@ -108,7 +102,6 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: list[tuple[float, float]] = []
     loop: Annotated[int, Meta(ge=0)] = 0
     loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
-    warm_start: str = ""
     figure: str = ""
     dataset: str = ""
     published: dict[str, float] = {}
@@ -153,7 +146,6 @@ class Plan(Struct, frozen=True, forbid_unknown_fields=True):
     sampling: SamplingConfig = SamplingConfig()
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000
-    radii: tuple[Positive, ...] = (10.0, 20.0, 40.0)
     notes: str = ""
     experiments: Experiments = Experiments()
 
@@ -174,7 +166,7 @@ def _check_names(path: Path, plan: Plan) -> None:
             raise ConfigError(f"{path}: traverses.{name}: first_row, last_row and external need feed, not feeds")
     for index, pair in enumerate(plan.pairs):
         where = f"{path}: pairs[{index}] {pair.name!r}"
-        for key in ("reference", "query", "warm_start", "calibration"):
+        for key in ("reference", "query", "calibration"):
             name = getattr(pair, key)
             if name or key in ("reference", "query"):
                 named(f"{where}: {key}", name, plan.traverses)

@@ -38,7 +38,7 @@ PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplo
 def run_plan(runner: MethodRunner) -> Iterator[Section]:
     """All comparisons and experiments of a plan, section by section."""
     plan, wanted = runner.plan, runner.plan.experiments
-    total = sum(len(runner.methods_for(pair)) for pair in plan.pairs)
+    total = len(plan.methods) * len(plan.pairs)
     swept = len(experiments.sweep_pairs(plan))
     sweeps = swept * len(wanted.sweep_methods)
     total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)

@@ -2,14 +2,13 @@
 
 gray 64x32 -> patch normalization -> sum of absolute differences -> local contrast -> trajectories -> uniqueness
 
-Centered, a match for query N looks at ds/2 frames after N, as the published program does; its indices and ratios equal
-that program's. Causal, it looks only at frames up to N, and answers with the place at the trajectory's end.
+A match for query N looks at ds/2 frames after N, as the published program does; its indices and ratios equal that
+program's.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ class SeqslamSettings:
 
     length: frames of a trajectory less one (`ds`), even. contrast_window: places (`Rwindow` of the enhancement), even;
     0 leaves the matrix as it is. window: places around the best whose scores are not the second best, even.
-    slope_min, slope_max: places a frame. mode: see the module.
+    slope_min, slope_max: places a frame.
     """
 
     length: int = 10
@@ -33,7 +32,6 @@ class SeqslamSettings:
     window: int = 10
     slope_min: float = 0.8
     slope_max: float = 1.2
-    mode: Literal["centered", "causal"] = "centered"
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,7 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
     place = np.full(queries, -1, dtype=np.intp)
     ratio = np.full(queries, np.nan)
     all_scores = np.full((queries, places), np.inf, dtype=np.float32)
-    ahead = length // 2 if settings.mode == "centered" else 0
+    ahead = length // 2
     for query in range(length - ahead, queries - ahead):
         columns = np.arange(query + ahead - length, query + ahead + 1)
         sums = padded[rows, columns].sum(axis=2)
@@ -111,8 +109,7 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
             continue
         all_scores[query] = scores
         ratio[query] = _uniqueness(scores, best, settings.window)
-        end = int(lines[sums[best].argmin(), -1])
-        place[query] = best + (length // 2 if settings.mode == "centered" else end)
+        place[query] = best + ahead
     return SeqslamMatches(place, ratio, all_scores)
 
 

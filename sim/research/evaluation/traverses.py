@@ -17,7 +17,7 @@ from sim.datasets import TruthKind
 from sim.datasets.pictures import JoinedPictures
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.seqslam import describe
-from sim.research.evaluation.truth import Truth, truth_between
+from sim.research.evaluation.truth import errors_between, points_of
 from sim.traverse import driven_m, traverse
 
 
@@ -119,9 +119,9 @@ def true_errors(reference: Traverse, query: Traverse, pair: Pair, ahead: float =
     """
     if pair.truth == "anchors":
         return anchored_errors(pair, query.rows, reference.rows, ahead)
-    truth = _truth(pair.truth, reference, query, pair)
-    at = np.concatenate([moved_ahead(truth.query_at[drive], ahead) for drive in query.drives()])
-    errors = replace(truth, query_at=at).errors()
+    reference_at, query_at = _points(pair.truth, reference, query, pair)
+    at = np.concatenate([moved_ahead(query_at[drive], ahead) for drive in query.drives()])
+    errors = errors_between(reference_at, at)
     if pair.truth == "rows" and len(reference.paths) > 1:
         errors[~np.isnan(errors) & (query.drive_of[:, np.newaxis] != reference.drive_of)] = np.inf
     for name, rows in pair.loops.items():
@@ -177,7 +177,7 @@ def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float
     """
     unknown = np.full((len(reference.rows), 2), np.nan)
     if pair.truth != "anchors":
-        at = _truth(pair.truth, reference, reference, pair).reference_at
+        at, _ = _points(pair.truth, reference, reference, pair)
         if pair.truth != "positions":
             return unknown, at[:, 0]
         meters = driven_m(reference.feed) or [np.nan] * len(reference.feed.rows)
@@ -189,10 +189,12 @@ def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float
     return np.column_stack([np.cos(angle), np.sin(angle)]) * (pair.loop / (2 * np.pi)), along
 
 
-def _truth(kind: TruthKind, reference: Traverse, query: Traverse, pair: Pair) -> Truth:
-    """The truth between the chosen rows; ConfigError names the pair that asks for it."""
+def _points(
+    kind: TruthKind, reference: Traverse, query: Traverse, pair: Pair
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The points of the chosen rows; ConfigError names the pair that asks for them."""
     try:
-        between = truth_between(kind, reference.feed, query.feed, pair.tolerance)
+        reference_at, query_at = points_of(kind, reference.feed, query.feed)
     except FeedError as error:
         raise ConfigError(f'pair {pair.name!r}: truth = "{kind}": {error}') from None
-    return between.take(query.rows, reference.rows)
+    return reference_at[reference.rows], query_at[query.rows]

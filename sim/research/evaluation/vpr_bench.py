@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from edge.config import DescriptorConfig
 from edge.descriptor.network import Network, cut_regions
-from edge.descriptor.normalize import normalize
+from edge.descriptor.open_network import normalized_set
 from edge.errors import ConfigError, FrameError
 from edge.feed import read_picture
 from sim.datasets.pictures import list_pictures
@@ -82,4 +82,4 @@ def _described(folder: Path, network: Network) -> NDArray[np.float32]:
         ])  # fmt: skip
     except FrameError as error:
         raise ConfigError(str(error)) from None
-    return normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
+    return normalized_set(raw)

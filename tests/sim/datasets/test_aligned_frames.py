@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
-from sim.research.evaluation.truth import truth_between
+from sim.research.evaluation.truth import errors_between, points_of
 
 WritePictures = Callable[[Path, list[str]], None]
 WriteVideo = Callable[[Path, int, float], None]
@@ -48,16 +48,16 @@ def test_campus_traverses_in_both_directions_have_one_truth(campus_path: Path, s
         sim_import("campus", campus_path / name, "-o", campus_path / "feeds" / name, "--spacing-m", 5)
         feeds.append(read_feed(campus_path / "feeds" / name))
     forward, back = feeds
-    truth = truth_between("route_m", forward, back, 20.0)
+    is_right = errors_between(*points_of("route_m", forward, back)) <= 20.0
     for query, row in enumerate(back.rows):
         near = [
             index
             for index, reference in enumerate(forward.rows)
             if abs(float(reference.extra["route_m"]) - float(row.extra["route_m"])) <= 20.0
         ]
-        assert truth.true_rows(query).tolist() == near
-    assert truth.true_rows(0)[-1] == len(forward.rows) - 1
-    assert truth.true_rows(len(back.rows) - 1)[0] == 0
+        assert np.flatnonzero(is_right[query]).tolist() == near
+    assert is_right[0, -1]
+    assert is_right[-1, 0]
 
 
 def test_campus_frames_may_be_a_video_with_the_anchors_beside_it(tmp_path: Path, write_video: WriteVideo) -> None:
@@ -108,10 +108,10 @@ def test_nordland_seasons_are_the_same_frame_by_frame(
     summer, winter = read_feed(tmp_path / "feeds/summer"), read_feed(tmp_path / "feeds/winter")
     assert (len(summer.rows), len(winter.rows)) == (16, 15)
     assert index_of(FeedImages(summer).read(10)) == 14
-    truth = truth_between("rows", summer, winter, 1)
+    is_right = errors_between(*points_of("rows", summer, winter)) <= 1
     # Row 3 of the winter is frame 5, row 9 is frame 15: the first after the tunnel.
-    assert [summer.rows[row].extra["source_frame"] for row in truth.true_rows(3)] == ["4", "5", "6"]
-    assert [summer.rows[row].extra["source_frame"] for row in truth.true_rows(9)] == ["15", "16"]
+    assert [summer.rows[row].extra["source_frame"] for row in np.flatnonzero(is_right[3])] == ["4", "5", "6"]
+    assert [summer.rows[row].extra["source_frame"] for row in np.flatnonzero(is_right[9])] == ["15", "16"]
 
 
 def test_nordland_may_be_a_video(tmp_path: Path, write_video: WriteVideo, index_of: IndexOf, refused: Refused) -> None:
@@ -129,7 +129,8 @@ def test_gardens_point_walks(tmp_path: Path, write_pictures: WritePictures, sim_
         sim_import("gardens-point", tmp_path / walk, "-o", tmp_path / f"feeds/{walk}", "--spacing-frames", 2)
     day, night = (read_feed(tmp_path / f"feeds/{walk}") for walk in ("day_left", "night_right"))
     assert [row.extra["source_file"] for row in night.rows][:2] == ["Image000.jpg", "Image002.jpg"]
-    assert truth_between("rows", day, night, 2).true_rows(3).tolist() == [2, 3, 4]
+    errors = errors_between(*points_of("rows", day, night))
+    assert np.flatnonzero(errors[3] <= 2).tolist() == [2, 3, 4]
 
 
 def test_frames_that_are_not_there_are_named(tmp_path: Path, write_pictures: WritePictures, refused: Refused) -> None:

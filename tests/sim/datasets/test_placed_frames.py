@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
-from sim.research.evaluation.truth import truth_between
+from sim.research.evaluation.truth import errors_between, points_of
 
 WritePictures = Callable[[Path, list[str]], None]
 WriteVideo = Callable[[Path, int, float], None]
@@ -83,9 +83,9 @@ def test_kitti_has_meters_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_i
     feed = read_feed(tmp_path / "feed")
     assert [row.extra["source_frame"] for row in feed.rows] == ["0", "2", "4", "6", "8"]
     assert FeedImages(feed).read(4).shape == (24, 32, 3)
-    truth = truth_between("positions", feed, feed, 1.2)
-    assert truth.error(1, 4) == pytest.approx(math.hypot(1.5, 1.5))
-    assert truth.true_rows(2).tolist() == [1, 2, 3]
+    errors_m = errors_between(*points_of("positions", feed, feed))
+    assert errors_m[1, 4] == pytest.approx(math.hypot(1.5, 1.5))
+    assert np.flatnonzero(errors_m[2] <= 1.2).tolist() == [1, 2, 3]
 
 
 def test_kitti_is_found_from_inside_its_folder(kitti_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +133,8 @@ def test_names_without_degrees_are_judged_by_their_meters(
         write_pictures(tmp_path / folder, [f"@0@{2.4 * i:07.1f}@@@@@{i}@@@@@@@@.jpg" for i in range(24)])
         sim_import("utm-names", tmp_path / folder, "-o", tmp_path / f"feeds/{folder}")
     database, queries = (read_feed(tmp_path / f"feeds/{folder}") for folder in ("database", "queries"))
-    assert truth_between("positions", database, queries, 25.0).true_rows(12).tolist() == list(range(2, 23))
+    errors_m = errors_between(*points_of("positions", database, queries))
+    assert np.flatnonzero(errors_m[12] <= 25.0).tolist() == list(range(2, 23))
 
 
 @pytest.mark.parametrize(

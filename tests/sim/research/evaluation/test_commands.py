@@ -18,7 +18,7 @@ from edge.feed import read_feed
 
 PLAN = """
 title = "Miniature"
-methods = ["Raw-fc6", "NSD-CR", "Lookback", "NSD-fc6/segments", "Raw-mine", "SeqSLAM"]
+methods = ["Raw-fc6", "NSD-CR", "Lookback", "Raw-mine", "SeqSLAM"]
 resamples = 20
 sampling = { by = "frames" }
 [traverses]
@@ -64,7 +64,7 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     assert float(scores["Raw-mine"][0]) == 1.0  # the same rows, so every best match is right
     assert scores["NSD-CR"][-1] == "0.5" and scores["Raw-fc6"][-1] == ""
     overview = read_table(out / "overview.csv")
-    assert f"Raw-mine          {float(overview['Raw-mine'][0]):.3f}" in capsys.readouterr().out
+    assert f"Raw-mine  {float(overview['Raw-mine'][0]):.3f}" in capsys.readouterr().out
     page = (out / "report.html").read_text()
     for heading in ("Overview", "Sequence length", "Spacing", "Cold start", "Standing still"):
         assert heading in page

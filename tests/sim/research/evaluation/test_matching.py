@@ -1,34 +1,13 @@
-"""SeqSLAM in both directions, which queries are judged, and costs of any origin."""
+"""Which queries are judged, and costs of any origin."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from edge.config import SequenceConfig
-from sim.research.evaluation.matching import CANDIDATES, judge, judged_queries, match_costs, match_seqslam
+from sim.research.evaluation.matching import CANDIDATES, judge, judged_queries, match_costs
 
 SEQUENCE = SequenceConfig(length=5, region_order="frame")
-
-
-def frames(count: int) -> np.ndarray:
-    return np.random.default_rng(4).normal(size=(count, 32, 64)).astype(np.float32)
-
-
-def test_causal_seqslam_finds_the_way_back_and_the_published_one_does_not() -> None:
-    reference = frames(40)
-    back = reference[5:35][::-1]
-    found = match_seqslam(reference, back, 11, 6, centered=False)
-    np.testing.assert_array_equal(found.place[10:], np.arange(24, 4, -1))
-    assert found.reverse[10:].all() and (found.candidates[10:, 0] == found.place[10:]).all()
-    published = match_seqslam(reference, back, 11, 6, centered=True)
-    assert not published.reverse.any() and (published.place != np.arange(34, 4, -1)).mean() > 0.8
-
-
-def test_causal_seqslam_finds_the_way_there() -> None:
-    reference = frames(40)
-    found = match_seqslam(reference, reference[5:35], 11, 6, centered=False)
-    np.testing.assert_array_equal(found.place[10:], np.arange(15, 35))
-    assert not found.reverse.any() and (found.place[:10] == -1).all() and np.isnan(found.confidence[:10]).all()
 
 
 def test_a_query_of_unknown_position_is_not_judged_and_one_off_the_map_is() -> None:

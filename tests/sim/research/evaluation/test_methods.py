@@ -12,77 +12,36 @@ from edge.config import SequenceConfig
 from edge.errors import ConfigError
 from edge.sequence.search import slopes_around_diagonal
 from sim.research.evaluation.matching import FloatMatcher, int8_matcher, match, open_matcher
-from sim.research.evaluation.methods import METHODS, Method, find_method, needs_segments, query_rows, reference_rows
+from sim.research.evaluation.methods import METHODS, Method, find_method, query_rows, reference_rows
 
 LENGTH, PLACES, QUERIES, DIMENSIONS, WINDOW = 4, 14, 13, 24, 3.0
-SEGMENTS_REFERENCE, SEGMENTS_QUERY = [(0, 8), (8, PLACES)], [(0, 6), (6, QUERIES)]
-DESCRIBED = [name for name, method in METHODS.items() if method.layer != "pixels"]
+DESCRIBED = [name for name, method in METHODS.items() if method.layer != "pixels" and not method.recognizer]
 Array = NDArray[np.float64]
 
 
-def normalized(value: Array, known: Array, deviation: bool) -> Array:
+def normalized(value: Array, known: Array) -> Array:
     """Equation 1 of one descriptor, with the statistics of those that are known."""
     out = np.zeros(value.shape)
-    spread = known.std(axis=0) if deviation else np.ones(value.shape)
+    spread = known.std(axis=0)
     for index in np.ndindex(value.shape):
         if spread[index] > 1e-4 * spread.mean():
             out[index] = (value[index] - known[(slice(None), *index)].mean()) / spread[index]
     return out
 
 
-def run_with(frame: int, runs: list[tuple[int, int]]) -> slice:
-    return next(slice(start, end) for start, end in runs if start <= frame < end)
-
-
 def slow_reference(method: Method, raw: Array) -> list[Array]:
     raw = raw.astype(np.float16).astype(np.float64)  # as a map keeps it
-    runs = SEGMENTS_REFERENCE if method.reference == "segments" else [(0, len(raw))]
-    if method.reference == "none":
-        return list(raw)
-    return [normalized(one, raw[run_with(frame, runs)], method.deviation) for frame, one in enumerate(raw)]
+    return list(raw) if method.nsd == "none" else [normalized(one, raw) for one in raw]
 
 
-def slow_rings(method: Method, raw: Array, earlier: Array) -> list[list[Array]]:
+def slow_rings(method: Method, raw: Array) -> list[list[Array]]:
     """The whole ring as it stands after each frame."""
-    past = earlier if method.warm else raw[:0]
-    if method.query == "ring":
-        return slow_renewed_rings(method, raw, past)
     rings: list[list[Array]] = []
     for frame, one in enumerate(raw):
         before = rings[-1][1 - LENGTH :] if rings else []
-        if method.query == "none":
-            rings.append([*before, one])
-        elif method.query in ("set", "segments"):
-            runs = SEGMENTS_QUERY if method.query == "segments" else [(0, len(raw))]
-            rings.append([*before, normalized(one, raw[run_with(frame, runs)], method.deviation)])
-        else:
-            rings.append([*before, normalized(one, np.concatenate([past, raw[: frame + 1]]), method.deviation)])
+        known = raw if method.nsd == "batch" else raw[: frame + 1]
+        rings.append([*before, one if method.nsd == "none" else normalized(one, known)])
     return rings
-
-
-def slow_renewed_rings(method: Method, raw: Array, past: Array) -> list[list[Array]]:
-    """Rows whose statistics have grown by more than 5 % are normalized again, the oldest statistics first.
-
-    That happens with every third frame at most, and to five rows at most: more than the ring has here. The earlier
-    drive was driven in the same way, and its frames are not in the ring.
-    """
-    drive = np.concatenate([past, raw])
-    rings: list[list[Array]] = []
-    counts: list[int] = []
-    since = 0
-    for frame, one in enumerate(drive):
-        known, since = drive[: frame + 1], since + 1
-        before = rings[-1] if rings and frame != len(past) else []
-        ring = [*before, normalized(one, known, method.deviation)][-LENGTH:]
-        counts = [*counts[len(counts) - len(before) :], len(known)][-LENGTH:]
-        stale = [row for row, count in enumerate(counts) if count * 1.05 < len(known)]
-        if since >= 3 and stale:
-            since = 0
-            for row in stale:
-                ring[row] = normalized(drive[frame + 1 - len(ring) + row], known, method.deviation)
-                counts[row] = len(known)
-        rings.append(ring)
-    return rings[len(past) :]
 
 
 def slow_int8(value: Array) -> Array:
@@ -99,12 +58,12 @@ def slow_cost(query: Array, place: Array, swapped: bool) -> int:
     return round(16384 * (1 - (float(query @ place) / lengths if lengths else 0.0)))
 
 
-def slow_answers(method: Method, reference: Array, query: Array, earlier: Array) -> list[tuple[int, float] | None]:
+def slow_answers(method: Method, reference: Array, query: Array) -> list[tuple[int, float] | None]:
     """Place and uniqueness for each frame: every line through the ring, added up cell by cell."""
     places = slow_reference(method, reference)
     answers: list[tuple[int, float] | None] = []
     swaps = (False, True) if method.regions == "left-right" else (False,)
-    for frame, ring in enumerate(slow_rings(method, query, earlier), 1):
+    for frame, ring in enumerate(slow_rings(method, query), 1):
         if len(ring) < LENGTH:
             answers.append(None)
             continue
@@ -114,35 +73,24 @@ def slow_answers(method: Method, reference: Array, query: Array, earlier: Array)
             for i in range(PLACES)
             for swap in swaps
         }
-        lines = [min(slow_lines(method, costs, frame, i, swaps), default=math.inf) for i in range(PLACES)]
+        lines = [min(slow_lines(costs, frame, i, swaps), default=math.inf) for i in range(PLACES)]
         best = min(range(PLACES), key=lambda i: lines[i])
         second = min((lines[i] for i in range(PLACES) if abs(i - best) > WINDOW), default=math.inf)
         answers.append((best, second / max(lines[best], 1) if math.isfinite(second) else 1.0))
     return answers
 
 
-def slow_lines(
-    method: Method, costs: dict[tuple[int, int, bool], int], frame: int, end: int, swaps: tuple[bool, ...]
-) -> list[int]:
-    """Cost of every line that ends at a place: each direction, region order and slope."""
+def slow_lines(costs: dict[tuple[int, int, bool], int], frame: int, end: int, swaps: tuple[bool, ...]) -> list[int]:
+    """Cost of every line that ends at a place: each direction and slope, and in each frame the better region order."""
     found = []
     for direction in (1, -1):
-        for swap in swaps:
-            if method.order == "rig" and swap != (direction == 1):  # rear against front: see VIEWS_OPPOSED
-                continue
-            for slope in slopes_around_diagonal(0.2, 21):
-                passed = [
-                    math.floor(slope * frame + 0.5) - math.floor(slope * (frame - age) + 0.5) for age in range(LENGTH)
-                ]
-                ats = [end - direction * steps for steps in passed]
-                if all(0 <= at < PLACES for at in ats):
-                    per_frame = method.order == "frame"
-                    found.append(
-                        sum(
-                            min(costs[age, at, one] for one in swaps) if per_frame else costs[age, at, swap]
-                            for age, at in enumerate(ats)
-                        )
-                    )
+        for slope in slopes_around_diagonal(0.2, 21):
+            passed = [
+                math.floor(slope * frame + 0.5) - math.floor(slope * (frame - age) + 0.5) for age in range(LENGTH)
+            ]
+            ats = [end - direction * steps for steps in passed]
+            if all(0 <= at < PLACES for at in ats):
+                found.append(sum(min(costs[age, at, swap] for swap in swaps) for age, at in enumerate(ats)))
     return found
 
 
@@ -161,21 +109,20 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     regions = 2 if method.regions == "left-right" else 1
     reference = described(rng, PLACES, regions)
     query = reference[1:][::-1] + np.abs(rng.normal(size=(QUERIES, regions, DIMENSIONS))).astype(np.float32) * 0.3
-    earlier = described(rng, 7, regions)
-    rows = query_rows(method, query, LENGTH, segments=SEGMENTS_QUERY, earlier=earlier)
+    rows = query_rows(method, query, LENGTH)
     found = match(
         rows,
-        int8_matcher(reference_rows(method, reference, SEGMENTS_REFERENCE)).costs,
+        int8_matcher(reference_rows(method, reference)).costs,
         open_matcher(
             np.full((PLACES, 2), np.nan),
             np.arange(PLACES, dtype=np.float64),
             WINDOW,
-            SequenceConfig(length=LENGTH, region_order=method.order),
+            SequenceConfig(length=LENGTH, region_order="frame"),
             regions=regions,
             views=("rear", "front"),
         ),
     )
-    expected = slow_answers(method, reference.astype(np.float64), query.astype(np.float64), earlier.astype(np.float64))
+    expected = slow_answers(method, reference.astype(np.float64), query.astype(np.float64))
     assert [place if place >= 0 else None for place in found.place] == [one and one[0] for one in expected]
     uniqueness = [one[1] if one else math.nan for one in expected]
     # float32 on one side and float64 on the other may round a cell of int8 apart.
@@ -199,8 +146,8 @@ def test_a_row_may_name_its_network_or_external_descriptors() -> None:
     assert find_method("NSD-fc6@objects", ["p365", "objects"], []).network == "objects"
     assert find_method("NSD-fc6", ["p365", "objects"], []).network == "p365"
     netvlad = find_method("NSD-netvlad/batch", ["p365"], ["netvlad"])
-    assert (netvlad.layer, netvlad.external, netvlad.query) == ("external", "netvlad", "set")
-    assert find_method("Raw-netvlad", ["p365"], ["netvlad"]).reference == "none"
+    assert (netvlad.layer, netvlad.external, netvlad.nsd) == ("external", "netvlad", "batch")
+    assert find_method("Raw-netvlad", ["p365"], ["netvlad"]).nsd == "none"
 
 
 @pytest.mark.parametrize("text", ["NSD-fc9", "NSD-fc6@nowhere", "Warm-netvlad", "Raw-netvlad/batch"])
@@ -208,7 +155,3 @@ def test_a_row_that_is_not_there_is_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match="there are") as caught:
         find_method(text, ["p365"], ["netvlad"])
     assert "\n" not in str(caught.value) and repr(text) in str(caught.value)
-
-
-def test_only_segment_rows_ask_for_segments() -> None:
-    assert [name for name, method in METHODS.items() if needs_segments(method)] == ["NSD-fc6/segments"]

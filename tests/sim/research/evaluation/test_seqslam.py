@@ -41,24 +41,8 @@ def test_local_contrast_is_that_of_the_published_program(golden: dict[str, np.nd
     np.testing.assert_allclose(enhance_contrast(golden["D"], 10), golden["DD"], atol=1e-5)
 
 
-def test_causal_matches_do_not_see_the_future(golden: dict[str, np.ndarray]) -> None:
-    settings = SeqslamSettings(length=10, mode="causal")
-    whole = search(golden["DD"], settings)
-    first = search(golden["DD"][:, :50], settings)
-    np.testing.assert_array_equal(first.place, whole.place[:50])
-    np.testing.assert_array_equal(first.ratio, whole.ratio[:50])
-
-
-def test_causal_trajectories_are_the_centered_ones_told_later(golden: dict[str, np.ndarray]) -> None:
-    causal = search(golden["DD"], SeqslamSettings(length=10, mode="causal"))
-    centered = search(golden["DD"], SeqslamSettings(length=10))
-    np.testing.assert_array_equal(causal.ratio[10:], centered.ratio[5:-5])
-    # From the middle of a trajectory to its end are 3 to 7 places at slopes of 0.8 to 1.2.
-    assert set((causal.place[10:] - centered.place[5:-5]).tolist()) <= {3, 4, 5, 6, 7}
-
-
 def test_a_map_shorter_than_a_trajectory_gives_no_match() -> None:
-    found = search(np.ones((5, 30), dtype=np.float32), SeqslamSettings(length=10, mode="causal"))
+    found = search(np.ones((5, 30), dtype=np.float32), SeqslamSettings(length=10))
     assert (found.place == -1).all() and np.isnan(found.ratio).all()
 
 
