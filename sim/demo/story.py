@@ -18,20 +18,26 @@ from edge.journal.records import PlaceFix
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.journal import records_of
-from sim.trial.rules import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
-from sim.trial.run import JOURNAL, drafted, drive, map_scenario
+from sim.trial.draft import Draft
+from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
+from sim.trial.run import JOURNAL, Drive, map_scenario
 from sim.trial.simulation import UP_S
-from sim.trial.take_me_home import AT_NIGHT
+from sim.trial.take_me_home import home_at_night
 from sim.trial.views import RoadLibrary, RoadViews
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import LIMIT_M
 
-COURSE, SEED, WORLD, LENGTH_M = AT_NIGHT, 1, 21, 560.0
+SEED, WORLD, LENGTH_M = 1, 21, 560.0
 BAR = "{l_bar}{bar}| {n:.0f} of {total:.0f} m [{elapsed}<{remaining}]"
 PAIRS = 3  # matched pictures in the report
 STARTS_S = 1000.0 + UP_S
 """The simulated clock when the vehicle sets off."""
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
+
+
+def laid() -> Draft:
+    """The story before it is driven."""
+    return home_at_night(SEED, LENGTH_M, WORLD)
 
 
 def drive_story(folder: Path) -> Run:
@@ -40,17 +46,17 @@ def drive_story(folder: Path) -> Run:
     A bar counts the meters of the first one, on a terminal.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # The course's daemon warns of the GPS loss that the story is about.
-    length_m = drafted(COURSE, SEED, LENGTH_M, WORLD).legs[-1].to_m
+    draft = laid()
+    # The daemon warns of the GPS loss that the story is about.
     logger = logging.getLogger("edge")
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:
         with (
             closing(RoadLibrary(Network.load(), folder / "views")) as library,
-            tqdm(total=length_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
+            tqdm(total=draft.legs[-1].to_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
         ):
-            return drive(COURSE, SEED, LENGTH_M, WORLD, folder, library, bar.update)
+            return Drive(draft, SEED, folder, library).run(bar.update)
     finally:
         logger.setLevel(level)
 
@@ -124,7 +130,7 @@ def picture(run: Run) -> Figure:
 
 def recognized(run: Run, folder: Path) -> list[tuple[float, NDArray[np.float64]]]:
     """Places of the way home, from the journal in `folder`: seconds since it set off; meters east and north (2,)."""
-    shift_deg = drafted(COURSE, run.seed, LENGTH_M, run.world).lon_shift_deg
+    shift_deg = laid().lon_shift_deg
     return [
         (one.stamp_ns / 1e9 - STARTS_S, np.array(east_north_m(one.lat_deg, one.lon_deg, shift_deg)))
         for one in records_of(folder / JOURNAL, PlaceFix)
@@ -141,7 +147,7 @@ def picture_at(day: RoadViews, place_m: NDArray[np.float64]) -> NDArray[np.uint8
 
 def pairs_of(run: Run, folder: Path) -> report.Section:
     """What the camera saw at night beside the places that were recognized; `folder` has the journal and the views."""
-    draft, places = drafted(COURSE, run.seed, LENGTH_M, run.world), recognized(run, folder)
+    draft, places = laid(), recognized(run, folder)
     pairs = []
     with closing(RoadLibrary(Network.load(), folder / "views")) as library:
         night, day = library[draft.home], library[map_scenario(draft.home)]
@@ -160,7 +166,7 @@ def pairs_of(run: Run, folder: Path) -> report.Section:
 
 def true_track(run: Run, track: Track) -> NDArray[np.float64]:
     """East and north in meters, (N, 2), of a track of the story."""
-    way = drafted(COURSE, run.seed, LENGTH_M, WORLD).way
+    way = laid().way
     return np.array([way.at(a, left)[:2] for a, left in zip(track.along_m, track.left_m, strict=True)])
 
 

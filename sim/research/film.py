@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from edge.descriptor.network import Network
-from sim.demo.story import COURSE, LENGTH_M, picture_at, recognized
-from sim.trial.rules import Run
-from sim.trial.run import drafted, map_scenario
+from sim.demo.story import laid, picture_at, recognized
+from sim.trial.records import Run
+from sim.trial.run import map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import Way
 
@@ -34,7 +34,7 @@ def write_film(file: Path, story: Run, drive_folder: Path) -> None:
 
 
 def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
-    draft = drafted(COURSE, story.seed, LENGTH_M, story.world)
+    draft = laid()
     ours, alone = story.track, story.alone
     lost = np.flatnonzero(~ours.gps)
     believed = recognized(story, drive_folder)

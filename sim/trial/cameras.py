@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,10 @@ class View(NamedTuple):
     route_m: float
     left_m: float
     turn_deg: float
+
+    def of_rear(self) -> View:
+        """What the rear camera sees there."""
+        return self._replace(scenario=msgspec.structs.replace(self.scenario, view="rear"))
 
 
 class PlacedNetwork(Network):

@@ -1,75 +1,27 @@
-"""A drive of a course before it is driven: the way, the map, the autopilot, and what will go wrong."""
+"""A drive before it is driven: the way, the vehicle, and where GPS fails."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import msgspec
 import numpy as np
 
-from edge.telemetry.codec import Message
-from sim.trial.rules import Rule, no_false_place, not_worse, within_sigmas
-from sim.trial.way import Way, along
+from sim.trial.way import Way
 from sim.vehicle.driver import Leg
 from sim.vehicle.estimator import OdometryErrors
-from sim.vehicle.gps import NO_FIX, GpsReport
-from sim.world.scenario import LightName, Scenario, View
-
-GPS_S = 9.0
-DOWN_S = (6.0, 10.0)
-"""From the death of the daemon to its first message, as recorded on a vehicle's computer."""
-ORIGIN_OFF_M = (6.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """A part of the road that the map knows, by its arc lengths.
-
-    off_m: east and north, by how much its positions are wrong. left_m: beside the lane, as on another drive.
-    on_way: places lie on the drive's way instead of the road, where the way was bent. spacing_m: the least and the
-    greatest distance between places. headings: whether the places have one. recording: the drive that it was mapped
-    on, where several stretches are of one. looks: the seed of the road that it looks like, where that is another.
-    camera: view, light and seed of the drive.
-    """
-
-    start_m: float
-    end_m: float
-    off_m: tuple[float, float] = (0.0, 0.0)
-    left_m: float = 0.0
-    on_way: bool = False
-    spacing_m: tuple[float, float] = (2.0, 2.0)
-    headings: bool = True
-    recording: str = ""
-    looks: int | None = None
-    camera: tuple[View, LightName, int] = ("rear", "day", 1)
-
-    @property
-    def is_true(self) -> bool:
-        """Whether its positions are right."""
-        return self.off_m == (0.0, 0.0)
+from sim.vehicle.gps import GpsReport
+from sim.world.scenario import Scenario
 
 
 @dataclass
 class Draft:
-    """One seeded drive of a course. Seconds count from the start of the drive, meters along its way.
+    """One seeded drive. Seconds count from the start of the drive, meters along its way.
 
-    killed_s: when the daemon dies at once, to be back after down_s. restarted_s: when the autopilot does. loses:
-    whether the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to
-    when the autopilot sends nothing but heartbeats. gps_until_m: where GPS fails, whatever gps_at says. maps_live:
-    the map is made while driving, with a second camera, instead of before. doubted_gps: of [gates]; with "send" the
-    autopilot runs our script. steers: whether the autopilot drives, or a person. unsent: parts of the way on which
-    no position may be expected. origin_off_m: east and north of the start, where the daemon's configuration has an
-    origin; by default ORIGIN_OFF_M without GPS. seen_m: the arc length that a road looks like at another, for roads
-    that repeat. frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than
-    they say. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its messages. companion_s: how often
-    another companion computer resets the autopilot. has_double: another vehicle ahead on the same radio has the same
-    ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the camera, as if it was learned
-    before, in true ones. shown_m: the arc length of the road in a picture, at that of the camera: of a camera that is
-    lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a map of a folder, which
-    `map learn` learned.
+    home: the road as seen tonight. gps_until_m: where GPS fails, whatever gps_at says. lon_shift_deg: by which the
+    simulation's origin is moved east.
     """
 
     rng: np.random.Generator
@@ -77,42 +29,14 @@ class Draft:
     world: int
     home: Scenario = field(init=False)
     way: Way = field(init=False)
-    map: list[Stretch] = field(init=False)
     legs: list[Leg] = field(init=False)
     errors: OdometryErrors = field(init=False)
-    rules: tuple[Rule, ...] = (within_sigmas, no_false_place, not_worse)
-    firmware: str = "ardupilot"
-    emit: str = "auto"
-    steers: bool = True
-    gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
+    gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport()
     gps_until_m: float = math.inf
-    has_gps: bool = True
-    maps_live: bool = False
-    loses: Callable[[float, Message, bool], bool] = lambda time_s, message, outgoing: False
-    silence_s: tuple[float, float] | None = None
-    killed_s: float | None = None
-    restarted_s: float | None = None
-    doubted_gps: Literal["report", "switch", "send"] = "report"
     lon_shift_deg: float = 0.0
-    booted_before_s: float = 0.0
-    unsent: list[tuple[float, float]] = field(default_factory=list)
-    origin_off_m: tuple[float, float] | None = None
-    seen_m: Callable[[float], float] = lambda route_m: route_m
-    frozen_s: tuple[float, float] = (math.inf, math.inf)
-    late_s: float = 0.0
-    clock_off_s: float = 0.0
-    companion_s: float = math.inf
-    has_double: bool = False
-    down_s: float = 0.0
-    motion: Literal["off", "odometer", "send"] = "off"
-    height: float | None = None
-    shown_m: Callable[[float], float] = lambda route_m: route_m
-    layers: bool = False
 
     def __post_init__(self) -> None:
         self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)
-        self.map = [Stretch(0.0, self.length_m)]
-        self.drive(along(self.home, self.length_m, 0.0))
         sign = self.rng.choice((-1.0, 1.0))
         self.errors = OdometryErrors(
             scale=1.0 + 0.03 * self.rng.choice((-1.0, 1.0)),
@@ -121,45 +45,11 @@ class Draft:
             settled_deg=self.rng.uniform(0.3, 1.3) * sign,
         )
 
-    @property
-    def origin_m(self) -> tuple[float, float] | None:
-        """The origin of the daemon's configuration, meters east and north of the simulation's."""
-        off_m = self.origin_off_m or (None if self.has_gps else ORIGIN_OFF_M)
-        east_m, north_m, _ = self.way.at(0.0)
-        return (east_m + off_m[0], north_m + off_m[1]) if off_m else None
-
     def drive(self, way: Way, *legs: Leg) -> None:
         """Drive this way, in these legs or in one."""
         self.way = way
         self.legs = list(legs) or [Leg(way.length_m - 2)]
 
-    def share(self, share: float) -> float:
-        """Meters of the way, or of the road, at a share of the length."""
-        return round(share * self.length_m)
-
-    def side(self, off_m: float) -> tuple[float, float]:
-        """An offset, east and north, to the side of the road."""
-        heading = along(self.home, self.length_m / 2, self.length_m / 2 - 2).heading_rad[0] + np.pi / 2
-        return off_m * float(np.sin(heading)), off_m * float(np.cos(heading))
-
     def road(self, **changes: int | str) -> Scenario:
         """The road as seen tonight, with changes: another `seed`, the other `direction`."""
         return msgspec.structs.replace(self.home, **changes)
-
-
-def is_command(message: Message, command: int) -> bool:
-    """Whether a message is this command, as COMMAND_LONG or COMMAND_INT."""
-    return bool(getattr(message, "command", None) == command)
-
-
-@dataclass(frozen=True)
-class Course:
-    """A drive that something may go wrong on.
-
-    lay: changes the usual draft. about: a line for people. least_m: the shortest road on which it can be driven.
-    """
-
-    case: str
-    lay: Callable[[Draft], None]
-    about: str
-    least_m: float = 0.0

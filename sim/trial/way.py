@@ -1,13 +1,11 @@
 """The way of a drive: where it truly goes, meter by meter, and which part of which road the camera sees there.
 
-Both are the same on an ordinary road. They differ where a way is put together: a turn-off leads to another road, which
-lies elsewhere in its own world; on a ferry the truth moves and the picture does not.
+Both are the same on an ordinary road. They differ where a way is put together.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from sim.world.scenario import Scenario
 
 NEAR_M = 15
+PARTS = ("east_m", "north_m", "route_m", "turn_deg", "aside_m", "carried")
 
 
 @dataclass(frozen=True)
@@ -60,30 +59,15 @@ class Way:
         east_m, north_m = east_m - self.east_m[row], north_m - self.north_m[row]
         return float(row + east_m * sin + north_m * cos), float(north_m * sin - east_m * cos)
 
-    def then(self, other: Way, *, moved: bool = False) -> Way:
-        """This way and then the other; moved: the other lies where this one ends, in its direction."""
-        other = other.placed(*self.at(self.length_m)) if moved else other
+    def then(self, other: Way) -> Way:
+        """This way and then the other."""
         new = [scenario for scenario in other.roads if scenario not in self.roads]
         roads = (*self.roads, *new)
         index = np.array([roads.index(scenario) for scenario in other.roads])
         road = np.concatenate([self.road, index[other.road]])
         unwrapped = np.unwrap(np.concatenate([self.heading_rad, other.heading_rad]))
-        joined = {
-            name: np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in ("east_m", "north_m", "route_m", "turn_deg", "aside_m", "carried")
-        }
+        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in PARTS}
         return Way(roads=roads, road=road, heading_rad=unwrapped, **joined)
-
-    def placed(self, east_m: float, north_m: float, heading_rad: float) -> Way:
-        """The same way from another start, turned to start at that heading; the views stay."""
-        turn = heading_rad - self.heading_rad[0]
-        east, north = self.east_m - self.east_m[0], self.north_m - self.north_m[0]
-        return replace(
-            self,
-            east_m=east_m + east * np.cos(turn) + north * np.sin(turn),
-            north_m=north_m + north * np.cos(turn) - east * np.sin(turn),
-            heading_rad=self.heading_rad + turn,
-        )
 
     def turned(self, angle_deg: float, radius_m: float = 8.0) -> Way:
         """This way and then an arc to the right, on which the camera turns where it is."""
@@ -92,7 +76,7 @@ class Way:
         last = self.heading_rad[-1]
         steps = np.concatenate([[last], last + np.radians(turns_deg[:-1])])
         arc = replace(
-            self.only(-1, count),
+            self.stays(count),
             east_m=self.east_m[-1] + np.cumsum(np.sin(steps)),
             north_m=self.north_m[-1] + np.cumsum(np.cos(steps)),
             heading_rad=last + np.radians(turns_deg),
@@ -100,71 +84,10 @@ class Way:
         )
         return self.then(arc)
 
-    def only(self, row: int, count: int) -> Way:
-        """One element, `count` times."""
-        return Way(
-            roads=self.roads,
-            east_m=np.repeat(self.east_m[row], count),
-            north_m=np.repeat(self.north_m[row], count),
-            heading_rad=np.repeat(self.heading_rad[row], count),
-            road=np.repeat(self.road[row], count),
-            route_m=np.repeat(self.route_m[row], count),
-            turn_deg=np.repeat(self.turn_deg[row], count),
-            aside_m=np.repeat(self.aside_m[row], count),
-            carried=np.repeat(self.carried[row], count),
-        )
-
-    def carried_on(self, length_m: int) -> Way:
-        """This way and then a straight line on which the vehicle is carried and sees what it saw last."""
-        heading, steps = self.heading_rad[-1], np.arange(1, length_m + 1)
-        line = replace(
-            self.only(-1, length_m),
-            east_m=self.east_m[-1] + steps * np.sin(heading),
-            north_m=self.north_m[-1] + steps * np.cos(heading),
-            carried=np.ones(length_m, bool),
-        )
-        return self.then(line)
-
-    def towed(self, start_m: int, end_m: int) -> Way:
-        """The same, but carried from one meter to another."""
-        carried = self.carried.copy()
-        carried[start_m:end_m] = True
-        return replace(self, carried=carried)
-
-    def bent(self, *, to_the_left: bool = False) -> Way:
-        """The same bent into one lap of a circle, to the right or to the left, from its start."""
-        around = -2 * np.pi if to_the_left else 2 * np.pi
-        turns = np.linspace(0.0, around, len(self.east_m) + 1)[:-1] + self.heading_rad[0]
-        east_m = self.east_m[0] + np.cumsum(np.sin(turns)) - np.sin(turns[0])
-        north_m = self.north_m[0] + np.cumsum(np.cos(turns)) - np.cos(turns[0])
-        return replace(self, east_m=east_m, north_m=north_m, heading_rad=turns)
-
-    def beside(self, left_m: Callable[[float], float]) -> Way:
-        """A way along the same road, to the left of this one by what `left_m` gives for each meter of this one."""
-        lefts_m = np.array([left_m(float(along_m)) for along_m in range(len(self.east_m))])
-        points = np.array([self.at(float(m), aside_m)[:2] for m, aside_m in enumerate(lefts_m)])
-        along_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-        meters = np.arange(along_m[-1])
-        steps = np.gradient(points, axis=0)
-        heading_rad = np.unwrap(np.arctan2(steps[:, 0], steps[:, 1]))
-        heading_rad += 2 * np.pi * round((self.heading_rad[0] - heading_rad[0]) / (2 * np.pi))
-        between = {
-            name: np.interp(meters, along_m, values)
-            for name, values in (
-                ("east_m", points[:, 0]),
-                ("north_m", points[:, 1]),
-                ("heading_rad", heading_rad),
-                ("route_m", self.route_m),
-                ("turn_deg", self.turn_deg + np.degrees(heading_rad - self.heading_rad)),
-                ("aside_m", self.aside_m + lefts_m),
-            )
-        }
-        rows = np.searchsorted(along_m, meters).clip(0, len(along_m) - 1)
-        return Way(roads=self.roads, road=self.road[rows], carried=self.carried[rows], **between)
-
-    def shifted(self, east_m: float, north_m: float) -> Way:
-        """The same elsewhere: what is seen stays."""
-        return replace(self, east_m=self.east_m + east_m, north_m=self.north_m + north_m)
+    def stays(self, count: int) -> Way:
+        """The last element, `count` times."""
+        parts = (*PARTS, "road", "heading_rad")
+        return Way(roads=self.roads, **{name: np.repeat(getattr(self, name)[-1], count) for name in parts})
 
 
 def along(scenario: Scenario, start_m: float, end_m: float) -> Way:
@@ -174,15 +97,6 @@ def along(scenario: Scenario, start_m: float, end_m: float) -> Way:
     route_m = np.arange(start_m, end_m + sign / 2, sign)
     points = np.array([drive.route.at(float(m), sign * scenario.lane_m) for m in route_m])
     heading_rad = np.unwrap(points[:, 2]) + (0.0 if sign > 0 else np.pi)
-    count = len(route_m)
-    return Way(
-        (scenario,),
-        points[:, 0],
-        points[:, 1],
-        heading_rad,
-        np.zeros(count, np.int64),
-        route_m,
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros(count, bool),
-    )
+    zeros = np.zeros(len(route_m))
+    road, carried = zeros.astype(np.int64), zeros.astype(bool)
+    return Way((scenario,), points[:, 0], points[:, 1], heading_rad, road, route_m, zeros, zeros, carried)

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
+from sim.research.trial.course_drive import drive
+from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_layers
 from sim.research.trial.table import (
@@ -26,8 +28,6 @@ from sim.research.trial.table import (
     line,
     put_between,
 )
-from sim.trial.rules import Run
-from sim.trial.run import drive
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -138,7 +138,7 @@ def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
     return [(names[seed % len(names)], seed, seed % len(names) + seed // len(names)) for seed in seeds]
 
 
-def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseScore]:
+def judge(planned: Sequence[Planned], runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     """A score for each course; before those of a case one of them together, and first of all one of everything."""
     together, scores = tuple(runs[one] for one in planned), []
     for case, about in CASES.items():
@@ -157,7 +157,7 @@ def judge(planned: Sequence[Planned], runs: dict[Planned, Run]) -> list[CourseSc
     )
 
 
-def compare(runs: dict[Planned, Run]) -> list[CourseScore]:
+def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     """All drives, each case, and each course that fails on layers; or each road of one course: one map, and layers."""
     pairs = {one: one._replace(layers=True) for one in runs if one._replace(layers=True) in runs and not one.layers}
     named = {"**all**": list(pairs)}
@@ -183,7 +183,7 @@ def compare(runs: dict[Planned, Run]) -> list[CourseScore]:
     ]
 
 
-def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, Run]:
+def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, CourseRun]:
     """Drive one after the other, or several roads side by side; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
     worlds = list(dict.fromkeys(one.world for one in planned))
@@ -198,7 +198,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     return {one: run for runs in found for one, run in runs.items()}
 
 
-def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s: float) -> dict[Planned, Run]:
+def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s: float) -> dict[Planned, CourseRun]:
     """Drives in one process; none begins after `ends_s` of time.monotonic()."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     library, runs = RoadLibrary(Network.load(), folder / "views"), {}

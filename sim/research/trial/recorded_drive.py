@@ -22,7 +22,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.toml_file import parse_toml, read_toml
 from sim.datasets.flight_logs import tlog_frames
 from sim.journal import read_journal
-from sim.trial.rules import Array
+from sim.trial.records import Array
 from sim.world.scenario import Scenario
 
 Columns = dict[str, NDArray[np.float64]]

@@ -37,10 +37,12 @@ from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge.telemetry.vehicle import Vehicle
 from sim import ORIGIN_ALT_M, geodetic
 from sim.journal import records_of
+from sim.research.trial.course_map import MAP_SIGMA_M
+from sim.research.trial.course_rules import SENT_WITHIN_S
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
-from sim.trial.rules import SENT_WITHIN_S, Array
-from sim.trial.run import JOURNAL, MAP_SIGMA_M, map_scenario, read_position
+from sim.trial.records import Array
+from sim.trial.run import JOURNAL, map_scenario, read_position
 from sim.trial.simulation import STEP_S
 from sim.trial.views import MOST_LEFT_M, RoadLibrary
 from sim.trial.way import Way, along

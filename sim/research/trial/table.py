@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import ConfigError
-from sim.trial.rules import Array, Run, lane_off_m
+from sim.research.trial.course_rules import CourseRun
+from sim.trial.records import Array, lane_off_m
 
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
 RMS = (0.8, 1.1)
@@ -23,7 +24,7 @@ HEADER = (
 )
 
 
-def line(name: str, run: Run) -> str:
+def line(name: str, run: CourseRun) -> str:
     """One drive, for people."""
     verdict = "; ".join(f"{failure.rule}: {failure.found}" for failure in run.failures) or "passed"
     ends = ", ".join(f"{track.end_off_m:.0f} m" for track in (run.track, run.alone))
@@ -48,7 +49,7 @@ class CourseScore:
     """All drives of one course, or of one case."""
 
     name: str
-    runs: tuple[Run, ...]
+    runs: tuple[CourseRun, ...]
 
     @property
     def is_several(self) -> bool:
@@ -107,7 +108,7 @@ class CourseScore:
             f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
             _beside([run.track.error_m for run in runs], [run.alone.error_m for run in runs]),
             _beside([abs(run.track.left_m) for run in runs], [abs(run.alone.left_m) for run in runs]),
-            f"{np.nanmean([run.share_sent for run in runs]):.2f}" if any(r.track.expected.any() for r in runs) else "-",
+            f"{np.nanmean([run.share_sent for run in runs]):.2f}" if any(r.expected.any() for r in runs) else "-",
             "; ".join(self.failures),
         )
         return "| " + " | ".join(cells) + " |"

@@ -9,10 +9,9 @@ import pytest
 
 from edge.errors import LookbackError
 from sim.demo.story import (
-    COURSE,
     LENGTH_M,
-    WORLD,
     headline,
+    laid,
     lost_at_m,
     median_95,
     picture,
@@ -20,8 +19,7 @@ from sim.demo.story import (
     sections_of,
     true_track,
 )
-from sim.trial.rules import Run, Sent, Track
-from sim.trial.run import drafted
+from sim.trial.records import Run, Sent, Track
 from sim.trial.simulation import Silent, Simulation
 
 
@@ -29,13 +27,13 @@ def _track(left_m: float, end_off_m: float) -> Track:
     """10 m/s, out over LENGTH_M with GPS in the lane, then home without, `left_m` beside it."""
     time_s = np.arange(0.0, 2 * LENGTH_M / 10.0, 0.1)
     gps = time_s * 10.0 < LENGTH_M
-    return Track(time_s, time_s * 10.0, np.where(gps, 0.0, left_m), np.zeros(len(time_s)), gps, ~gps, end_off_m)
+    return Track(time_s, time_s * 10.0, np.where(gps, 0.0, left_m), np.zeros(len(time_s)), gps, end_off_m)
 
 
 def _run() -> Run:
     sent_s = LENGTH_M / 10.0 - 0.1 + np.array([8.0, 10.0])  # since the last moment with GPS
     sent = Sent(sent_s, np.array([1.0, 3.0]), np.array([2.0, 4.0]))
-    return Run(1, 21, _track(2.0, 3.0), _track(-30.0, 80.0), sent, np.zeros(2))
+    return Run(1, 21, _track(2.0, 3.0), _track(-30.0, 80.0), sent)
 
 
 def test_the_table_tells_both_drives_side_by_side() -> None:
@@ -80,7 +78,7 @@ def test_the_smoke_test_fails_on_a_bad_drive(change: dict[str, Track | Sent], to
 
 
 def test_the_bar_counts_the_meters_of_the_drive() -> None:
-    draft, meters = drafted(COURSE, 1, LENGTH_M, WORLD), list[float]()
+    draft, meters = laid(), list[float]()
     simulation = Simulation(draft, Silent(), 1, meters.append)
     while not simulation.ended:
         simulation.step()

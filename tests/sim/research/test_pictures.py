@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib")
 from edge.config import PageConfig
 from edge.page import MapView
 from edge.page.server import StatusPage
-from sim.demo.story import COURSE, LENGTH_M
+from sim.demo.story import laid
 from sim.research.film import PANEL_PX, WINDOW_M, from_above
 from sim.research.pictures import (
     DRAWN_BY,
@@ -26,7 +26,6 @@ from sim.research.pictures import (
     checksum_of_sources,
     photograph_page,
 )
-from sim.trial.run import drafted
 from tests.udp_port import free_port
 
 
@@ -50,7 +49,7 @@ def test_a_page_that_does_not_answer_leaves_the_older_picture_as_it_was(tmp_path
 
 def test_from_above_the_vehicles_are_as_far_apart_as_they_were() -> None:
     """10 m to the left of the lane and 2 m to the right, 300 m along the way."""
-    way = drafted(COURSE, 1, LENGTH_M, 21).way
+    way = laid().way
     picture = from_above(way, 300.0, -2.0, 10.0).astype(int)
     blue, green, red = picture.transpose(2, 0, 1)
     middles = [np.argwhere(mask).mean(axis=0) for mask in ((green - red > 60) & (blue < 100), red - green > 100)]

@@ -7,54 +7,53 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.research.trial.course_rules import sends
+from sim.research.trial.course import CourseDraft
+from sim.research.trial.course_rules import USUAL, resumes, sends
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import Draft
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 
 
 @course("F", "odometer{:+d}", -15, -3, 3, 12)
-def _odometer(draft: Draft, value: int) -> None:
+def _odometer(draft: CourseDraft, value: int) -> None:
     """The wheels measure so many percent too much."""
     draft.errors = replace(draft.errors, scale=1.0 + value / 100.0)
 
 
 @course("F", "wheels-spin")
-def _wheels_spin(draft: Draft) -> None:
+def _wheels_spin(draft: CourseDraft) -> None:
     """The wheels turn 1.5 times too fast for 3 s of every 20 s."""
     draft.errors = replace(draft.errors, spins=1.5)
 
 
 @course("F", "heading-3")
-def _heading(draft: Draft) -> None:
+def _heading(draft: CourseDraft) -> None:
     """Dead reckoning goes 3 degrees to the side all the time."""
     draft.errors = replace(draft.errors, heading_deg=3.0 * np.sign(draft.errors.heading_deg))
 
 
 @course("F", "irregular-map")
-def _irregular(draft: Draft) -> None:
+def _irregular(draft: CourseDraft) -> None:
     """Places every 1 to 5 m."""
     draft.map = [replace(draft.map[0], spacing_m=(1.0, 5.0))]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("F", "no-headings")
-def _no_headings(draft: Draft) -> None:
+def _no_headings(draft: CourseDraft) -> None:
     """A map whose places have no heading."""
     draft.map = [replace(draft.map[0], headings=False)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("F", "antimeridian")
-def _antimeridian(draft: Draft) -> None:
+def _antimeridian(draft: CourseDraft) -> None:
     """The road crosses 180 degrees."""
     middle_lon_deg = np.degrees(draft.way.at(draft.way.length_m / 2)[0] / (6378137.0 * math.cos(math.radians(27.4772))))
     draft.lon_shift_deg = float(180.0 - 153.0283 - middle_lon_deg)
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("F", "clock-wrap")
-def _clock_wrap(draft: Draft) -> None:
+def _clock_wrap(draft: CourseDraft) -> None:
     """The autopilot's clock in milliseconds wraps in the middle of the drive, 49.7 days after boot."""
     draft.booted_before_s = 2**32 / 1e3 - draft.share(0.6) / 8.0
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)

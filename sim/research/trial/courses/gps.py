@@ -10,19 +10,21 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from edge.telemetry.codec import Message
 from sim.research.trial import gps_histories
+from sim.research.trial.course import GPS_S, CourseDraft, Stretch, is_command
 from sim.research.trial.course_rules import (
+    HONEST,
+    USUAL,
     back_to_usual,
     called_before_50_m,
     called_on_map,
     called_soon,
     never_called,
     never_sent,
+    resumes,
     sends,
     warned_before_50_m,
 )
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import GPS_S, Draft, Stretch, is_command
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.trial.way import along
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -47,7 +49,7 @@ BY_SCRIPT = ("jump", "drag-1-along")
 
 
 @course("D", "gps-{}", *GPS_WORKS)
-def _gps_works(draft: Draft, value: str) -> None:
+def _gps_works(draft: CourseDraft, value: str) -> None:
     """GPS works (RTK, PPP, the second receiver, a lost request for its messages), so no position may be sent."""
     draft.gps_at = lambda time_s: GPS_WORKS[value]
     draft.loses = lambda time_s, message, outgoing: value == "lost-request" and not outgoing and _requests_gps(message)
@@ -55,28 +57,28 @@ def _gps_works(draft: Draft, value: str) -> None:
 
 
 @course("D", "gps-500-m")
-def _gps_500_m(draft: Draft) -> None:
+def _gps_500_m(draft: CourseDraft) -> None:
     """A 3-D fix that is 500 m accurate, by its own word: GPS must count as lost."""
     draft.gps_at = lambda time_s: GpsReport(accuracy_m=1.0 if time_s < GPS_S else 500.0)
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("D", "gps-flicker")
-def _gps_flicker(draft: Draft) -> None:
+def _gps_flicker(draft: CourseDraft) -> None:
     """GPS comes and goes every 4 s."""
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or time_s % 8 < 4 else NO_FIX
 
 
 @course("D", "gps-one-message")
-def _gps_one_message(draft: Draft) -> None:
+def _gps_one_message(draft: CourseDraft) -> None:
     """A single good report in the middle of an outage."""
     at_s = draft.share(0.5) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or at_s <= time_s < at_s + 0.2 else NO_FIX
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("D", "gps-drag-{}", 0.5, 5)
-def _gps_drag(draft: Draft, value: float) -> None:
+def _gps_drag(draft: CourseDraft, value: float) -> None:
     """A spoofed GPS moves away, so many meters a second, for 40 s, and then is jammed."""
 
     def report(time_s: float) -> GpsReport:
@@ -86,21 +88,20 @@ def _gps_drag(draft: Draft, value: float) -> None:
     draft.gps_at = report
     draft.steers = False
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
-    draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
 @course("D", "gps-back-150")
-def _gps_back(draft: Draft) -> None:
+def _gps_back(draft: CourseDraft) -> None:
     """GPS comes back 150 m wrong; a person drives."""
     back_s, (east_m, north_m) = draft.share(0.5) / 8.0, draft.side(150.0)
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX if time_s < back_s else wrong
     draft.steers, draft.doubted_gps = False, "switch"
-    draft.rules = (within_sigmas, no_false_place, called_soon)
+    draft.rules = (*HONEST, called_soon)
 
 
 @course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0)
-def _gps_wrong_after_gap(draft: Draft, value: float) -> None:
+def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     """GPS agrees with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
     agreed_m = draft.length_m - 400.0
     draft.map = [Stretch(0.0, agreed_m - 250.0), Stretch(agreed_m, draft.length_m)]
@@ -108,11 +109,11 @@ def _gps_wrong_after_gap(draft: Draft, value: float) -> None:
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
     draft.steers, draft.doubted_gps = False, "switch"
-    draft.rules = (within_sigmas, no_false_place, called_on_map)
+    draft.rules = (*HONEST, called_on_map)
 
 
 @course("D", "gps-turned-twice")
-def _gps_turned_twice(draft: Draft) -> None:
+def _gps_turned_twice(draft: CourseDraft) -> None:
     """Half of the way out by day, 200 m back, and out again, mapped on the way; an honest GPS must not be called."""
     middle_m, lane_m = draft.share(0.5), draft.home.lane_m
     day = draft.road(light="day", direction="forward", drive_seed=1)
@@ -129,14 +130,14 @@ def _gps_turned_twice(draft: Draft) -> None:
 
 
 @course("D", "gps-{}", "multipath", "rtk-2-cm")
-def _gps_honest(draft: Draft, value: str) -> None:
+def _gps_honest(draft: CourseDraft, value: str) -> None:
     """An honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
     _follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
     draft.rules = (never_called,)
 
 
 @course("D", "gps-spoofed-{}", *SPOOFS)
-def _gps_spoofed(draft: Draft, value: str) -> None:
+def _gps_spoofed(draft: CourseDraft, value: str) -> None:
     """GPS is spoofed while a person drives; the places contradict it, and positions are used in its place."""
     start_s = draft.share(0.55) / 8.0
     _follow_history(draft, SPOOFS[value](start_s))
@@ -145,7 +146,7 @@ def _gps_spoofed(draft: Draft, value: str) -> None:
 
 
 @course("D", "gps-steered-aside")
-def _gps_steered_aside(draft: Draft) -> None:
+def _gps_steered_aside(draft: CourseDraft) -> None:
     """A spoofed GPS is dragged to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
     start_s = draft.share(0.35) / 8.0
 
@@ -157,7 +158,7 @@ def _gps_steered_aside(draft: Draft) -> None:
     draft.rules = (never_sent, warned_before_50_m)
 
 
-def _follow_history(draft: Draft, history: gps_histories.History) -> None:
+def _follow_history(draft: CourseDraft, history: gps_histories.History) -> None:
     """GPS as a history says, for a vehicle at 8 m/s; a person drives."""
     time_s = np.arange(0.0, draft.way.length_m / 4.0, 0.1)
     true_m = np.array([draft.way.at(min(8.0 * t, draft.way.length_m - 1.0))[:2] for t in time_s])

@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-from sim.research.trial.course_rules import close, sends
+from sim.research.trial.course import CourseDraft, Stretch
+from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import Draft
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
-from sim.trial.take_me_home import home_in
+from sim.trial.take_me_home import SET_OFF_M, out_and_home
+from sim.vehicle.gps import GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
 
 
 @course("G", "home")
-def _home(draft: Draft) -> None:
+def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
-    draft.rules = (within_sigmas, no_false_place, not_worse, close, sends, resumes)
+    draft.rules = (*USUAL, close, sends, resumes)
 
 
 @course("G", "take-me-home")
-def _take_me_home(draft: Draft) -> None:
+def _take_me_home(draft: CourseDraft) -> None:
     """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in one of four lights."""
-    home_in(draft, str(draft.rng.choice(HOME_LIGHTS)))
+    _home_in(draft, str(draft.rng.choice(HOME_LIGHTS)))
 
 
-course("G", "take-me-home-{}", *HOME_LIGHTS)(home_in)
+@course("G", "take-me-home-{}", *HOME_LIGHTS)
+def _home_in(draft: CourseDraft, value: str) -> None:
+    """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in this light."""
+    out_and_home(draft, value)
+    draft.maps_live = True
+    draft.map = [Stretch(SET_OFF_M, draft.length_m)]
+    draft.gps_at = lambda time_s: GpsReport()
+    draft.rules = (*USUAL, arrives, on_its_lane, resumes)
 
 
 @course("G", "person")
-def _person(draft: Draft) -> None:
+def _person(draft: CourseDraft) -> None:
     """A person keeps to the lane, whatever the autopilot believes."""
     draft.steers = False
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends, resumes)
+    draft.rules = (*USUAL, sends, resumes)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from sim.research.trial.course_rules import not_with_gps, sends, sources_restored, warns_of_another
+from sim.research.trial.course import DOWN_S, GPS_S, CourseDraft, is_command
+from sim.research.trial.course_rules import (
+    HONEST,
+    USUAL,
+    not_with_gps,
+    resumes,
+    sends,
+    sources_restored,
+    warns_of_another,
+)
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import DOWN_S, GPS_S, Draft, is_command
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
@@ -15,94 +22,93 @@ and a margin."""
 
 
 @course("E", "lost-acknowledgements")
-def _lost_acknowledgements(draft: Draft) -> None:
+def _lost_acknowledgements(draft: CourseDraft) -> None:
     """Every second answer of the autopilot is lost."""
     draft.loses = lambda time_s, message, outgoing: (
         outgoing and message.get_type() == "COMMAND_ACK" and int(time_s) % 2 == 0
     )
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("E", "lost-source-set")
-def _lost_source_set(draft: Draft) -> None:
+def _lost_source_set(draft: CourseDraft) -> None:
     """The command that selects the second set of sources is lost until 31 s after GPS; GPS comes back later."""
     draft.emit = "vision_position"
     draft.loses = lambda time_s, message, outgoing: not outgoing and time_s < 40.0 and is_command(message, 42007)
-    draft.rules = (within_sigmas, no_false_place, sources_restored)
+    draft.rules = (*HONEST, sources_restored)
     draft.gps_at = lambda time_s: NO_FIX if GPS_S <= time_s < draft.share(0.8) / 8.0 else GpsReport()
 
 
 @course("E", "silence-{}", 6, 60)
-def _silence(draft: Draft, value: float) -> None:
+def _silence(draft: CourseDraft, value: float) -> None:
     """Nothing but heartbeats from the autopilot for some seconds."""
     draft.silence_s = (draft.share(0.4) / 8.0, draft.share(0.4) / 8.0 + value)
     draft.unsent = [(draft.share(0.3), draft.share(0.4) + value * 10.4 + 80)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("E", "daemon-killed")
-def _daemon_killed(draft: Draft) -> None:
+def _daemon_killed(draft: CourseDraft) -> None:
     """The daemon dies in the middle of the drive, without a word, and is back 6 to 10 s later."""
     draft.killed_s, draft.down_s = draft.share(0.5) / 8.0, draft.rng.uniform(*DOWN_S)
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
     draft.unsent = [(draft.share(0.35), draft.share(0.65) + 140)]
 
 
 @course("E", "autopilot-restarted-{}", 120, 300, least_m=1200.0)
-def _autopilot_restarted(draft: Draft, value: float) -> None:
+def _autopilot_restarted(draft: CourseDraft, value: float) -> None:
     """The autopilot restarts without GPS, so many meters from its origin: it believes to be there. A person drives."""
     draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
     draft.unsent = [(value - 20.0, value + ALONE_M)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("E", "second-autopilot")
-def _second_autopilot(draft: Draft) -> None:
+def _second_autopilot(draft: CourseDraft) -> None:
     """Another vehicle ahead, on the same radio, has the same ids: a warning must say so."""
     draft.has_double, draft.steers = True, False
-    draft.rules = (within_sigmas, no_false_place, warns_of_another)
+    draft.rules = (*HONEST, warns_of_another)
 
 
 @course("E", "another-companion")
-def _another_companion(draft: Draft) -> None:
+def _another_companion(draft: CourseDraft) -> None:
     """Another computer on the vehicle resets the autopilot every 10 s, by positions that are 3 m wrong."""
     draft.companion_s = 10.0
-    draft.rules = (within_sigmas, no_false_place)
+    draft.rules = HONEST
 
 
 @course("E", "frozen-30")
-def _frozen(draft: Draft) -> None:
+def _frozen(draft: CourseDraft) -> None:
     """The camera delivers the same picture for 30 s."""
     draft.frozen_s = draft.share(0.3) / 8.0, draft.share(0.3) / 8.0 + 30.0
-    draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
 @course("E", "clock-3")
-def _clock(draft: Draft) -> None:
+def _clock(draft: CourseDraft) -> None:
     """The autopilot's answers to TIMESYNC are 3 s ahead of the clock of its messages."""
     draft.clock_off_s = 3.0
 
 
 @course("E", "pictures-3")
-def _pictures(draft: Draft) -> None:
+def _pictures(draft: CourseDraft) -> None:
     """Pictures are 3 s older than they say, as behind the buffer of a network stream."""
     draft.late_s = 3.0
 
 
 @course("E", "pictures-3-stop")
-def _pictures_stop(draft: Draft) -> None:
+def _pictures_stop(draft: CourseDraft) -> None:
     """The same, and the vehicle stops for 8 s after 40 m, with GPS: the stamps are corrected."""
     draft.late_s = 3.0
     draft.drive(draft.way, Leg(40.0, then_wait_s=8.0), Leg(draft.way.length_m - 2))
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S + 12.0 else NO_FIX
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("E", "gps-returns")
-def _gps_returns(draft: Draft) -> None:
+def _gps_returns(draft: CourseDraft) -> None:
     """GPS comes back while positions go unanswered: none may be sent again then."""
     back_s = draft.share(0.6) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if not GPS_S <= time_s < back_s else NO_FIX
     draft.loses = lambda time_s, message, outgoing: outgoing and message.get_type() == "COMMAND_ACK"
-    draft.rules = (within_sigmas, no_false_place, not_with_gps)
+    draft.rules = (*HONEST, not_with_gps)

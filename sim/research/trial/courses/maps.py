@@ -8,10 +8,10 @@ from dataclasses import replace
 from edge.config import GatesConfig
 from edge.localization import CORRELATION_M
 from edge.localization.claims import SAME_RECORDING
-from sim.research.trial.course_rules import sends
+from sim.research.trial.course import Course, CourseDraft, Stretch
+from sim.research.trial.course_rules import HONEST, USUAL, not_worse, resumes, sends, within_sigmas
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import Course, Draft, Stretch
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
+from sim.research.trial.ways import bent
 from sim.trial.way import along
 from sim.world.scenario import LightName, View
 
@@ -32,14 +32,14 @@ FIRST_LINE_M = 120.0
 
 
 @course("A", "one-stretch")
-def _one_stretch(draft: Draft) -> None:
+def _one_stretch(draft: CourseDraft) -> None:
     """One stretch of 220 m is known, and entered, left and seen from everywhere else."""
     start_m = draft.rng.integers(22) / 21 * (draft.length_m - 220.0)
     draft.map = [Stretch(start_m, start_m + 220.0)]
 
 
 @course("C", "false-{}", 140, 260, 400)
-def _false(draft: Draft, value: float) -> None:
+def _false(draft: CourseDraft, value: float) -> None:
     """Part of the map is 300 m wrong, and GPS fails before it is reached."""
     start_m = draft.share(0.3)
     end_m = min(start_m + value, draft.length_m - 60)
@@ -49,58 +49,58 @@ def _false(draft: Draft, value: float) -> None:
         Stretch(end_m, draft.length_m),
     ]
     draft.unsent = [(draft.length_m - end_m, draft.length_m - start_m + 240)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("C", "false-{}-no-gps", 140, 260, 400)
-def _false_no_gps(draft: Draft, value: float) -> None:
+def _false_no_gps(draft: CourseDraft, value: float) -> None:
     """The same without GPS from boot: nothing but the wrong stretch is known for the first half of the way."""
     _false(draft, value)
     draft.map = [Stretch(0.0, draft.share(0.15)), draft.map[1]]
     draft.has_gps = False
-    draft.rules = (within_sigmas, no_false_place, not_worse)
+    draft.rules = USUAL
 
 
 @course("C", "false-recording-{}", 24, 60)
-def _false_recording(draft: Draft, value: float) -> None:
+def _false_recording(draft: CourseDraft, value: float) -> None:
     """410 m of the map are 150 m wrong in two segments of one recording, so far apart; no GPS, a person drives."""
     off_m, name = draft.side(150.0), "a recording"
     first = Stretch(60.0, 265.0, off_m=off_m, recording=name)
     draft.map = [first, Stretch(265.0 + value, 470.0 + value, off_m=off_m, recording=name)]
     draft.has_gps = draft.steers = False
-    draft.rules = (within_sigmas, no_false_place, not_worse)
 
 
 @course("C", "repeats-{}", 240, 320)
-def _repeats(draft: Draft, value: float) -> None:
+def _repeats(draft: CourseDraft, value: float) -> None:
     """Blocks of so many meters all look like the first."""
     draft.seen_m = lambda route_m: route_m % value
     draft.unsent = [(0.0, math.inf)]
 
 
 @course("C", "alike-100-aside")
-def _alike(draft: Draft) -> None:
+def _alike(draft: CourseDraft) -> None:
     """The drive is 100 m to the side of the mapped road, on one that looks the same."""
-    draft.drive(draft.way.shifted(*draft.side(100.0)))
+    (east_m, north_m), way = draft.side(100.0), draft.way
+    draft.drive(replace(way, east_m=way.east_m + east_m, north_m=way.north_m + north_m))
     draft.unsent = [(0.0, math.inf)]
 
 
 @course("C", "far-origin", least_m=1200.0)
-def _far_origin(draft: Draft) -> None:
+def _far_origin(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 260 m off; a person drives, and the map is right."""
     _no_gps(draft)
     draft.origin_off_m = draft.side(260.0)
 
 
 @course("C", "no-gps", least_m=1200.0)
-def _no_gps(draft: Draft) -> None:
+def _no_gps(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
     draft.unsent = [(0.0, _confirmed_after_m(draft))]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
-def _confirmed_after_m(draft: Draft) -> float:
+def _confirmed_after_m(draft: CourseDraft) -> float:
     """Meters along the way until one recording has confirmed itself: as far apart by displacement, as `claims` asks.
 
     The velocity may be too small by its scale, and observations are CORRELATION_M apart.
@@ -113,34 +113,34 @@ def _confirmed_after_m(draft: Draft) -> float:
 
 
 @course("C", "shifted-40")
-def _shifted(draft: Draft) -> None:
+def _shifted(draft: CourseDraft) -> None:
     """The whole map is 40 m wrong."""
     draft.map = [Stretch(0.0, draft.length_m, off_m=draft.side(40.0))]
     draft.rules = (within_sigmas, not_worse)
 
 
 @course("C", "two-drives-40")
-def _two_drives(draft: Draft) -> None:
+def _two_drives(draft: CourseDraft) -> None:
     """Two drives over the road disagree by 40 m, and nobody says which of them is right."""
     draft.map = [Stretch(0.0, draft.length_m), Stretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
     draft.rules = (within_sigmas, not_worse)
 
 
 @course("C", "two-laps")
-def _two_laps(draft: Draft) -> None:
+def _two_laps(draft: CourseDraft) -> None:
     """Laps of 120 m whose places are 300 m wrong, without GPS from boot: a lap must not confirm another."""
     start_m = draft.length_m / 2
-    lap = along(draft.home, start_m + 119, start_m).bent()
+    lap = bent(along(draft.home, start_m + 119, start_m))
     draft.drive(lap.then(lap).then(lap).then(lap))
     draft.map = [Stretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
     draft.has_gps, draft.steers = False, False
-    draft.rules = (within_sigmas, no_false_place)
+    draft.rules = HONEST
 
 
 def on_layers(one: Course) -> Course:
     """The course on DRIVES over what it has mapped: the first is as wrong as its map, the others are right."""
 
-    def lay(draft: Draft) -> None:
+    def lay(draft: CourseDraft) -> None:
         one.lay(draft)
         if not draft.maps_live:
             _as_layers(draft)
@@ -148,7 +148,7 @@ def on_layers(one: Course) -> Course:
     return replace(one, lay=lay)
 
 
-def _as_layers(draft: Draft) -> None:
+def _as_layers(draft: CourseDraft) -> None:
     right = [replace(stretch, off_m=(0.0, 0.0), recording="") for stretch in draft.map]
     further = [replace(stretch, camera=camera) for camera in DRIVES[1:] for stretch in right]
     draft.map = [*(replace(stretch, camera=DRIVES[0]) for stretch in draft.map), *further]
@@ -156,13 +156,13 @@ def _as_layers(draft: Draft) -> None:
 
 
 @course("K", "layers-8")
-def _layers(draft: Draft) -> None:
+def _layers(draft: CourseDraft) -> None:
     """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
     _as_layers(draft)
 
 
 @course("K", "layers-8-shifted")
-def _layers_shifted(draft: Draft) -> None:
+def _layers_shifted(draft: CourseDraft) -> None:
     """The same, one front drive recorded 15 m aside, and one without a position."""
     _layers(draft)
     draft.map[3] = replace(draft.map[3], off_m=draft.side(15.0))

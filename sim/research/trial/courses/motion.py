@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from sim.research.trial.course_rules import sends
+from sim.research.trial.course import CourseDraft, Stretch
+from sim.research.trial.course_rules import USUAL, resumes, sends
 from sim.research.trial.courses.registry import course
-from sim.trial.draft import Draft, Stretch
-from sim.trial.rules import no_false_place, not_worse, resumes, within_sigmas
+from sim.research.trial.ways import bent, beside, carried_on, joined, towed
 from sim.trial.way import Way, along
 from sim.vehicle.driver import Leg
 
@@ -16,31 +16,31 @@ APART_M = 12.0
 
 
 @course("B", "turn-off")
-def _turn_off(draft: Draft) -> None:
+def _turn_off(draft: CourseDraft) -> None:
     """By 90 degrees into a road that is not on the map, in the middle of one that is."""
     middle_m = draft.share(0.5)
     away = along(draft.road(seed=draft.world + 100), draft.length_m, draft.share(0.6))
     way = along(draft.home, draft.length_m, middle_m).turned(draft.rng.choice((-90.0, 90.0)))
     draft.unsent = [(way.length_m, math.inf)]
-    draft.drive(way.then(away, moved=True))
+    draft.drive(joined(way, away))
 
 
 @course("B", "u-turn")
-def _u_turn(draft: Draft) -> None:
+def _u_turn(draft: CourseDraft) -> None:
     """Back the way it came, on the other lane."""
     way, turned, back = _there_and_back(draft, draft.share(0.5))
     draft.drive(back, Leg(way.length_m), Leg(turned.length_m + 5, 2.0), Leg(back.length_m - 2))
 
 
 @course("B", "dead-end")
-def _dead_end(draft: Draft) -> None:
+def _dead_end(draft: CourseDraft) -> None:
     """Into a dead end, a few meters back, round, and out again on the other lane."""
     way, turned, out = _there_and_back(draft, draft.share(0.4))
     back = Leg(way.length_m - 12, -2.0)
     draft.drive(out, Leg(way.length_m), back, Leg(turned.length_m + 5, 2.0), Leg(out.length_m - 2))
 
 
-def _there_and_back(draft: Draft, at_m: float) -> tuple[Way, Way, Way]:
+def _there_and_back(draft: CourseDraft, at_m: float) -> tuple[Way, Way, Way]:
     """The way to a point of the road, the same and round it, and the same and back on the other lane."""
     way = along(draft.home, draft.length_m, at_m)
     turned = way.turned(180.0, radius_m=draft.home.lane_m)
@@ -48,84 +48,84 @@ def _there_and_back(draft: Draft, at_m: float) -> tuple[Way, Way, Way]:
 
 
 @course("B", "figure-eight")
-def _figure_eight(draft: Draft) -> None:
+def _figure_eight(draft: CourseDraft) -> None:
     """A loop to the right and one to the left, and the first once more."""
     middle_m = draft.share(0.5)
-    right = along(draft.home, draft.length_m - 2, middle_m).bent()
-    left = along(draft.home, middle_m - 1, 0.0).bent(to_the_left=True)
-    draft.drive(right.then(left, moved=True).then(right))
+    right = bent(along(draft.home, draft.length_m - 2, middle_m))
+    left = bent(along(draft.home, middle_m - 1, 0.0), to_the_left=True)
+    draft.drive(joined(right, left).then(right))
     draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("B", "circle-twice")
-def _circle_twice(draft: Draft) -> None:
+def _circle_twice(draft: CourseDraft) -> None:
     """The same circle twice."""
-    lap = along(draft.home, draft.length_m - 2, draft.share(0.4)).bent()
+    lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
     draft.drive(lap.then(lap))
     draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("B", "laps-12-apart")
-def _laps_apart(draft: Draft) -> None:
+def _laps_apart(draft: CourseDraft) -> None:
     """A circle, and then another one 12 m outside; both are mapped."""
-    lap = along(draft.home, draft.length_m - 2, draft.share(0.4)).bent()
+    lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
     outwards_m = 30.0
-    both = lap.then(lap).beside(lambda m: APART_M * min(max((m - lap.length_m) / outwards_m, 0.0), 1.0))
+    both = beside(lap.then(lap), lambda m: APART_M * min(max((m - lap.length_m) / outwards_m, 0.0), 1.0))
     draft.drive(both)
     inside = Stretch(draft.share(0.4), draft.length_m, on_way=True)
     draft.map = [inside, replace(inside, left_m=-APART_M)]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("B", "lane-12-beside")
-def _lane_beside(draft: Draft) -> None:
+def _lane_beside(draft: CourseDraft) -> None:
     """12 m beside the lane on which the map was made, to the left or to the right."""
     left_m = float(draft.rng.choice((-APART_M, APART_M)))
-    draft.drive(draft.way.beside(lambda m: left_m))
+    draft.drive(beside(draft.way, lambda m: left_m))
 
 
 @course("B", "parallel-streets-12")
-def _parallel_12(draft: Draft) -> None:
+def _parallel_12(draft: CourseDraft) -> None:
     """Another street 12 m to the left or to the right, both mapped, and seen from both."""
     draft.map = [draft.map[0], replace(draft.map[0], left_m=float(draft.rng.choice((-APART_M, APART_M))))]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("B", "parallel-streets-30")
-def _parallel_30(draft: Draft) -> None:
+def _parallel_30(draft: CourseDraft) -> None:
     """Another street 30 m to the left or to the right, both mapped, which looks different."""
     other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), looks=draft.world + 100)
     draft.map = [draft.map[0], other]
-    draft.rules = (within_sigmas, no_false_place, not_worse, sends)
+    draft.rules = (*USUAL, sends)
 
 
 @course("B", "reversing-{}", 2, 4)
-def _reversing(draft: Draft, value: float) -> None:
+def _reversing(draft: CourseDraft, value: float) -> None:
     """60 m backwards in the middle of the drive."""
     middle_m = draft.share(0.5)
     draft.drive(draft.way, Leg(middle_m), Leg(middle_m - 60, -value), Leg(draft.way.length_m - 2))
 
 
 @course("B", "stop")
-def _stop(draft: Draft) -> None:
+def _stop(draft: CourseDraft) -> None:
     """45 s at rest, and on."""
     draft.drive(draft.way, Leg(draft.share(0.6), then_wait_s=45.0), Leg(draft.way.length_m - 2))
-    draft.rules = (within_sigmas, no_false_place, not_worse, resumes)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("B", "ferry")
-def _ferry(draft: Draft) -> None:
+def _ferry(draft: CourseDraft) -> None:
     """Carried for 2 km, then on over another road; a person drives, since the autopilot is lost by design."""
     draft.steers = False
-    there = along(draft.home, draft.length_m, draft.share(0.6)).carried_on(2000)
+    there = carried_on(along(draft.home, draft.length_m, draft.share(0.6)), 2000)
     draft.unsent = [(there.length_m - 2000, math.inf)]
-    draft.drive(there.then(along(draft.road(seed=draft.world + 100), draft.length_m, draft.share(0.5)), moved=True))
+    draft.drive(joined(there, along(draft.road(seed=draft.world + 100), draft.length_m, draft.share(0.5))))
 
 
 @course("B", "tow")
-def _tow(draft: Draft) -> None:
+def _tow(draft: CourseDraft) -> None:
     """100 m along the mapped road with the wheels in the air."""
     draft.steers = False
-    draft.drive(draft.way.towed(int(draft.share(0.5)), int(draft.share(0.5) + 100)))
+    draft.drive(towed(draft.way, int(draft.share(0.5)), int(draft.share(0.5) + 100)))

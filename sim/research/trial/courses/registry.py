@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.trial.draft import Course, Draft
+from sim.research.trial.course import Course, CourseDraft
 
 CASES = {
     "A": "one mapped stretch",
@@ -32,7 +32,7 @@ def course(
         about = " ".join((function.__doc__ or "").split())
         for value in values:
 
-            def lay(draft: Draft, value: object = value) -> None:
+            def lay(draft: CourseDraft, value: object = value) -> None:
                 function(draft, value)
 
             COURSES[name.format(value)] = Course(case, lay, about, least_m)

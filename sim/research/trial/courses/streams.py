@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sim.research.trial.course_rules import close, first_in_time, never_sent, sends, warns
+from sim.research.trial.course import GPS_S, CourseDraft
+from sim.research.trial.course_rules import HONEST, USUAL, close, first_in_time, never_sent, sends, warns
 from sim.research.trial.courses.registry import COURSES, course
-from sim.trial.draft import GPS_S, Draft
-from sim.trial.rules import no_false_place, not_worse, within_sigmas
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 
@@ -16,13 +15,13 @@ WANDER_MPS = 0.4
 0.35 on three recorded flights of PX4, 0.1 of its rover."""
 
 
-def _run_away(draft: Draft) -> None:
+def _run_away(draft: CourseDraft) -> None:
     acceleration_mps2, seed = draft.rng.uniform(0.1, 0.2), int(draft.rng.integers(2**31))
     draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
 
 
 @course("H", "px4-no-velocity-aid")
-def _px4_no_aid(draft: Draft) -> None:
+def _px4_no_aid(draft: CourseDraft) -> None:
     """Nothing measures PX4's velocity, which runs away: where the vehicle is between two places, nobody knows."""
     draft.firmware, draft.steers, draft.motion = "px4", False, "off"
     _run_away(draft)
@@ -39,7 +38,7 @@ EARLY_S = 3.0  # in which hardly 7 m are driven
 
 
 @course("J", "px4-camera{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
-def _px4_camera(draft: Draft, value: str) -> None:
+def _px4_camera(draft: CourseDraft, value: str) -> None:
     """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that."""
     if value.lstrip("-") in COURSES:
         COURSES[value.lstrip("-")].lay(draft)
@@ -48,11 +47,11 @@ def _px4_camera(draft: Draft, value: str) -> None:
     draft.emit = "external_position" if value not in ("", "-unused") else "auto"
     _run_away(draft)
     draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
-    draft.rules = (within_sigmas, no_false_place, not_worse)
+    draft.rules = USUAL
 
 
 @course("J", "px4-camera-sent{}", "", "-stop", "-turn-off", "-early")
-def _px4_camera_sent(draft: Draft, value: str) -> None:
+def _px4_camera_sent(draft: CourseDraft, value: str) -> None:
     """As px4-camera, and PX4 fuses the velocity that the camera measures; early: GPS is lost at once, and by an earlier
     drive the camera is higher by a tenth than it is."""
     COURSES[f"px4-camera{value if value != '-early' else ''}"].lay(draft)
@@ -65,7 +64,7 @@ def _px4_camera_sent(draft: Draft, value: str) -> None:
 
 
 @course("J", "rover-camera-sent{}", "", "-scale-10", "-slips")
-def _rover_camera_sent(draft: Draft, value: str) -> None:
+def _rover_camera_sent(draft: CourseDraft, value: str) -> None:
     """ArduPilot Rover without wheel encoders steers itself home by the camera's velocity and our positions; scale-10:
     its camera is lower by a tenth than on an earlier drive, slips: from the middle of the way on."""
     COURSES["px4-camera-sent"].lay(draft)
@@ -79,34 +78,34 @@ def _rover_camera_sent(draft: Draft, value: str) -> None:
 
 
 @course("H", "px4-aided{}", "", "-43003")
-def _px4_aided(draft: Draft, value: str) -> None:
+def _px4_aided(draft: CourseDraft, value: str) -> None:
     """PX4 with a velocity sensor whose scale is 3 % wrong."""
     draft.firmware = "px4"
     draft.emit = "external_position" if value else "auto"
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
-    draft.rules = (within_sigmas, no_false_place, not_worse, close, sends)
+    draft.rules = (*USUAL, close, sends)
 
 
 @course("H", "vision")
-def _vision(draft: Draft) -> None:
+def _vision(draft: CourseDraft) -> None:
     """ArduPilot with VISION_POSITION_ESTIMATE, whose stream turns the filter's heading."""
     draft.emit = "vision_position"
-    draft.rules = (within_sigmas, no_false_place, not_worse, close, sends)
+    draft.rules = (*USUAL, close, sends)
 
 
 @course("H", "stream-unused")
-def _stream_unused(draft: Draft) -> None:
+def _stream_unused(draft: CourseDraft) -> None:
     """PX4 whose parameters for positions are missing: a warning must say that nobody uses them."""
     draft.firmware = "px4-without-agp"
     draft.errors = OdometryErrors("velocity sensor", 1.03)
-    draft.rules = (within_sigmas, no_false_place, warns)
+    draft.rules = (*HONEST, warns)
 
 
 @course("H", "px4-failsafe")
-def _px4_failsafe(draft: Draft) -> None:
+def _px4_failsafe(draft: CourseDraft) -> None:
     """PX4 gives up 6 s after the loss of GPS; on a mapped road the first position must come before."""
     draft.firmware, draft.steers = "px4", False
     draft.errors = OdometryErrors("velocity sensor", 1.03)
     lost_s = draft.share(0.7) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if time_s < lost_s else NO_FIX
-    draft.rules = (within_sigmas, no_false_place, first_in_time)
+    draft.rules = (*HONEST, first_in_time)

@@ -16,6 +16,9 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial import course_rules
 from sim.research.trial import fixes_command as command
+from sim.research.trial.course import drafted
+from sim.research.trial.course_drive import drive
+from sim.research.trial.course_rules import CourseRun, Failure, Rule, failures
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import DRIVES, on_layers
 from sim.research.trial.table import (
@@ -28,9 +31,9 @@ from sim.research.trial.table import (
     line,
     put_between,
 )
-from sim.trial import rules
-from sim.trial.rules import Run, Sent, Track
-from sim.trial.run import JOURNAL, drafted, drive, map_scenario
+from sim.research.trial.ways import joined, placed
+from sim.trial.records import Sent, Track
+from sim.trial.run import JOURNAL, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
 from sim.vehicle.driver import Driver, Leg
@@ -100,14 +103,15 @@ def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
 def straight(count: int = 600) -> Track:
     time_s = np.arange(0.0, count) * 0.1
     zeros = np.zeros(count)
-    return Track(time_s, time_s * 8.0, zeros, zeros + 5.0, time_s < 9.0, time_s >= 9.0)
+    return Track(time_s, time_s * 8.0, zeros, zeros + 5.0, time_s < 9.0)
 
 
-def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> Run:
+def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> CourseRun:
     """Positions each second from the tenth on."""
     sent_s = np.arange(10.0, 60.0)
     sent = Sent(sent_s, np.full(50, error_m), np.full(50, sigma_m))
-    run = Run(1, WORLD, straight(), straight(), sent, np.full(50, error_m))
+    track = straight()
+    run = CourseRun(1, WORLD, track, track, sent, expected=track.time_s >= 9.0, after_m=np.full(50, error_m))
     return replace(run, **changes)  # type: ignore[arg-type]  # fields by name
 
 
@@ -122,23 +126,31 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
 @pytest.mark.parametrize(
     ("rule", "run", "found"),
     [
-        (rules.within_sigmas, run_of(), ""),
-        (rules.within_sigmas, run_of(error_m=13.0), "4.3 sigma"),
-        (rules.no_false_place, run_of(error_m=41.0), "50 false, up to 41 m"),
-        (rules.not_worse, run_of(), ""),
-        (rules.not_worse, run_of(track=replace(straight(), error_m=np.full(600, 7.0))), "error 7.0 m, alone 5.0 m"),
-        (rules.not_worse, run_of(track=replace(straight(), left_m=np.full(600, -2.0))), "cross-track 2.0 m, alone 0.0"),
+        (course_rules.within_sigmas, run_of(), ""),
+        (course_rules.within_sigmas, run_of(error_m=13.0), "4.3 sigma"),
+        (course_rules.no_false_place, run_of(error_m=41.0), "50 false, up to 41 m"),
+        (course_rules.not_worse, run_of(), ""),
+        (
+            course_rules.not_worse,
+            run_of(track=replace(straight(), error_m=np.full(600, 7.0))),
+            "error 7.0 m, alone 5.0 m",
+        ),
+        (
+            course_rules.not_worse,
+            run_of(track=replace(straight(), left_m=np.full(600, -2.0))),
+            "cross-track 2.0 m, alone 0.0",
+        ),
         (course_rules.close, run_of(error_m=3.5), "median after 3.5 m"),
         (course_rules.close, run_of(after_m=np.array([])), "no position used"),
         (course_rules.sends, run_of(), ""),
         (course_rules.sends, run_of(sent=NOTHING), "share sent 0.00"),
-        (rules.resumes, run_of(), ""),
-        (rules.resumes, run_of(sent=NOTHING), "none for 350 m at 42"),
-        (rules.resumes, run_of(sent=Sent(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
-        (rules.arrives, run_of(), ""),
-        (rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
-        (rules.on_its_lane, run_of(), ""),
-        (rules.on_its_lane, run_of(track=replace(straight(), left_m=np.full(600, -6.0))), "cross-track 6.0 m"),
+        (course_rules.resumes, run_of(), ""),
+        (course_rules.resumes, run_of(sent=NOTHING), "none for 350 m at 42"),
+        (course_rules.resumes, run_of(sent=Sent(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
+        (course_rules.arrives, run_of(), ""),
+        (course_rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
+        (course_rules.on_its_lane, run_of(), ""),
+        (course_rules.on_its_lane, run_of(track=replace(straight(), left_m=np.full(600, -6.0))), "cross-track 6.0 m"),
         (course_rules.never_sent, run_of(), "50 sent"),
         (course_rules.not_with_gps, run_of(), ""),
         (course_rules.not_with_gps, run_of(track=replace(straight(), gps=straight().time_s > 40)), "17 sent with GPS"),
@@ -173,7 +185,7 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
         (course_rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
     ],
 )
-def test_what_a_rule_finds(rule: rules.Rule, run: Run, found: str) -> None:
+def test_what_a_rule_finds(rule: Rule, run: CourseRun, found: str) -> None:
     assert rule(run).startswith(found)
     assert bool(rule(run)) == bool(found)
 
@@ -185,7 +197,7 @@ def test_where_the_first_position_comes() -> None:
 
 def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
     failed = run_of(error_m=10.0)
-    failed = replace(failed, failures=rules.failures(failed, (course_rules.close, rules.within_sigmas)))
+    failed = replace(failed, failures=failures(failed, (course_rules.close, course_rules.within_sigmas)))
     score = CourseScore("home", (run_of(), failed))
     assert score.failures == ["close (1, road 21)", "500 in 1,000 beyond 3 sigma", "rms 2.40 sigma"]
     assert score.row().startswith("| home | 1 of 2 | 100 | 6.0 / 10.0 / 10.0 m | 2.4 / 3.3 | 5.0 m, 5.0 m |")
@@ -195,7 +207,7 @@ def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
 
 def test_an_autopilot_that_is_wrong_leaves_the_lane_by_what_it_is_wrong() -> None:
     """It steers by its belief: 5 m east of the truth takes it 5 m west of a road that leads north."""
-    way = along(Scenario(seed=WORLD, length_m=LENGTH_M), 0.0, 400.0).placed(0.0, 0.0, 0.0)
+    way = placed(along(Scenario(seed=WORLD, length_m=LENGTH_M), 0.0, 400.0), 0.0, 0.0, 0.0)
     straight_on = replace(way, east_m=0 * way.east_m, north_m=np.arange(401.0), heading_rad=0 * way.heading_rad)
     driver = Driver(straight_on, [Leg(380.0)], np.random.default_rng(1))
     belief = SimpleNamespace(east_m=0.0, north_m=0.0, steering_error_rad=0.0)
@@ -224,7 +236,7 @@ def test_a_turned_way_is_continuous_and_its_view_turns_with_it() -> None:
     home = Scenario(seed=WORLD, length_m=LENGTH_M, direction="reverse")
     away = Scenario(seed=WORLD + 1, length_m=LENGTH_M, direction="reverse")
     before = along(home, 520.0, 260.0)
-    way = before.turned(90.0).then(along(away, 400.0, 300.0), moved=True)
+    way = joined(before.turned(90.0), along(away, 400.0, 300.0))
     steps_m = np.hypot(np.diff(way.east_m), np.diff(way.north_m))
     assert steps_m.max() < 1.6
     assert np.degrees(way.heading_rad[-101] - before.heading_rad[-1]) == pytest.approx(90.0, abs=1.0)
@@ -293,7 +305,7 @@ def test_on_layers_the_first_drive_is_as_wrong_as_the_map_and_the_others_are_rig
 
 def test_layers_are_compared_drive_by_drive_with_one_map() -> None:
     planned = command.plan(_options(["--case", "AB", "--runs", "2", "--layers"]))
-    failed = replace(run_of(error_m=10.0), failures=(rules.Failure("close", "10 m"),))
+    failed = replace(run_of(error_m=10.0), failures=(Failure("close", "10 m"),))
     runs = {one: failed if one.layers and one.course == "u-turn" else run_of() for one in planned}
     rows = [(score.name, len(score.runs), bool(score.failures)) for score in command.compare(runs)]
     both = [f"{name}, {what}" for name in ("**all**", *_bold("AB"), "u-turn") for what in ("one map", "eight layers")]
@@ -313,7 +325,7 @@ def _bold(cases: str) -> list[str]:
 
 
 def test_in_short_courses_that_pass_are_only_counted() -> None:
-    failed = replace(run_of(error_m=10.0), failures=(rules.Failure("close", "10 m"),))
+    failed = replace(run_of(error_m=10.0), failures=(Failure("close", "10 m"),))
     several, passed = CourseScore("**all**", (run_of(), failed)), CourseScore("home", (run_of(),))
     scores = [several, passed, CourseScore("tow", (failed,))]
     found = in_short(scores).splitlines()
@@ -330,7 +342,7 @@ def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_
 
 
 def test_in_short_layers_show_what_is_worse_on_them() -> None:
-    failed = replace(run_of(), failures=(rules.Failure("close", "10 m"),))
+    failed = replace(run_of(), failures=(Failure("close", "10 m"),))
     names = ("**all**", "worse", "odd", "no worse", "fine")
     alone = [CourseScore(f"{name}, one map", (failed if name == "no worse" else run_of(),)) for name in names]
     on_layers = {"worse": failed, "odd": run_of(error_m=3.6), "no worse": failed}

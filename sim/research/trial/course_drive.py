@@ -1,0 +1,244 @@
+"""One drive of a course: what goes wrong, and what the drive was worth by the course's rules."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.config import Config, GatesConfig, MappingConfig, MotionConfig
+from edge.motion import CameraMotion
+from edge.motion.height import WINDOWS_MOST
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.link import Link
+from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim.research.trial.course import Course, CourseDraft, drafted
+from sim.research.trial.course_map import build_map
+from sim.research.trial.course_rules import CourseRun, failures, within_protection_level
+from sim.trial.cameras import TrialCamera, View
+from sim.trial.run import Drive
+from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
+from sim.trial.views import RoadLibrary
+from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
+from sim.vehicle.driver import Driver, Leg
+from sim.vehicle.gps import NO_FIX, GpsReport
+from sim.world.sensor import CAMERA_HIGH_M
+
+COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each direction, and as they say
+DOUBLE_AHEAD_M, DOUBLE_MPS = 60.0, 5.0
+
+
+def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> CourseRun:
+    """Drive a course once with the daemon and once without; its journal stays in `folder`."""
+    run = CourseDrive(drafted(course, seed, length_m, world), seed, folder, library).run()
+    assert isinstance(run, CourseRun)
+    return run
+
+
+class CourseSimulation(Simulation):
+    """A vehicle that something goes wrong with."""
+
+    _draft: CourseDraft
+
+    def __init__(self, draft: CourseDraft, link: Link, seed: int, driven: Callable[[float], object]) -> None:
+        links = shared(link, 2) if draft.has_double else [link]
+        super().__init__(draft, links[0], seed, driven)
+        late = round(draft.late_s / FRAME_S)
+        shown_m = None if draft.motion == "off" else draft.shown_m
+        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
+        if not draft.steers:
+            self.driver.belief = None
+        self.autopilot.loses = self._loses
+        self.autopilot.has_script = draft.doubted_gps == "send"
+        self.autopilot.timesync_off_s = draft.clock_off_s
+        self._companion_due_s, self._restarts_s = draft.companion_s, draft.restarted_s or math.inf
+        self.is_heard = True
+        """Whether the daemon runs."""
+        self._sets_origin = isinstance(link, Silent)
+        """Which somebody else does then."""
+        self._companion_rng = np.random.default_rng([seed, 15])
+        self._double: tuple[Driver, SimulatedAutopilot] | None = None
+        if draft.has_double:
+            legs, rng = [Leg(draft.way.length_m - 2, DOUBLE_MPS)], np.random.default_rng([seed, 16])
+            ahead = Driver(draft.way, legs, rng, starts_m=DOUBLE_AHEAD_M)
+            self._double = ahead, self._autopilot(links[1], lambda: ahead.pose)
+
+    def _autopilot(self, link: Link, pose: Callable[[], Pose], **others: Any) -> SimulatedAutopilot:
+        draft = self._draft
+        return super()._autopilot(
+            link,
+            pose,
+            firmware=draft.firmware,
+            gps=draft.has_gps,
+            has_origin=draft.has_gps,
+            booted_before_s=draft.booted_before_s,
+            **others,
+        )
+
+    def step(self) -> None:
+        """Move everything on by STEP_S."""
+        super().step()
+        if self.time_s() >= self._restarts_s:
+            self._restarts_s = math.inf
+            self.autopilot.reboot(BOOTS_S)
+        if self.time_s() >= self._companion_due_s:
+            self._companion_due_s += self._draft.companion_s
+            self._hear_companion()
+        if self._double is not None:
+            self._double[0].step(STEP_S)
+            self._double[1].step()
+        if self._sets_origin and self._draft.origin_m is not None:
+            self.autopilot.set_origin(*self._draft.origin_m)
+
+    def _hear_companion(self) -> None:
+        """Another computer on the vehicle resets the autopilot's position."""
+        pose, off_m = self.driver.pose, self._companion_rng.normal(0.0, COMPANION_OFF_M, 2)
+        lat_deg, lon_deg = geodetic(pose.east_m + off_m[0], pose.north_m + off_m[1], self._draft.lon_shift_deg)
+        values = self.autopilot.boot_s, 0.0, COMPANION_SIGMA_M, math.nan
+        place = round(lat_deg * 1e7), round(lon_deg * 1e7), math.nan
+        command = EXTERNAL_POSITION_ESTIMATE
+        self.autopilot.handle(
+            mavlink.MAVLink_command_int_message(1, 1, mavlink.MAV_FRAME_GLOBAL, command, 0, 0, *values, *place)
+        )
+
+    def _show(self, view: View) -> None:
+        frozen_s = self._draft.frozen_s
+        view = view._replace(route_m=self._draft.seen_m(view.route_m))
+        self._front.expose(view, frozen=frozen_s[0] <= self.time_s() < frozen_s[1])
+        if self._draft.maps_live:
+            self.rear.expose(view.of_rear())
+
+    def gps(self, time_s: float) -> GpsReport:
+        """The receiver's report, where there is one."""
+        return super().gps(time_s) if self._draft.has_gps else NO_FIX
+
+    def _loses(self, message: Any, outgoing: bool) -> bool:
+        if not self.is_heard:
+            return True
+        silence = self._draft.silence_s
+        if silence and outgoing and silence[0] <= self.time_s() < silence[1]:
+            return bool(message.get_type() != "HEARTBEAT")
+        return self._draft.loses(self.time_s(), message, outgoing)
+
+    def fall_silent(self, until_s: float) -> None:
+        """The daemon is dead until a moment of the drive, or its end."""
+        if self.ended:
+            return
+        self._link.receive()  # what it said when its parts were closed; a daemon that is killed says nothing
+        self.is_heard = False
+        while self.time_s() < until_s and not self.ended:
+            self.take(STEP_S)
+        self.is_heard = True
+
+
+class CourseDrive(Drive):
+    """A course, driven once with the daemon and once without."""
+
+    draft: CourseDraft
+
+    def make_map(self, path: Path) -> None:
+        """Before the drive, unless it is made on the way."""
+        if self.draft.maps_live:
+            path.mkdir()
+        else:
+            build_map(self.draft, path, self.network, self.library, self.seed)
+
+    def simulation(self, link: Link, driven: Callable[[float], object] = lambda meters: None) -> CourseSimulation:
+        """The vehicle at its start."""
+        return CourseSimulation(self.draft, link, self.seed, driven)
+
+    def config(self, connection: str, map_path: Path) -> Config:
+        """What the course asks for."""
+        config, draft = super().config(connection, map_path), self.draft
+        origin = (*geodetic(*draft.origin_m, draft.lon_shift_deg), ORIGIN_ALT_M) if draft.origin_m else ()
+        replace = msgspec.structs.replace
+        return replace(
+            config,
+            motion=MotionConfig(use=draft.motion),
+            mapping=config.mapping if draft.maps_live else MappingConfig(),
+            gates=GatesConfig(doubted_gps=draft.doubted_gps),
+            telemetry=replace(config.telemetry, emit=draft.emit, origin=origin),
+        )
+
+    def run_daemon(self, simulation: Simulation, config: Config, until_s: float = math.inf) -> None:
+        """With the camera's height as if it was learned before; twice where it is killed."""
+        assert isinstance(simulation, CourseSimulation)
+        draft = self.draft
+        if draft.height is not None:
+            heights_m = (CAMERA_HIGH_M * draft.height,) * WINDOWS_MOST
+            height = msgspec.structs.replace(CameraMotion(config).height.kept, heights_m=heights_m)
+            self.journal.with_suffix(".height").write_bytes(msgspec.json.encode(height))
+        if draft.killed_s is not None:
+            super().run_daemon(simulation, config, draft.killed_s)
+            simulation.fall_silent(draft.killed_s + draft.down_s)
+        super().run_daemon(simulation, config)
+
+    def judged(self, simulation: Simulation, alone: Simulation) -> CourseRun:
+        """Both drives, by the truth and by the course's rules."""
+        autopilot = simulation.autopilot
+        texts = tuple(
+            (simulation.time_s(item.time_s), item.message.severity, item.message.text)
+            for item in autopilot.received
+            if item.message.get_type() == "STATUSTEXT"
+        )
+        run = super().judged(simulation, alone)
+        told = CourseRun(
+            **vars(run),
+            expected=self._expected(run.track.along_m, run.track.gps),
+            after_m=np.array([item.error_after_m for item in (*autopilot.inputs.resets, *autopilot.inputs.fused)]),
+            texts=texts,
+            source_set=autopilot.inputs.source_set,
+        )
+        return dataclasses.replace(told, failures=failures(told, (*self.draft.rules, within_protection_level)))
+
+    def _expected(self, along_m: NDArray[np.float64], gps: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        draft, way = self.draft, self.draft.way
+        row = along_m.astype(int).clip(0, len(way.route_m) - 1)
+        expected = ~gps & (np.array(way.roads, object)[way.road[row]] == draft.home) & ~way.carried[row]
+        route_m = way.route_m[row]
+        known = [(stretch.start_m <= route_m) & (route_m < stretch.end_m) for stretch in draft.map if stretch.is_true]
+        expected &= np.any(known, axis=0) if known else False
+        for start_m, end_m in draft.unsent:
+            expected &= ~((along_m >= start_m) & (along_m < end_m))
+        return np.asarray(expected, bool)
+
+
+class SharedLink:
+    """The part of one vehicle: it hears everything that arrives, as each other part of `shared` does."""
+
+    def __init__(self, link: Link, parts: list[SharedLink]) -> None:
+        self._link, self._parts = link, parts
+        self._heard = b""
+        parts.append(self)
+
+    def receive(self) -> bytes:
+        """What has arrived since this part's last call."""
+        arrived = self._link.receive()
+        for part in self._parts:
+            part._heard += arrived
+        heard, self._heard = self._heard, b""
+        return heard
+
+    def send(self, data: bytes) -> bool:
+        """See Link."""
+        return self._link.send(data)
+
+    def fileno(self) -> int:
+        """See Link."""
+        return self._link.fileno()
+
+    def close(self) -> None:
+        """The link itself stays open."""
+
+
+def shared(link: Link, count: int) -> list[SharedLink]:
+    """A link's parts for so many vehicles."""
+    parts: list[SharedLink] = []
+    return [SharedLink(link, parts) for _ in range(count)]

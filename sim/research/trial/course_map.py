@@ -1,0 +1,97 @@
+"""The map of a course, made before the drive."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network
+from edge.recognizer import model_key
+from edge.reference_map import LearnedFolder
+from edge.reference_map.builder import NAN, MapBuilder, Place
+from edge.reference_map.store import RegionsKey
+from sim import ORIGIN_ALT_M, geodetic
+from sim.maps.learning import learn
+from sim.research.trial.course import CourseDraft, Stretch
+from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
+from sim.trial.records import Array
+from sim.trial.run import RIG, map_scenario
+from sim.trial.views import RoadLibrary
+from sim.world.route import Route
+
+MAP_SIGMA_M = math.sqrt(2)
+"""Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
+
+
+def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLibrary, seed: int) -> None:
+    """The map of a course, made on the way out; by day with the camera that looks back, unless it has layers.
+
+    Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states.
+    """
+    config = DescriptorConfig()
+    regions = RegionsKey(config.regions, config.region_width, "set")
+    rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
+    numbers = range(len(draft.map))
+    cameras = dict.fromkeys(stretch.camera for stretch in draft.map)
+    by_camera = [[number for number in numbers if draft.map[number].camera == camera] for camera in cameras]
+    for part in by_camera if draft.layers else [numbers]:
+        folder = path / f"{part[0]}" if draft.layers else path
+        with MapBuilder(folder, model_key(network), regions, SamplingConfig()) as builder:
+            for number in part:
+                _drive_stretch(builder, draft, number, library, rngs)
+            builder.finish()
+    if draft.layers:
+        learn(path).keep(LearnedFolder(path))
+
+
+def _drive_stretch(
+    builder: MapBuilder,
+    draft: CourseDraft,
+    number: int,
+    library: RoadLibrary,
+    rngs: tuple[np.random.Generator, np.random.Generator],
+) -> None:
+    """rngs: of the places, and of GPS."""
+    stretch = draft.map[number]
+    out = map_scenario(draft.home, stretch.camera)
+    builder.begin_segment(stretch.recording or f"stretch {number}", out.view)
+    seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
+    places_m = _places_m(stretch, rngs[0])
+    off_m = _errors_m(places_m, rngs[1]) + np.array(stretch.off_m)
+    for row, route_m in enumerate(places_m):
+        raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
+        builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
+
+
+def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
+    places_m = [stretch.start_m]
+    while places_m[-1] < stretch.end_m:
+        places_m.append(places_m[-1] + rng.uniform(*stretch.spacing_m))
+    return places_m[:-1]
+
+
+def _errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
+    """East and north (n, 2) of each place of a drive."""
+    length_m = places_m[-1] - places_m[0]
+    errors = receiver_errors(int(length_m) + 2, 1.0, WANDERS_AT_M, rng)
+    rows = np.array([int(route_m - places_m[0]) for route_m in places_m])
+    off_m: Array = MAP_SIGMA_M / math.sqrt(2) * errors[rows]
+    return off_m
+
+
+def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m: float, off_m: Array) -> Place:
+    if stretch.on_way:
+        # Against the way, on the lane that the rig's offset expects.
+        at_m = float(np.argmin(np.abs(draft.way.route_m - route_m)))
+        east_m, north_m, heading_rad = draft.way.at(at_m, -RIG.left_reverse_m - stretch.left_m)
+        heading_rad += math.pi
+    else:
+        east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m + stretch.left_m)
+    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], draft.lon_shift_deg)
+    heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
+    known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
+    return Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps")
