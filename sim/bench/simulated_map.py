@@ -25,17 +25,6 @@ STREET_M, APART_M, SPACING_M = 10_000.0, 100.0, 2.0
 BLOCK = 4096
 
 
-def map_bytes(places: int, dimensions: int) -> int:
-    """What a map takes on the disk, and in memory when all of it is matched; raw descriptors are a hole in a file."""
-    return places * (REGIONS.count * dimensions + PLACE.itemsize)
-
-
-def write_simulated_tiles(folder: Path, places: int, tiles: int, model: ModelKey) -> None:
-    """Streets with this number of places as a folder of `tiles` maps of equal size."""
-    for number, tile in enumerate(np.array_split(np.arange(places), tiles)):
-        write_simulated_map(folder / f"{number:04}", len(tile), model, int(tile[0]))
-
-
 def write_simulated_map(path: Path, places: int, model: ModelKey, first: int = 0) -> None:
     """A whole map, every checksum of which holds, of the streets from place `first` on."""
     path.mkdir(parents=True)
@@ -108,16 +97,3 @@ def _digest_of_zeros(size: int) -> str:
         digest.update(zeros)
     digest.update(bytes(size % (1 << 20)))
     return digest.hexdigest()
-
-
-def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
-    """What a normalized query (R, D) shows at a place: exactly what the map has there."""
-    half_sum, half_difference = descriptors[:, place].astype(np.float32)
-    return np.stack([half_sum + half_difference, half_sum - half_difference])
-
-
-def match_position(place: int) -> tuple[float, float]:
-    """Latitude and longitude of a place."""
-    street, along_m = divmod(place * SPACING_M, STREET_M)
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
-    return float(lat_deg), float(lon_deg)

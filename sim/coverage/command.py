@@ -22,6 +22,7 @@ from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import KNOWN_M, SOON_M, Gap, Stretch, spans_of
 from sim.evaluation.replay import config_for_map
+from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
 
 POINTS = 12
@@ -87,7 +88,7 @@ def _run(args: argparse.Namespace) -> int:
     else:
         _print(args, sheet, found, percent)
     if args.geojson:
-        args.geojson.write_bytes(msgspec.json.encode(_geojson(maps, sheet.stretches, found)))
+        args.geojson.write_text(_geojson(maps, sheet.stretches, found), encoding="utf-8")
     if args.picture:
         percent = GatesConfig().drift_percent
         lines = [_line(maps, one.span) for one in sheet.stretches]
@@ -192,15 +193,13 @@ def _where(one: Span | Gap) -> dict[str, Any]:
     return {"drive": one.segment + 1, "from_m": one.from_m, "to_m": one.to_m}
 
 
-def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias]) -> dict[str, object]:
-    resembles, features = {one.stretch: one.other for one in found}, []
+def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias]) -> str:
+    resembles = {one.stretch: one.other for one in found}
+    lines = []
     for one in stretches:
-        line = _line(maps, one.span)
-        if len(line) > 1:
-            geometry = {"type": "LineString", "coordinates": line}
-            properties = _properties(one, resembles.get(one.span))
-            features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    return {"type": "FeatureCollection", "features": features}
+        points = [(lat_deg, lon_deg) for lon_deg, lat_deg in _line(maps, one.span)]
+        lines.append(GroundLine("", points, properties=_properties(one, resembles.get(one.span))))
+    return as_geojson([line for line in lines if len(line.points) > 1])
 
 
 def _line(maps: MapSet, span: Span) -> list[list[float]]:

@@ -18,10 +18,11 @@ from edge.descriptor.network import Head, Network, Regions, cut_regions
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ModelError
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.fidelity import compare, matching_accuracy
+from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB
 from sim.research.alexnet.graph import build_float
 from sim.research.alexnet.weights import read_weights
+from sim.research.evaluation.matching import matching_accuracy
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
 

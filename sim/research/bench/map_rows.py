@@ -7,14 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
+from edge.reference_map.place_records import PLACE
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import PlaceSearch
-from sim.bench.simulated_map import map_bytes, match_position, seen_at, write_simulated_map, write_simulated_tiles
+from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
+from sim.bench.simulated_map import APART_M, REGIONS, SPACING_M, STREET_M, write_simulated_map
 from sim.bench.timing import Times, race, wall_ns
 from sim.research.bench.rows import Row, Section, Target
 
@@ -132,3 +135,27 @@ def _frames(path: Path, small: Path, size: str, places: int, rounds: int, target
         wanted = "1,000,000 places with a position known to 500 m, against 10,000 scanned in full"
         targets.append(Target(wanted, "1.5x or less", f"{ratio:.2f}x", ratio <= 1.5))
     return rows
+
+
+def map_bytes(places: int, dimensions: int) -> int:
+    """What a map takes on the disk, and in memory when all of it is matched; raw descriptors are a hole in a file."""
+    return places * (REGIONS.count * dimensions + PLACE.itemsize)
+
+
+def write_simulated_tiles(folder: Path, places: int, tiles: int, model: ModelKey) -> None:
+    """Streets with this number of places as a folder of `tiles` maps of equal size."""
+    for number, tile in enumerate(np.array_split(np.arange(places), tiles)):
+        write_simulated_map(folder / f"{number:04}", len(tile), model, int(tile[0]))
+
+
+def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
+    """What a normalized query (R, D) shows at a place: exactly what the map has there."""
+    half_sum, half_difference = descriptors[:, place].astype(np.float32)
+    return np.stack([half_sum + half_difference, half_sum - half_difference])
+
+
+def match_position(place: int) -> tuple[float, float]:
+    """Latitude and longitude of a place."""
+    street, along_m = divmod(place * SPACING_M, STREET_M)
+    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
+    return float(lat_deg), float(lon_deg)

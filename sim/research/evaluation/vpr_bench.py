@@ -24,7 +24,7 @@ from edge.descriptor.open_network import normalized_set
 from edge.errors import ConfigError, FrameError
 from edge.feed import read_picture
 from sim.datasets.pictures import list_pictures
-from sim.model_tools.fidelity import unit_rows
+from sim.research.evaluation.matching import unit_rows
 
 GROUND_TRUTH = "ground_truth_new.npy"
 NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")  # before and since NumPy 2

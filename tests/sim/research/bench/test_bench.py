@@ -13,10 +13,11 @@ from edge.motion import CameraMotion
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
-from sim.bench.simulated_map import BLOCK, seen_at, write_simulated_map, write_simulated_tiles
+from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
 from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, search_rows
 from sim.research.bench.machine import Machine
+from sim.research.bench.map_rows import seen_at, write_simulated_tiles
 from sim.research.bench.rows import Row, Section, Target, page
 
 MACHINE = Machine("a slide rule", 1e6, 1e8)
