@@ -67,20 +67,12 @@ def _plain(cell: Cell) -> str | int | float:
 
 @dataclass(frozen=True)
 class Interval:
-    """A score on the traverse as driven, and the percentile interval of its resamples at `level`.
-
-    decided: of a difference, whether the interval excludes 0; otherwise it is noise.
-    """
+    """A score on the traverse as driven, and the percentile interval of its resamples at `level`."""
 
     value: float
     low: float
     high: float
     level: float
-
-    @property
-    def decided(self) -> bool:
-        """Whether 0 lies outside the interval."""
-        return self.low > 0 or self.high < 0
 
 
 Cell = str | int | float | Interval

@@ -38,23 +38,10 @@ def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[n
 
 def interval(statistic: Statistic, answers: Answers, how: Resampling) -> Interval:
     """The interval of one method's score."""
-    return _interval(lambda queries: statistic(answers.take(queries)), len(answers.confidence), how)
-
-
-def difference(statistic: Statistic, first: Answers, second: Answers, how: Resampling) -> Interval:
-    """The interval of `first`'s score minus `second`'s on the same queries, resampled together (paired)."""
-    if len(first.confidence) != len(second.confidence):
-        raise ValueError(f"not the same queries: {len(first.confidence)} and {len(second.confidence)}")
-    return _interval(
-        lambda queries: statistic(first.take(queries)) - statistic(second.take(queries)), len(first.confidence), how
-    )
-
-
-def _interval(score: Callable[[NDArray[np.intp]], float], count: int, how: Resampling) -> Interval:
-    rng = np.random.default_rng(how.seed)
-    drawn = np.array([score(block_indices(count, how.block, rng)) for _ in range(how.resamples)])
+    rng, count = np.random.default_rng(how.seed), len(answers.confidence)
+    drawn = np.array([statistic(answers.take(block_indices(count, how.block, rng))) for _ in range(how.resamples)])
     drawn = drawn[~np.isnan(drawn)]  # a resample with no query on the map has no recall
-    value = score(np.arange(count))
+    value = statistic(answers)
     if not drawn.size:
         return Interval(value, float("nan"), float("nan"), how.level)
     tail = (1 - how.level) / 2

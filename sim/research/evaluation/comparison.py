@@ -10,7 +10,7 @@ from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall, recall_at_precision
 from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots
-from sim.research.evaluation.bootstrap import difference, interval
+from sim.research.evaluation.bootstrap import interval
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair
 from sim.research.evaluation.scores import at_threshold, max_f1_of_places, scores
@@ -72,7 +72,7 @@ def slug_of(pair: Pair) -> str:
 
 
 def overview(runner: MethodRunner, results: Results) -> Section:
-    """Max-F1 of every method on every pair, and the differences that the plan names."""
+    """Max-F1 of every method on every pair."""
     pairs = [pair.name for pair in runner.plan.pairs]
     heights = {
         text: [
@@ -84,8 +84,7 @@ def overview(runner: MethodRunner, results: Results) -> Section:
     columns, note = ("method", *pairs), " ".join(offset_warnings(runner, results))
     table = Table("overview", "Max-F1 (places) of every method on every pair", columns, rows, note)
     plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
-    tables = [table, *_differences(runner, results)]
-    return Section("Overview", _methods_text(runner), tables, [plot])
+    return Section("Overview", _methods_text(runner), [table], [plot])
 
 
 def median_ahead(outcome: Outcome) -> float:
@@ -164,23 +163,6 @@ def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
                 f" {shown.ahead:.0f} is expected, near the tolerance of {pair.tolerance:g}: set ahead or calibration."
             )
     return lines
-
-
-def _differences(runner: MethodRunner, results: Results) -> list[Table]:
-    rows: list[Sequence[Cell]] = []
-    for pair in runner.plan.pairs:
-        for first, second in runner.plan.experiments.better_than:
-            one, two = results.get((pair.name, first)), results.get((pair.name, second))
-            if one is None or two is None:
-                continue
-            less = difference(max_f1_of_places, one.answers, two.answers, runner.resampling(one.length))
-            verdict = "noise" if not less.decided else "better" if less.value > 0 else "worse"
-            rows.append([pair.name, first, second, less, verdict])
-    if not rows:
-        return []
-    columns = ("pair", "method", "against", "difference in max-F1 (places)", "verdict")
-    note = "Paired block bootstrap at 95 %; an interval that contains 0 is noise."
-    return [Table("differences", "Is it better, or is it noise?", columns, rows, note)]
 
 
 def _methods_text(runner: MethodRunner) -> str:

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from edge.descriptor.network import REGION_COUNT, Network, Regions, cut_regions
 from edge.errors import ConfigError, FrameError
-from sim.research.evaluation.networks import Precision, Tap, open_network
+from sim.research.evaluation.networks import Tap, open_network
 from sim.research.evaluation.plan import Plan
 from sim.research.evaluation.traverses import Traverse, open_pictures
 
@@ -26,9 +26,9 @@ class Descriptions:
         self._opened: dict[str, Network] = {}
         self._raw: dict[tuple[object, ...], Raw] = {}
 
-    def network(self, name: str, tap: Tap, precision: Precision | None = None) -> Network:
+    def network(self, name: str, tap: Tap) -> Network:
         """A layer of a network, opened once."""
-        network = open_network(name, self._plan.networks[name], self._folder, tap, precision)
+        network = open_network(name, self._plan.networks[name], self._folder, tap)
         self._opened[network.info.sha256] = network
         return network
 
@@ -36,9 +36,9 @@ class Descriptions:
         """Every network that was used."""
         return list(self._opened.values())
 
-    def raw(self, traverse: Traverse, name: str, tap: Tap, regions: Regions, precision: Precision | None = None) -> Raw:
+    def raw(self, traverse: Traverse, name: str, tap: Tap, regions: Regions) -> Raw:
         """Descriptors (n, R, D) float32 of a traverse as the layer gives them."""
-        network = self.network(name, tap, precision)
+        network = self.network(name, tap)
         key = (name, network.info.sha256, regions, traverse.paths, traverse.rows.tobytes())
         if key not in self._raw:
             self._raw[key] = self._described(traverse, network, regions)

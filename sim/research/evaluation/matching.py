@@ -12,7 +12,7 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.descriptor.open_network import normalized_set
 from edge.feed import View
-from edge.reference_map.costs import COST_ONE, CostMatcher, encode
+from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.evidence import Neighborhood
 from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
@@ -56,21 +56,6 @@ def matching_accuracy(query: NDArray[np.float32], reference: NDArray[np.float32]
     similarity = unit_rows(normalized_set(query)) @ unit_rows(normalized_set(reference)).T
     best = similarity.argmax(axis=1)
     return float(correct[np.arange(len(best)), best].mean())
-
-
-class FloatMatcher:
-    """`CostMatcher` on float descriptors, to compare int8 descriptors with."""
-
-    def __init__(self, descriptors: NDArray[np.float32]) -> None:
-        """descriptors (N, R, D)."""
-        self._orders = descriptors.shape[1]
-        self._unit = unit_rows(descriptors)
-
-    def costs(self, query: NDArray[np.float32]) -> NDArray[np.int32]:
-        """As `CostMatcher.costs`: (n, R, D) -> (n, orders, N), COST_ONE for a query that is all zero."""
-        orders = [query, query[:, ::-1]][: self._orders]
-        cosines = [unit_rows(one) @ self._unit.T for one in orders]
-        return np.asarray(np.rint((1.0 - np.stack(cosines, axis=1)) * COST_ONE).astype(np.int32))
 
 
 def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:

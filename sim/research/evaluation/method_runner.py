@@ -17,7 +17,6 @@ from sim.research.evaluation.as_run import config_of, match_as_run
 from sim.research.evaluation.bootstrap import Resampling
 from sim.research.evaluation.descriptions import Descriptions, Raw
 from sim.research.evaluation.matching import (
-    FloatMatcher,
     Matches,
     errors_of,
     int8_matcher,
@@ -28,7 +27,6 @@ from sim.research.evaluation.matching import (
     open_matcher,
 )
 from sim.research.evaluation.methods import Method, find_method, query_rows, reference_rows
-from sim.research.evaluation.networks import Precision
 from sim.research.evaluation.plan import Pair, Plan
 from sim.research.evaluation.traverses import Traverse, place_coordinates, true_errors
 
@@ -128,16 +126,15 @@ class MethodRunner:
         *,
         length: int | None = None,
         spacing_m: float | None = None,
-        precision: Precision | None = None,
     ) -> Outcome:
-        """One method on one pair; the options change what the plan says. `precision` is of network and descriptors."""
+        """One method on one pair; the options change what the plan says."""
         method = self.method(text)
         sampling = self.plan.sampling
         if spacing_m is not None:
             sampling = msgspec.structs.replace(sampling, by="distance", spacing_m=spacing_m)
         reference, query = self.traverse(pair.reference, sampling), self.traverse(pair.query, sampling)
         length = length or self.sequence_length(pair, sampling)
-        matches = self._match(pair, method, reference, query, length, precision)
+        matches = self._match(pair, method, reference, query, length)
         ahead = self.offset(pair, text)
         errors = true_errors(reference, query, pair, ahead)
         judged = judged_queries(errors, length, query.drives())
@@ -166,19 +163,17 @@ class MethodRunner:
         reference: Traverse,
         query: Traverse,
         length: int,
-        precision: Precision | None,
     ) -> Matches:
         if method.layer == "pixels":
             if len(reference.paths) > 1 or len(query.paths) > 1:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
             return match_seqslam(reference.pixels, query.pixels, length)
-        raw = self._raw(method, reference, precision), self._raw(method, query, precision)
+        raw = self._raw(method, reference), self._raw(method, query)
         if method.recognizer:
             config = config_of(pair, reference, query, SequenceConfig(length=length), self.plan.region_width)
-            network = self.descriptions.network(method.network, "fc6", precision)
+            network = self.descriptions.network(method.network, "fc6")
             return match_as_run(reference, query, raw, config, model_key(network), method.recognizer)
         described = reference_rows(method, raw[0])
-        costs = FloatMatcher(described) if precision == "float32" else int8_matcher(described)
         starts = {drive.start for drive in query.drives()}
         search = open_matcher(
             *place_coordinates(reference, pair),
@@ -188,10 +183,10 @@ class MethodRunner:
             views=(reference.feed.header.view, query.feed.header.view),
             drives=reference.drives(),
         )
-        return match(query_rows(method, raw[1], length, starts), costs.costs, search, starts)
+        return match(query_rows(method, raw[1], length, starts), int8_matcher(described).costs, search, starts)
 
-    def _raw(self, method: Method, traverse: Traverse, precision: Precision | None) -> Raw:
+    def _raw(self, method: Method, traverse: Traverse) -> Raw:
         if method.layer == "external":
             return self.descriptions.external(traverse, method.external)
         assert method.layer != "pixels"
-        return self.descriptions.raw(traverse, method.network, method.layer, method.regions, precision)
+        return self.descriptions.raw(traverse, method.network, method.layer, method.regions)

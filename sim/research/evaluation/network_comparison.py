@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     plan = _with_networks(load_plan(path), args.model)
     folders = folders_of(args, path)
     runner = open_runner(plan, folders)
-    opened = {name: open_network(name, one, folders.models, "fc6", None) for name, one in plan.networks.items()}
+    opened = {name: open_network(name, one, folders.models, "fc6") for name, one in plan.networks.items()}
     compared = []
     for name in tqdm(opened, desc="networks", unit="network"):
         outcomes = [runner.run(pair, f"{METHOD}@{name}") for pair in plan.pairs]
@@ -109,7 +109,7 @@ def measured(name: str, plan: NetworkPlan, folder: Path) -> Cost:
 
 def _measure(name: str, plan: NetworkPlan, folder: Path) -> Cost:
     before_mb = _resident_mb()
-    network = open_network(name, plan, folder, "fc6", None)
+    network = open_network(name, plan, folder, "fc6")
     images = np.random.default_rng(0).integers(0, 256, (REGIONS, *network.size, 3), dtype=np.uint8)
     times_ms = []
     for _ in range(ROUNDS):

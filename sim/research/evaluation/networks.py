@@ -23,21 +23,20 @@ Precision = Literal["int8", "float32"]
 
 
 @lru_cache(maxsize=16)
-def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision | None) -> Network:
-    """A layer of a network in the given precision; with None, in int8 if available. Opened once in a process.
+def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap) -> Network:
+    """A layer of a network in int8 if available, else in float. Opened once in a process.
 
     ConfigError names what is missing.
     """
-    wanted: tuple[Precision, ...] = (precision,) if precision else ("int8", "float32")
-    for one in wanted:
+    precisions: tuple[Precision, ...] = ("int8", "float32")
+    for one in precisions:
         file = _file_of(folder / plan.model if plan.model else None, tap, one)
         if file.is_file():
             return Network.load(file)
         if plan.weights and (one == "float32" or plan.ranges):
             return Network(_make(plan, folder, tap, one))
     raise ConfigError(
-        f"[networks.{name}]: has no {tap} in {' or '.join(wanted)}; give it weights, or import it with"
-        f" `lookback dev alexnet --tap {tap}`"
+        f"[networks.{name}]: has no {tap}; give it weights, or import it with `lookback dev alexnet --tap {tap}`"
     )
 
 

@@ -61,7 +61,7 @@ class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
 class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, several feeds (each a drive of its own), or a scenario that is rendered into a feed.
 
-    fps: frames a second of a scenario, also during halts; without it, one frame every spacing of the sampling.
+    A scenario has a frame every spacing of the sampling.
     first_row, last_row: the first and the last row of the feed that are used. external: name -> .npy of descriptors
     (rows of the feed, D) that another program made, under --feeds as well; methods Raw-NAME, NSD-NAME.
     """
@@ -69,7 +69,6 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     feed: str = ""
     feeds: tuple[str, ...] = ()
     scenario: str = ""
-    fps: Positive | None = None
     first_row: Annotated[int, Meta(ge=0)] = 0
     last_row: Annotated[int, Meta(ge=0)] | None = None
     external: dict[str, str] = {}
@@ -107,20 +106,11 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     published: dict[str, float] = {}
 
 
-class Standing(Struct, frozen=True, forbid_unknown_fields=True):
-    """[[experiments.standing]]: another query for a pair, with halts, sampled by time."""
-
-    pair: str
-    query: str
-
-
 class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     """[experiments]: what is run besides every method on every pair.
 
     sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
-    cold_start: right answers by thirds of the drive. int8: int8 against float for these methods, on sweep_pairs too.
-    standing: drives with halts, with and without the gate for a standing vehicle.
-    better_than: [first, second] methods whose difference is tested against noise.
+    cold_start: right answers by thirds of the drive, of these methods.
     """
 
     sequence_lengths: list[Length] = []
@@ -128,9 +118,6 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
     sweep_pairs: list[str] = []
     cold_start: list[str] = []
-    int8: list[str] = []
-    standing: list[Standing] = []
-    better_than: list[tuple[str, str]] = []
 
 
 class Plan(Struct, frozen=True, forbid_unknown_fields=True):
@@ -180,10 +167,8 @@ def _check_names(path: Path, plan: Plan) -> None:
         if (pair.truth == "anchors") != (len(rows) >= 2) or rows != sorted(set(rows)):
             raise ConfigError(f'{where}: truth = "anchors" needs two or more anchors, the query\'s rows in order')
     experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
-    for name in [*experiments.sweep_pairs, *(item.pair for item in experiments.standing)]:
+    for name in experiments.sweep_pairs:
         named(f"{path}: experiments", name, pairs)
-    for item in experiments.standing:
-        named(f"{path}: experiments", item.query, plan.traverses)
 
 
 def named(where: str, name: str, known: dict[str, Named]) -> Named:

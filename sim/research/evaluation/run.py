@@ -39,10 +39,8 @@ def run_plan(runner: MethodRunner) -> Iterator[Section]:
     """All comparisons and experiments of a plan, section by section."""
     plan, wanted = runner.plan, runner.plan.experiments
     total = len(plan.methods) * len(plan.pairs)
-    swept = len(experiments.sweep_pairs(plan))
-    sweeps = swept * len(wanted.sweep_methods)
-    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m)) + swept * len(wanted.int8)
-    total += 3 * len(wanted.standing)
+    sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
+    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m))
     with tqdm(total=total, unit="step", desc="plan") as progress:
 
         def step(what: str) -> None:
@@ -59,10 +57,6 @@ def run_plan(runner: MethodRunner) -> Iterator[Section]:
             yield experiments.spacings(runner, step)
         if wanted.cold_start:
             yield experiments.cold_start(runner, results)
-        if wanted.int8:
-            yield experiments.int8_against_float(runner, results, step)
-        if wanted.standing:
-            yield experiments.standing(runner, step)
 
 
 @dataclass(frozen=True)
@@ -94,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     path = find_plan(args.plan)
     plan = load_plan(path)
     runner = open_runner(plan, folders_of(args, path))
-    for text in [*plan.methods, *plan.experiments.sweep_methods, *plan.experiments.int8]:
+    for text in [*plan.methods, *plan.experiments.sweep_methods]:
         runner.method(text)
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(path, plan, runner), sections)
@@ -155,13 +149,13 @@ def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, samplin
     """
     scenario = load_scenario(folder / plan.scenario)
     spacing_m = sampling.spacing_m
-    decides = msgspec.json.encode([scenario, plan.fps or spacing_m, edge.__version__])
+    decides = msgspec.json.encode([scenario, spacing_m, edge.__version__])
     path = rendered / f"{name}-{hashlib.sha256(decides).hexdigest()[:12]}"
     if path.is_dir():
         return path
     part = path.with_suffix(".part")
     shutil.rmtree(part, ignore_errors=True)
     bar = partial(tqdm, unit="frame", desc=part.name, disable=None)
-    record_drive(scenario, part, spacing_m=spacing_m, fps=plan.fps, progress=bar)
+    record_drive(scenario, part, spacing_m=spacing_m, progress=bar)
     part.rename(path)
     return path

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.bootstrap import Resampling, block_indices, difference, interval
+from sim.research.evaluation.bootstrap import Resampling, block_indices, interval
 
 
 def accuracy(answers: Answers) -> float:
@@ -48,25 +47,7 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     assert covered_by_frames <= 60
 
 
-def test_a_paired_difference_is_told_from_noise() -> None:
-    rng = np.random.default_rng(2)
-    hard = np.repeat(rng.random(30) < 0.3, 20)
-    first = answers_that_are((~hard).tolist())
-    second = answers_that_are((~hard & (rng.random(600) < 0.9)).tolist())
-    better = difference(accuracy, first, second, Resampling(block=40, resamples=200))
-    assert better.decided and better.value == pytest.approx(accuracy(first) - accuracy(second))
-    # Paired: both fail in the same places, so the difference is far surer than either score.
-    alone = interval(accuracy, first, Resampling(block=40, resamples=200))
-    assert better.high - better.low < (alone.high - alone.low) / 2
-    assert not difference(accuracy, first, first, Resampling(block=40, resamples=50)).decided
-
-
 def test_the_same_seed_gives_the_same_interval() -> None:
     answers = runs_of_luck(np.random.default_rng(3), 200, 10, 0.5)
     how = Resampling(block=20, resamples=50, seed=7)
     assert interval(accuracy, answers, how) == interval(accuracy, answers, how)
-
-
-def test_different_queries_cannot_be_paired() -> None:
-    with pytest.raises(ValueError, match="same queries"):
-        difference(accuracy, answers_that_are([True]), answers_that_are([True, False]), Resampling(block=1))

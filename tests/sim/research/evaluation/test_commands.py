@@ -32,8 +32,6 @@ sequence_lengths = [2, 4]
 spacings_m = [4.0]
 sweep_methods = ["NSD-CR"]
 cold_start = ["Lookback"]
-better_than = [["NSD-CR", "Raw-fc6"]]
-standing = [{ pair = "there and here", query = "here" }]
 """
 
 
@@ -66,10 +64,8 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     overview = read_table(out / "overview.csv")
     assert f"Raw-mine  {float(overview['Raw-mine'][0]):.3f}" in capsys.readouterr().out
     page = (out / "report.html").read_text()
-    for heading in ("Overview", "Sequence length", "Spacing", "Cold start", "Standing still"):
+    for heading in ("Overview", "Sequence length", "Spacing", "Cold start"):
         assert heading in page
-    standing = [row.split(",") for row in (out / "standing.csv").read_text().splitlines()[1:]]
-    assert [int(row[3]) for row in standing] == [12, 12, 12]
 
 
 @pytest.mark.parametrize(

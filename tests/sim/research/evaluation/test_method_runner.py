@@ -12,8 +12,10 @@ import numpy as np
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
+from edge.reference_map import MapSet, open_map
+from sim.evaluation.recognition import recognize
+from sim.maps.command import build_map
 from sim.research.evaluation.comparison import median_ahead, offset_warnings
-from sim.research.evaluation.experiments import replay_on_new_map
 from sim.research.evaluation.matching import judge
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan, load_plan
@@ -47,7 +49,8 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
         replace(feed, rows=feed.rows[:FRAMES])
         for feed in (read_feed(feeds / "corridor_reference"), read_feed(feeds / "corridor_query"))
     )
-    lines = replay_on_new_map(reference, query, config, config.sampling, network)
+    build_map([reference], tmp_path / "map", config.descriptor, config.sampling, network=network)
+    lines = recognize(MapSet.of(open_map(tmp_path / "map")), query, config, network).used
 
     assert [line.place if line.place is not None else -1 for line in lines] == outcome.matches.place.tolist()
     assert [line.confidence for line in lines[LENGTH - 1 :]] == outcome.matches.confidence[LENGTH - 1 :].round(

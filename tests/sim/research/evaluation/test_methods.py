@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import SequenceConfig
 from edge.errors import ConfigError
 from edge.sequence.search import slopes_around_diagonal
-from sim.research.evaluation.matching import FloatMatcher, int8_matcher, match, open_matcher
+from sim.research.evaluation.matching import int8_matcher, match, open_matcher
 from sim.research.evaluation.methods import METHODS, Method, find_method, query_rows, reference_rows
 
 LENGTH, PLACES, QUERIES, DIMENSIONS, WINDOW = 4, 14, 13, 24, 3.0
@@ -128,18 +128,6 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     # float32 on one side and float64 on the other may round a cell of int8 apart.
     np.testing.assert_allclose(found.confidence, uniqueness, rtol=5e-3)
     assert (found.candidates[LENGTH - 1 :, 0] == found.place[LENGTH - 1 :]).all()
-
-
-def test_float_costs_are_cosine_distances() -> None:
-    rng = np.random.default_rng(0)
-    reference, query = described(rng, 6, 2), described(rng, 3, 2)
-    query[1] = 0
-    costs = FloatMatcher(reference).costs(query)
-    for index in np.ndindex(costs.shape):
-        one = query[index[0]][:: -1 if index[1] else 1].ravel().astype(np.float64)
-        other = reference[index[2]].ravel().astype(np.float64)
-        lengths = np.linalg.norm(one) * np.linalg.norm(other)
-        assert abs(costs[index] - 16384 * (1 - (one @ other / lengths if lengths else 0))) <= 1
 
 
 def test_a_row_may_name_its_network_or_external_descriptors() -> None:
