@@ -38,7 +38,7 @@ from sim.world.scenario import Scenario
 
 LENGTH_M, WORLD = 560.0, 21
 CELL_M = 2
-"""Views this far apart, as the map's places are, cost half of what they cost a meter apart."""
+"""Views as far apart as the map's places are: most drives see no others than the map's camera and the first one."""
 SMALL = (
     "home",
     "one-stretch",
