@@ -7,6 +7,11 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 # Kept even where the environment says otherwise: each worker collects in 5 s of CPU instead of 11, each daemon of the
 # tests imports in 0.4 s instead of 0.6.
 export PYTHONDONTWRITEBYTECODE :=
+# As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
+# as much of the processors.
+test test-core test-python soak: export OMP_NUM_THREADS := 1
+test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py

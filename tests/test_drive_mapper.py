@@ -192,7 +192,7 @@ def drive(
             while not world.is_over and world.driven_m < until_m:
                 world.now_ns += STEP_NS
                 each_turn(world.driven_m)
-                for _ in range(4):
+                for _ in range(2):
                     autopilot.step()
                     daemon.turn()
                 while daemon.parts.mapper is not None and daemon.parts.mapper.live.waiting > 8:

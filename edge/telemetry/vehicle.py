@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from edge.geodesy import VehiclePosition, moved
+from edge.geodesy import VehiclePosition
 from edge.localization import GpsFix, Report
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import EkfStatusReport, Message
@@ -29,6 +29,9 @@ ACCURACY_FRESH_NS = 3_000_000_000
 DOUBLED = "two autopilots have the same ids"
 POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 HEADING_UNKNOWN = 65535
+NORTH_M, EAST_M = 110_574.3, 111_319.5
+"""Of a degree at latitude and longitude 0, where local positions are compared with each other: their origin may not be
+known. A conversion of each would take a twentieth of a turn."""
 FIRST_SYSTEM_ID = 1
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
@@ -226,7 +229,7 @@ class Vehicle:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         if stamp_ns is None:
             return
-        at = stamp_ns, *moved(0.0, 0.0, message.y, message.x), 0.0, None
+        at = stamp_ns, message.x / NORTH_M, message.y / EAST_M, 0.0, None
         self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vy, message.vx), now_ns)
         if self.is_doubled:
             return

@@ -1,7 +1,8 @@
 """What a camera sees of a road, as descriptors: rendered and described once for each cell of the road, then kept.
 
-A cell is a meter along the road (`cell_m`), a meter across it and 2 degrees of heading, so that many drives share the
-minutes that rendering and the network cost. The recognizer itself matches these descriptors as on a vehicle.
+A cell is a meter along the road, a meter across it and 2 degrees of heading, or `cell_m` times as much of each, so that
+many drives share the minutes that rendering and the network cost. The recognizer itself matches these descriptors as on
+a vehicle.
 """
 
 from __future__ import annotations
@@ -49,9 +50,10 @@ class RoadViews:
 
     def raw(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.float32]:
         """Raw descriptors (R, D) at an arc length, beside the lane, looking so far to the right of the lane."""
-        turns = round(((turn_deg + 180.0) % 360.0 - 180.0) / CELL_DEG)
-        along_m = self._cell_m * round(route_m / self._cell_m)
-        cell = along_m, int(np.clip(round(left_m), -MOST_LEFT_M, MOST_LEFT_M)), turns
+        size_m = self._cell_m
+        turns = size_m * round(((turn_deg + 180.0) % 360.0 - 180.0) / (size_m * CELL_DEG))
+        along_m, aside_m = (size_m * round(at_m / size_m) for at_m in (route_m, left_m))
+        cell = along_m, int(np.clip(aside_m, -MOST_LEFT_M, MOST_LEFT_M)), turns
         if cell not in self._known:
             self._known[cell] = self._describe(*cell).astype(np.float16)
         return self._known[cell].astype(np.float32)
@@ -91,7 +93,7 @@ class RoadLibrary:
     """The views of all roads that were asked for."""
 
     def __init__(self, network: Network, folder: Path, cell_m: int = 1) -> None:
-        """folder: of one `cell_m`, how far apart views along a road are."""
+        """folder: of one `cell_m`, how far apart views are."""
         self._network, self._folder, self._cell_m = network, folder, cell_m
         self._views: dict[bytes, RoadViews] = {}
 

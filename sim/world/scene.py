@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,13 +143,12 @@ def _attach_glowing(
 def cut(surface: Surface, plain: bool = False) -> tuple[NDArray[np.float64], ...]:
     """A surface as cells of at most CELL_M: points, normals (N, 3), uv (N, 2), colors (N, 3); four points a cell."""
     a, b, _, d = surface.corners_m
-    columns = max(1, int(np.ceil(np.linalg.norm(b - a) / CELL_M)))
-    rows = max(1, int(np.ceil(np.linalg.norm(d - a) / CELL_M)))
-    normal = np.cross(b - a, d - a)
-    normal /= max(float(np.linalg.norm(normal)), 1e-9)
-    i, j = (index.ravel()[:, None] for index in np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"))
-    s = (i + np.array((0, 1, 1, 0))).ravel()[:, None] / columns
-    t = (j + np.array((0, 0, 1, 1))).ravel()[:, None] / rows
+    along, up = b - a, d - a
+    columns, rows = (max(1, math.ceil(_length(side) / CELL_M)) for side in (along, up))
+    (ax, ay, az), (ux, uy, uz) = along.tolist(), up.tolist()  # a world has thousands: np.cross takes ten times as long
+    normal = np.array((ay * uz - az * uy, az * ux - ax * uz, ax * uy - ay * ux))
+    normal /= max(_length(normal), 1e-9)
+    s, t = _shares(columns, rows)
 
     def blend(corners: NDArray[np.float64]) -> NDArray[np.float64]:
         low, high = corners[0] + s * (corners[1] - corners[0]), corners[3] + s * (corners[2] - corners[3])
@@ -155,7 +156,20 @@ def cut(surface: Surface, plain: bool = False) -> tuple[NDArray[np.float64], ...
 
     points = blend(surface.corners_m)
     color = np.ones(3) if plain else np.array(surface.color)
-    return points, np.broadcast_to(normal, points.shape), blend(surface.uv), np.broadcast_to(color, points.shape)
+    return points, np.tile(normal, (len(points), 1)), blend(surface.uv), np.tile(color, (len(points), 1))
+
+
+def _length(vector: NDArray[np.float64]) -> float:
+    return math.sqrt(vector.dot(vector))
+
+
+@lru_cache
+def _shares(columns: int, rows: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the corners of the cells of a surface lie between its sides, (4 columns rows, 1) each."""
+    i, j = (index.ravel()[:, None] for index in np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"))
+    s = (i + np.array((0, 1, 1, 0))).ravel()[:, None] / columns
+    t = (j + np.array((0, 0, 1, 1))).ravel()[:, None] / rows
+    return s, t
 
 
 def _geom_node(points: NDArray[np.float64], uv: NDArray[np.float64], colors: NDArray[np.float64]) -> GeomNode:

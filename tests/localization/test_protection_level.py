@@ -117,6 +117,14 @@ def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -
     assert along_m == pytest.approx(across_m - 37)
 
 
+def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:
+    """North-east of a vehicle that heads north-east, it is off along the road alone."""
+    northeast = msgspec.structs.replace(FIX, heading_deg=45.0)
+    level = protection_level(northeast, Wrong(2e-5, 0.0, 0.1), UNNOTICED, Reckoned(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0)
+    assert level.along_m > math.hypot(30.0, 30.0)
+    assert level.across_m < 30.0
+
+
 @pytest.mark.parametrize(
     ("place", "reckoned", "bound"),
     [(2e-5, None, 0.1), (1e-3, Reckoned(0.0, 0.0, 3.0), 0.1), (2e-5, Reckoned(0.0, 0.0, 3.0), 0.5)],

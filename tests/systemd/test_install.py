@@ -62,6 +62,11 @@ def wheel(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small
 
 
+@pytest.fixture
+def python(quick_python: Callable[..., Path], tmp_path: Path) -> Path:
+    return quick_python(tmp_path / "python3")
+
+
 @pytest.fixture(scope="module")
 def installed(wheel: Path, make_once: Callable[..., Path]) -> Path:
     """Lookback installed once below `root`, and `compilers`: the processes that compiled it."""
@@ -78,12 +83,6 @@ def installed(wheel: Path, make_once: Callable[..., Path]) -> Path:
 def root(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A system with Lookback installed; no test leaves it changed."""
     return shutil.copytree(installed / "root", tmp_path_factory.mktemp("system") / "root", symlinks=True)
-
-
-def install(root: Path, *source: str, script: Path = INSTALL) -> str:
-    result = run(script, "--root", root, *source, "--python", sys.executable)
-    assert result.returncode == 0, result.stderr
-    return result.stdout
 
 
 def files_under(root: Path) -> dict[str, tuple[int, bytes]]:
@@ -134,11 +133,12 @@ def test_the_unit_starts_what_was_installed(root: Path) -> None:
     assert (root / config.lstrip("/")).is_file()
 
 
-def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path) -> None:
+def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path, python: Path) -> None:
     """The config is the admin's by now; and nothing is left in the checkout."""
     (root / CONFIG).write_text("[camera]\nkind = 'oak'\n")
     before, before_there = files_under(root), set(checkout.rglob("*"))
-    install(root, script=checkout / "systemd" / INSTALL.name)
+    result = run(checkout / "systemd" / INSTALL.name, "--root", root, "--python", python)
+    assert result.returncode == 0, result.stderr
     assert files_under(root) == before
     assert set(checkout.rglob("*")) == before_there
     shutil.copy(checkout / START_TOML, root / CONFIG)
@@ -172,16 +172,20 @@ def pretend_to_install(root: Path, *distributions: str) -> None:
     ("options", "extras"),
     [(["--extras", "oak"], "page,signing,oak"), (["--extras", "none"], "")],
 )
-def test_an_update_keeps_the_extras(options: list[str], extras: str, root: Path, wheel: Path, tmp_path: Path) -> None:
+def test_an_update_keeps_the_extras(
+    options: list[str], extras: str, root: Path, wheel: Path, python: Path, tmp_path: Path
+) -> None:
     root = shutil.copytree(root, tmp_path / "root", symlinks=True)
     pretend_to_install(root, "prometheus-client", "starlette", "uvicorn", "cryptography")
-    result = run(INSTALL, "--root", root, "--wheel", wheel, "--python", sys.executable, *options)
+    result = run(INSTALL, "--root", root, "--wheel", wheel, "--python", python, *options)
     assert result.returncode == 0, result.stderr
     named = sorted(result.stdout.removeprefix("Lookback is updated, with the extras ").rstrip(".\n").split(","))
     assert named == (sorted(extras.split(",")) if extras else ["Lookback is updated"])
 
 
-def test_a_failed_update_leaves_the_old_version_and_cleans_up_after_a_killed_one(root: Path, tmp_path: Path) -> None:
+def test_a_failed_update_leaves_the_old_version_and_cleans_up_after_a_killed_one(
+    root: Path, python: Path, tmp_path: Path
+) -> None:
     root = shutil.copytree(root, tmp_path / "root", symlinks=True)
     before = files_under(root)
     (root / "opt/lookback.new.Ab3dE6/venv").mkdir(parents=True)
@@ -189,17 +193,17 @@ def test_a_failed_update_leaves_the_old_version_and_cleans_up_after_a_killed_one
     (root / "opt/lookback.backup").mkdir()
     broken = tmp_path / f"lookback_nav-{edge.__version__}-py3-none-any.whl"
     broken.write_bytes(b"not a wheel")
-    assert run(INSTALL, "--root", root, "--wheel", broken, "--python", sys.executable).returncode != 0
+    assert run(INSTALL, "--root", root, "--wheel", broken, "--python", python).returncode != 0
     assert sorted(path.name for path in (root / "opt").iterdir()) == ["lookback", "lookback.backup"]
     shutil.rmtree(root / "opt/lookback.backup")
     assert files_under(root) == before
 
 
-def test_a_program_of_another_name_stays(wheel: Path, tmp_path: Path) -> None:
+def test_a_program_of_another_name_stays(wheel: Path, python: Path, tmp_path: Path) -> None:
     program = tmp_path / "root/usr/local/bin/lookback"
     program.parent.mkdir(parents=True)
     program.write_text("mine")
-    result = run(INSTALL, "--root", tmp_path / "root", "--wheel", wheel, "--python", sys.executable)
+    result = run(INSTALL, "--root", tmp_path / "root", "--wheel", wheel, "--python", python)
     assert result.returncode == 0
     assert "belongs to something else" in result.stderr
     assert run(INSTALL, "--uninstall", "--root", tmp_path / "root").returncode == 0
@@ -235,10 +239,10 @@ def test_bad_arguments(arguments: list[str], message: str, tmp_path: Path, monke
     assert (result.returncode, result.stderr) == (1, f"install.sh: {message}\n")
 
 
-def test_deb_carries_it_all(wheel: Path, checkout: Path, tmp_path: Path) -> None:
+def test_deb_carries_it_all(wheel: Path, checkout: Path, python: Path, tmp_path: Path) -> None:
     if shutil.which("dpkg-deb") is None:
         pytest.skip("needs dpkg-deb")
-    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", sys.executable, systemd=255)
+    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", python, systemd=255)
     assert result.returncode == 0, result.stderr
     (package,) = tmp_path.glob("*.deb")
     unpacked = tmp_path / "unpacked"

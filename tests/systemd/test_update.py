@@ -39,7 +39,7 @@ exec "$@"
 
 
 @pytest.fixture
-def system(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def system(tmp_path: Path, quick_python: Callable[..., Path]) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs a command as root of a system of its own, of which `tmp_path` has the folders."""
     if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode:
         pytest.skip("this user may not make a mount namespace")
@@ -50,6 +50,7 @@ def system(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             shutil.copy(Path("/etc", file), tmp_path / "etc")
     shutil.copytree("/usr/local/bin", tmp_path / "bin", symlinks=True)
     (tmp_path / "pid").write_text("0\n")
+    quick_python(tmp_path / "python3", tmp_path / "python/bin/python3")
     for name, text in (("systemctl", SYSTEMCTL), ("sleep", SLEEP), ("systemd-sysusers", ""), ("systemd-tmpfiles", "")):
         (tmp_path / "programs" / name).write_text(text or "#!/bin/sh\n")
         (tmp_path / "programs" / name).chmod(0o755)
@@ -94,7 +95,7 @@ def version_of(root: Path) -> str:
 
 def install(system: Callable[..., subprocess.CompletedProcess[str]], package: Path) -> str:
     """What the script says, of its success or of its failure."""
-    done = system(SYSTEMD / "install.sh", "--wheel", package, "--python", package.parent / "python/bin/python3")
+    done = system(SYSTEMD / "install.sh", "--wheel", package, "--python", package.parent / "python3")
     return done.stdout if done.returncode == 0 else done.stderr
 
 

@@ -20,6 +20,8 @@ from tests.files_written import wait_for_files
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
+STEP_NS = 20_000_000
+"""As the daemon's loop turns between two frames; shorter steps would only cost time."""
 LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
 
 
@@ -133,9 +135,9 @@ class Rig:
         self.pty = None
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Step both ends 10 ms at a time; whether `until` came true."""
-        for _ in range(round(seconds * 100)):
-            self.now_ns += 10_000_000
+        """Step both ends; whether `until` came true."""
+        for _ in range(round(seconds * 1e9 / STEP_NS)):
+            self.now_ns += STEP_NS
             if self.pty is not None:
                 self.autopilot.step()
             self.connection.poll()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
@@ -40,6 +41,20 @@ def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follow
     use.expect(sent(own, north_m), is_reset=False)
     assert estimator.uncertainty_m(vehicle.report(2 * S)) == (pytest.approx(north_m, abs=0.1) if follows else None)
     assert use.reset_counter == (0 if follows else 1)
+
+
+def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> None:
+    speaker, estimator = Speaker(), PositionEstimator(Config())
+    vehicle = connect(speaker)
+    vehicle.handle(speaker.fix(2000, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
+    own = vehicle.position(2 * S)
+    assert own is not None
+    use = PositionUse(vehicle, estimator, Publisher(lambda record: None, lambda text: None))
+    use.expect(sent(own, 40.0), is_reset=True)
+    use.read_acknowledgement(mavlink.MAV_RESULT_ACCEPTED, 2 * S + 1)
+    vehicle.handle(speaker.fix(3000, 25.0, vn_mps=0.0, ve_mps=0.0), 3 * S)
+    use.check(3 * S)
+    assert estimator.uncertainty_m(vehicle.report(3 * S)) == pytest.approx(15.0, abs=0.1)
 
 
 BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
