@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from edge.config import RigConfig
-from edge.geodesy import moved
-from edge.localization import GpsFix
-from edge.localization.gps_judge import FIRM, UNSEEN_M, UnseenRoad
+from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.localization import GpsFix, GpsVerdict
+from edge.localization.gps_judge import FIRM, UNSEEN_M, GpsJudge, UnseenRoad
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map import MapSet, Route
@@ -135,3 +135,20 @@ def test_it_is_a_state_of_the_verdict_and_the_position_stays_as_it_is(map_set: M
     assert states[-1] == "not recognized"
     estimator.reset()
     assert verdict(unseen(FROM), FROM) != "not recognized"
+
+
+def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_followed_it() -> None:
+    def report(east_m: float, north_m: float, gps_sigma_m: float | None = 3.0) -> Report:
+        at = moved(LAT_DEG, 153.0, east_m, north_m)
+        return Report(0, "healthy", gps_sigma_m, VehiclePosition(0, *at, 0.0, None, 0.0, 0.0, 0.0))
+
+    def believed_m(judge: GpsJudge, reported: Report) -> tuple[float, float]:
+        own = judge.believed(reported).position
+        assert own is not None
+        return east_north_of(own.lat_deg, own.lon_deg, (LAT_DEG, 153.0))
+
+    judge = GpsJudge(settings(RigConfig()))
+    judge.use(GpsVerdict("wrong", 30.0, -20.0, 1.0), report(30.0, -20.0))
+    assert believed_m(judge, report(30.0, 80.0)) == pytest.approx((0.0, 100.0), abs=0.05)
+    judge.bound()
+    assert believed_m(judge, report(30.0, 80.0)) == pytest.approx((30.0, 80.0), abs=0.05), "a position has moved it"
