@@ -122,6 +122,19 @@ def test_two_vehicles_taking_turns_are_told_apart() -> None:
     assert vehicle.position(6 * S) is None, "stale"
 
 
+def test_a_heading_that_the_autopilot_does_not_know_is_none() -> None:
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    for boot_ms, message, heading_deg in (
+        (1000, speaker.fix(1000, 0.0, 5.0, 0.0), 0.0),
+        (1200, speaker.position(1200), None),
+    ):
+        vehicle.handle(message, 2 * S + boot_ms * 1_000_000)
+        position = vehicle.position(2 * S + boot_ms * 1_000_000)
+        assert position is not None
+        assert position.heading_deg == heading_deg
+
+
 def test_the_link_is_lost_after_five_silent_seconds_and_comes_back() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
