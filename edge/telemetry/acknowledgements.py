@@ -160,7 +160,7 @@ class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
     def __init__(self, vehicle: Vehicle, estimator: PositionEstimator, publisher: Publisher) -> None:
-        """estimator: is told where a position that was used bounds the autopilot's own."""
+        """estimator: bound by each position that was used."""
         self._vehicle, self._estimator, self._publisher = vehicle, estimator, publisher
         self.reset_counter = 0
         """Of the positions of a stream: another number where they jump."""

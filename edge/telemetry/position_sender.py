@@ -54,7 +54,7 @@ class PositionSender:
         estimator: PositionEstimator,
         publisher: Publisher,
     ) -> None:
-        """estimator: decides on each position, and reads of the autopilot whether it used one."""
+        """estimator: decides on each position, and is bound by those that were used."""
         self._telemetry, self._gates = telemetry, gates
         self._estimator = estimator
         self._vehicle = vehicle
