@@ -31,7 +31,7 @@ POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_
 HEADING_UNKNOWN = 65535
 NORTH_M, EAST_M = 110_574.3, 111_319.5
 """Of a degree at latitude and longitude 0, where local positions are compared with each other: their origin may not be
-known. A conversion of each would take a twentieth of a turn."""
+known. Within a millimeter of a conversion, which takes a thousand times as long."""
 FIRST_SYSTEM_ID = 1
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
