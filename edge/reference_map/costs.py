@@ -184,5 +184,6 @@ def project(rows: NDArray[np.float32], projection: NDArray[np.float32]) -> NDArr
     NaN and infinity count as 0, since here one of them would reach every dimension.
     """
     sound = np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0)
-    shrunk: NDArray[np.float32] = sound @ projection.T
-    return shrunk
+    # As one product: NumPy multiplies a stack row by row, which reads the directions again for each of its rows.
+    shrunk: NDArray[np.float32] = sound.reshape(-1, sound.shape[-1]) @ projection.T
+    return shrunk.reshape(*rows.shape[:-1], len(projection))
