@@ -8,7 +8,6 @@ vehicle by the rig's offset, which is measured on another drive of the same dire
 is the parallax of the lane home.
 Believed frames of the other seeds' drives, whose road is on no map, are counted below the table.
 --page writes all of it between the marks of a page.
-With --directions maps are matched along learned directions as well (`sim.research.evaluation.directions`).
 With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
@@ -29,11 +28,10 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, R
 from edge.descriptor.network import Network, cut_regions
 from edge.localization.region_lines import lag_places
 from edge.reference_map import ModelKey
-from edge.reference_map.builder import Place, Shrink
+from edge.reference_map.builder import Place
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
-from sim.research.evaluation.learned_map import beside_own
 from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.research.trial.table import put_between
@@ -113,12 +111,11 @@ def believe(
     rear: Described | None = None,
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
-    shrink: Shrink | None = None,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
     odometer_scale: what it reads for each meter, None without one. rear: the same drive as a rear camera saw it, which
-    recognizes as well. shrink: the map's descriptors, as `MapBuilder` has it.
+    recognizes as well.
     """
     mapping = MappingConfig()
     if rear is not None:
@@ -137,7 +134,7 @@ def believe(
     found = np.full((len(query.raw), 5), np.nan)
     found[:, 1] = found[:, 3] = 0.0
     model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
-    with temporary_map(drives, model, config.descriptor, shrink) as map_set:
+    with temporary_map(drives, model, config.descriptor) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
             travel = Travel(None if odometer_scale is None else float(driven_m) * odometer_scale)
@@ -230,17 +227,15 @@ def worlds(
         yield road, drives
 
 
-def judge_world(
-    road: Described, drives: dict[str, Driven], odometer: float, shrink: Shrink | None = None
-) -> Iterator[tuple[Cut, Judged]]:
+def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> Iterator[tuple[Cut, Judged]]:
     """Each drive over the road with each part of it mapped."""
-    alone = {name: believe(road, drive.front, "whole", odometer, shrink=shrink) for name, drive in drives.items()}
+    alone = {name: believe(road, drive.front, "whole", odometer) for name, drive in drives.items()}
     for cut, (name, drive) in product(CUTS, drives.items()):
         light, _, way = name.partition(" ")
         other = f"{'dusk' if light == 'day' else 'day'} {way}"
         ahead_m = offset_m(drives[other].front, alone[other])
         rig = rig_of("forward" if way == "forward" else "reverse", ahead_m, alone[other])
-        beliefs = believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig, shrink=shrink)
+        beliefs = believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
         mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
         yield cut, judge(drive.front, mapped_m, beliefs, ahead_m)
 
@@ -279,31 +274,27 @@ def main() -> None:
     parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
     parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
     parser.add_argument("--both-cameras", action="store_true", help="a rear camera recognizes as well")
-    parser.add_argument("--directions", type=Path, help="match along these as well, see `directions`")
     parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     seen = list(worlds(args.seeds, args.length, args.cache, both=args.both_cameras))
-    shrink = beside_own(np.load(args.directions)) if args.directions else None
-    rows = list(tables(seen, args.odometer, shrink))
+    rows = list(tables(seen, args.odometer))
     print("\n".join(rows))
     if args.page:
         put_between(("<!-- belief: begin -->", "<!-- belief: end -->"), args.page, "\n".join(rows))
 
 
-def tables(
-    seen: list[tuple[Described, dict[str, Driven]]], odometer: float, shrink: Shrink | None = None
-) -> Iterator[str]:
+def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> Iterator[str]:
     """Each part of the roads mapped, drives over roads that are on no map, and the reliability of the confidence."""
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     for road, drives in seen:
-        for cut, one in judge_world(road, drives, odometer, shrink):
+        for cut, one in judge_world(road, drives, odometer):
             judged[cut].append(one)
     yield "| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |"
     yield "|---|---|---|---|---|"
     yield from (_row(cut, judged[cut]) for cut in CUTS)
     elsewhere = [
-        (drive.front, believe(road, drive.front, "whole", shrink=shrink).confidence)
+        (drive.front, believe(road, drive.front, "whole").confidence)
         for road, _ in seen
         for other, ds in seen
         if other is not road

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
-from edge.reference_map.builder import MapBuilder, Place, Shrink
+from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey, open_map
 
 
@@ -28,13 +28,11 @@ class MappedDrive:
 
 
 @contextmanager
-def temporary_map(
-    drives: Iterable[MappedDrive], model: ModelKey, descriptor: DescriptorConfig, shrink: Shrink | None = None
-) -> Iterator[MapSet]:
-    """A map with a segment for each drive, which is gone when the block ends; shrink: as `MapBuilder` has it."""
+def temporary_map(drives: Iterable[MappedDrive], model: ModelKey, descriptor: DescriptorConfig) -> Iterator[MapSet]:
+    """A map with a segment for each drive, which is gone when the block ends."""
     with tempfile.TemporaryDirectory() as folder:
         path, regions = Path(folder) / "map", RegionsKey(descriptor.regions, descriptor.region_width, "set")
-        with MapBuilder(path, model, regions, SamplingConfig(), shrink=shrink) as builder:
+        with MapBuilder(path, model, regions, SamplingConfig()) as builder:
             for number, drive in enumerate(drives):
                 builder.begin_segment(str(number), drive.view)
                 for raw, place in zip(drive.raw, drive.places, strict=True):
