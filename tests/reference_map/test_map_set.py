@@ -27,7 +27,7 @@ from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, 
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes
 from edge.sequence.place_search import PlaceSearch
-from edge.sequence.submap import GlobalSearch
+from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from sim.maps.tiles import split_map
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
@@ -296,6 +296,19 @@ def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look
         if scan.step(maps, ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) is not None:
             break
     assert resident_bytes(city / "tiles") < everything / 10
+
+
+@pytest.mark.parametrize("end", [203, 220])
+def test_a_pass_is_as_unique_at_the_edge_of_a_slice_as_one_search_of_all(city: Path, look: Look, end: int) -> None:
+    """The slice beside it finds the same place, or the last of its own that is like it: that is not elsewhere."""
+    maps, found = open_map_set(city / "tiles"), []
+    ring = np.stack([look(place) for place in range(end + 1 - LENGTH, end + 1)])
+    for most in (LIMIT, SLICE_SHARE * PLACES_OF_ALL):
+        scan = GlobalSearch(msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=most)))
+        steps = (scan.step(maps, ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) for _ in range(PLACES_OF_ALL))
+        found.append(next(match for match in steps if match is not None))
+    assert found[0].place_index == found[1].place_index == end
+    assert found[0].uniqueness == pytest.approx(found[1].uniqueness, rel=0.05)
 
 
 def test_nothing_left_to_use_is_an_error(city: Path, tmp_path: Path) -> None:
