@@ -159,6 +159,21 @@ def test_a_drive_that_has_agreed_is_not_shifted_later() -> None:
     assert 180 <= called_at_m(verdicts) <= 400
 
 
+@pytest.mark.parametrize(("gap_m", "last"), [(100.0, "wrong"), (250.0, "map shifted")])
+def test_a_track_goes_on_after_a_gap_that_the_vehicle_may_have_driven(gap_m: float, last: str) -> None:
+    """Where the vehicle's own motion is unknown, a track on which GPS agreed shows that GPS is wrong, not the map."""
+    referee = GpsReferee(1e-3, 0.01)
+    for row, error in enumerate(honest(5, 500)):
+        at_m = row * SPACING_M
+        if 400.0 <= at_m < 400.0 + gap_m:
+            referee.update(None)
+        elif at_m < 400.0:
+            referee.update(comparison(at_m, tuple(error), recording="out"))
+        else:
+            referee.update(comparison(at_m, (error[0] + 150.0, error[1]), recording="another"))
+    assert referee.verdict.state == last
+
+
 @pytest.mark.parametrize("off_m", [60.0, 150.0])
 @pytest.mark.parametrize("recording", ["out", "another"])
 @pytest.mark.parametrize("is_map", [False, True])
