@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -207,11 +208,33 @@ def test_after_a_gap_the_position_is_searched_around_again(
     ],
 )
 def test_places_are_regular_by_their_stretches(route_m: np.ndarray, expected: bool, tmp_path: Path) -> None:
+    assert is_regular(MapSet.of(random_map(tmp_path / "map", route_m)), 40) == expected
+
+
+@pytest.mark.parametrize(("stretches_m", "slope"), [((2.0, 2.0), 0.905), ((1.4, 2.8), 0.82)])
+def test_an_odometer_narrows_the_slopes_only_where_places_are_regular(
+    stretches_m: tuple[float, float], slope: float, tmp_path: Path
+) -> None:
+    """Frames pass 0.82 places each; by the odometer and the usual distance between places it would be one."""
+    one = random_map(tmp_path / "map", np.cumsum(np.repeat(np.tile(stretches_m, 2), 100)))
+    half_sum, half_difference = one.descriptors.astype(np.float32)
+    rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
+    search, ring, match = PlaceSearch(MapSet.of(one), Config()), list[np.ndarray](), None
+    for frame in range(50):
+        ring = [*ring, rows[100 + round(0.82 * frame)]][-40:]
+        change = NormalizedRows(ring[-1][np.newaxis])
+        match = search.push(change, partial(np.stack, ring), is_measured=True)
+    assert match is not None
+    assert match.slope == pytest.approx(slope, abs=0.02)
+
+
+def random_map(path: Path, route_m: np.ndarray) -> ReferenceMap:
+    """Places with nothing in common, at some meters along a road."""
     rng = np.random.default_rng(3)
     key = ModelKey("random", "0" * 64, "fc6", 8)
-    with MapBuilder(tmp_path / "map", key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
         builder.begin_segment("drive", "front")
         for row, along_m in enumerate(route_m):
             builder.add(rng.normal(size=(2, 8)).astype(np.float32), Place(row, route_m=float(along_m)))
         builder.finish()
-    assert is_regular(MapSet.of(open_map(tmp_path / "map")), 40) == expected
+    return open_map(path)
