@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
 from edge.commands.parser import build_parser, moved
-from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError
+from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError, reason
 
 LEVELS = ("debug", "info", "warning", "error")
 
@@ -72,13 +72,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LookbackError as error:
         print(f"lookback: {error}", file=sys.stderr)
         return EXIT_SETUP if isinstance(error, SetupError) else 1
-    except PermissionError as error:  # of a path on the command line
-        print(f"lookback: {error.filename}: {error.strerror}", file=sys.stderr)
-        return EXIT_SETUP
     except BrokenPipeError:
         # The reader of our output went away (`| head`); the interpreter must not try to flush to it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:  # of a path on the command line, or of a full disk
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"lookback: {where}{reason(error)}", file=sys.stderr)
+        logging.debug("where it came from", exc_info=True)
+        return EXIT_SETUP if isinstance(error, PermissionError) else 1
     except KeyboardInterrupt:
         return 130
 

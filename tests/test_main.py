@@ -52,6 +52,38 @@ def test_map_info_and_verify(street_map: Path, capsys: pytest.CaptureFixture[str
     assert "checksums match" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("output", "why"), [("no/x", "No such file or directory"), (".", "Is a directory")])
+def test_a_file_that_cannot_be_written(
+    output: str, why: str, traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replay = ["replay", str(traverse), "--map", str(street_map), "--all", "--sequence-length", "10"]
+    path = tmp_path / output
+    assert f"--output: {path}: cannot write it: {why}" in refused(capsys, *replay, "-o", str(path))
+
+
+def test_what_needs_no_conversion_and_what_is_no_recording(
+    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = "-o", str(tmp_path / "feed")
+    assert "out: needs no conversion" in refused(capsys, "import", str(traverse), *output)
+    assert "test_main.py: neither a feed folder nor a video" in refused(capsys, "import", __file__, *output)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert "file/x: cannot write here: Not a directory" in refused(capsys, "demo", "-o", str(tmp_path / "file" / "x"))
+    assert "has files that are not of a demo" in refused(capsys, "demo", "-o", str(tmp_path / "file"))
+
+
+def test_a_full_disk_behind_standard_output() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "edge", "config"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == b"lookback: No space left on device\n"
+
+
 @pytest.mark.parametrize("command", [["map", "info"], ["home"], ["map", "verify"]])
 def test_names_in_a_map_cannot_control_the_terminal(map_along: Callable[..., Path], command: list[str]) -> None:
     """Clear the screen, set the window's title, go back over the line."""

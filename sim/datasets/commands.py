@@ -75,6 +75,7 @@ def import_dataset(args: argparse.Namespace) -> int:
     _check_ranges(args)
     kind = args.kind or find_kind(args.path, args.positions)
     if kind is None:
+        read_feed(args.path)  # FeedError for what is no recording at all
         raise FeedError(
             f"{args.path}: needs no conversion: name it to `lookback map build`, `replay` and `try` as it is"
         )

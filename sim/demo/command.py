@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import time
 from pathlib import Path
 
 import edge
 from edge.errors import ConfigError
 from edge.extras import install_command
-
-MARKER = ".lookback-demo"
+from sim.output import make_folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +29,7 @@ def _run(args: argparse.Namespace) -> int:
         raise ConfigError(f"demo: needs the package {package}: {install_command('sim')}") from None
     folder: Path = args.output
     started_s = time.monotonic()
-    _make_folder(folder)
+    make_folder(folder, "demo")
     print(
         "Out by day with two cameras; GPS fails at the far end; home at night on the map made on the way.", flush=True
     )
@@ -45,12 +43,3 @@ def _run(args: argparse.Namespace) -> int:
     if args.require_good:
         require_good(story)
     return 0
-
-
-def _make_folder(folder: Path) -> None:
-    """An empty folder; one of an earlier demo is cleared, any other is kept."""
-    if folder.exists() and any(folder.iterdir()) and not (folder / MARKER).exists():
-        raise ConfigError(f"--output: {folder} has files that are not of a demo; name another folder")
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    (folder / MARKER).touch()

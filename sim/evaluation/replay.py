@@ -24,6 +24,7 @@ from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 from edge.sequence import Travel
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
+from sim.output import writing
 from sim.traverse import config_as_mapped, driven_m, traverse
 
 log = logging.getLogger(__name__)
@@ -130,7 +131,7 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
         excluded.log()
     lines = replay(recognizer, feed, config.sampling)
     if args.output:
-        with args.output.open("w", encoding="utf-8") as stream:
+        with writing(args.output) as stream:
             _write(lines, stream, feed, every=args.all)
     else:
         _write(lines, sys.stdout, feed, every=args.all)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,8 +28,8 @@ from sim.evaluation.recognition import judge, recognize
 from sim.evaluation.replay import as_line, config_for_map
 from sim.first_try.verdict import Tried, verdict
 from sim.maps.command import add_spacing_options, build_map, sampling_from
+from sim.output import make_folder
 
-MARKER = ".lookback-try"
 ROLES = ("reference", "query")
 
 
@@ -76,7 +75,7 @@ def _run(args: argparse.Namespace) -> int:
     sampling = sampling_from(args, SamplingConfig())
     # Both before anything is written: a wrong path or option costs no time.
     kinds = {role: find_kind(getattr(args, role), getattr(args, f"{role}_positions")) for role in ROLES}
-    make_folder(folder)
+    make_folder(folder, "try")
     reference, query = (_feed(args, role, kinds[role], sampling) for role in ROLES)
     print(f"1. Map of {reference.path}")
     build_map([reference], folder / "map", DescriptorConfig(), sampling)
@@ -104,18 +103,6 @@ def _run(args: argparse.Namespace) -> int:
         print(f"  {'to change: ' if number == 1 else '           '}{line}")
     print(f"page: {page}   map: {folder / 'map'}   config: {folder / 'lookback.toml'}")
     return 0
-
-
-def make_folder(folder: Path) -> None:
-    """An empty folder; that of an earlier try is cleared, any other is kept. ConfigError."""
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / MARKER).exists())):
-        raise ConfigError(f"--output: {folder} has files that are not of a try; name another folder")
-    try:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        (folder / MARKER).touch()
-    except OSError as error:
-        raise ConfigError(f"--output: {folder}: cannot write here: {error.strerror}") from None
 
 
 def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: SamplingConfig) -> Feed:
