@@ -38,9 +38,9 @@ def read_toml(path: Path, kind: type[Record], error: type[SetupError] = ConfigEr
 
 
 def read_text(path: Path, error: type[SetupError] = ConfigError) -> str:
-    """The text of a file; `error` where it cannot be read."""
+    """The text of a file, without the mark that some editors put before it; `error` where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as failure:
         raise error(f"{path}: cannot read it: {failure.strerror}") from None
     except UnicodeDecodeError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ import msgspec
 
 from edge.errors import FeedError
 from edge.geodesy import POSITION_SOURCES, PositionSource
-from edge.toml_file import read_toml
+from edge.toml_file import read_text, read_toml
 
 View = Literal["front", "rear"]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
@@ -50,6 +51,7 @@ def read_header(file: Path) -> FeedHeader:
 
 MEASURES = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "speed_mps", "distance_m", "position_sigma_m")
 SOURCE = "position_source"
+LIMITS = {"lat_deg": 90.0, "lon_deg": 180.0}
 
 
 @dataclass(frozen=True)
@@ -79,24 +81,21 @@ def read_rows(file: Path) -> tuple[FeedRow, ...]:
     """
     rows: list[FeedRow] = []
     furthest_m = -math.inf
+    reader = csv.DictReader(io.StringIO(read_text(file, FeedError), newline=""))
     try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            reader = csv.DictReader(stream)
-            missing = {"file", "stamp_ns"} - set(reader.fieldnames or ())
-            if missing:
-                raise FeedError(f"{file}: no column {' and no column '.join(sorted(missing))} in its first line")
-            for values in reader:
-                row = _parse_row(f"{file}: line {reader.line_num}", values)
-                if rows and row.stamp_ns <= rows[-1].stamp_ns:
-                    raise FeedError(
-                        f"{file}: line {reader.line_num}: stamp_ns {row.stamp_ns} is not after {rows[-1].stamp_ns}, "
-                        "that of the row before"
-                    )
-                furthest_m = _check_distance(f"{file}: line {reader.line_num}", row, furthest_m)
-                rows.append(row)
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
-    except (csv.Error, UnicodeDecodeError) as error:
+        missing = {"file", "stamp_ns"} - set(reader.fieldnames or ())
+        if missing:
+            raise FeedError(f"{file}: no column {' and no column '.join(sorted(missing))} in its first line")
+        for values in reader:
+            where = f"{file}: line {reader.line_num}"
+            row = _parse_row(where, values)
+            if rows and row.stamp_ns <= rows[-1].stamp_ns:
+                raise FeedError(
+                    f"{where}: stamp_ns {row.stamp_ns} is not after {rows[-1].stamp_ns}, that of the row before"
+                )
+            furthest_m = _check_distance(where, row, furthest_m)
+            rows.append(row)
+    except csv.Error as error:
         raise FeedError(f"{file}: {error}") from None
     if not rows:
         raise FeedError(f"{file}: no frames in it")
@@ -140,9 +139,12 @@ def _parse_row(where: str, values: Mapping[str | None, str | None]) -> FeedRow:
 
 def _parse_stamp(where: str, text: str) -> int:
     try:
-        return int(text)
+        stamp_ns = int(text)
     except ValueError:
         raise FeedError(f"{where}: stamp_ns: {text!r} is not a whole number") from None
+    if abs(stamp_ns) >= 2**63:
+        raise FeedError(f"{where}: stamp_ns: {text} is more than 64 bits hold")
+    return stamp_ns
 
 
 def _parse_source(where: str, text: str | None) -> PositionSource:
@@ -161,6 +163,9 @@ def _parse_measure(where: str, column: str, text: str | None) -> float | None:
         value = math.nan
     if not math.isfinite(value):
         raise FeedError(f"{where}: {column}: {text!r} is not a number")
+    limit = LIMITS.get(column, math.inf)
+    if abs(value) > limit:
+        raise FeedError(f"{where}: {column}: {value:g} is not between {-limit:g} and {limit:g} degrees")
     return value
 
 

@@ -96,6 +96,19 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         (
             "frames.csv",
             "0,,,,,,2.0",
+            "0,91,,,,,2.0",
+            r"frames\.csv: line 4: lat_deg: 91 is not between -90 and 90 degrees",
+        ),
+        (
+            "frames.csv",
+            "0,,,,,,2.0",
+            "0,,1e308,,,,2.0",
+            r"line 4: lon_deg: 1e\+308 is not between -180 and 180 degrees",
+        ),
+        ("frames.csv", "1050000000", "9" * 20, r"line 3: stamp_ns: 9+ is more than 64 bits hold"),
+        (
+            "frames.csv",
+            "0,,,,,,2.0",
             "0,,,,,,0.5",
             r"frames\.csv: line 4: distance_m 0\.5 is less than 1 of an earlier",
         ),
@@ -117,6 +130,13 @@ def test_a_malformed_feed_is_one_line_that_names_the_place(
     assert "\n" not in str(raised.value)
 
 
+def test_the_mark_that_some_editors_put_before_a_text_is_no_part_of_it(feed_path: Path) -> None:
+    before = read_feed(feed_path)
+    for name in ("feed.toml", "frames.csv"):
+        (feed_path / name).write_bytes(b"\xef\xbb\xbf" + (feed_path / name).read_bytes().replace(b"\n", b"\r\n"))
+    assert read_feed(feed_path) == before
+
+
 def test_a_last_line_that_is_cut_short_is_named(feed_path: Path) -> None:
     file = feed_path / "frames.csv"
     whole = file.read_bytes()
@@ -129,7 +149,11 @@ def test_a_last_line_that_is_cut_short_is_named(feed_path: Path) -> None:
 def test_files_that_are_missing_empty_or_not_text_are_named(feed_path: Path) -> None:
     rows, header = feed_path / "frames.csv", feed_path / "feed.toml"
     good = rows.read_bytes()
-    for content, message in ((b"", "no column file"), (b"file,stamp_ns\n", "no frames"), (good + b"\xff\xfe", "utf-8")):
+    for content, message in (
+        (b"", "no column file"),
+        (b"file,stamp_ns\n", "no frames"),
+        (good + b"\xff\xfe", "not UTF-8"),
+    ):
         rows.write_bytes(content)
         with pytest.raises(FeedError, match=rf"frames\.csv: .*{message}"):
             read_feed(feed_path)
