@@ -120,7 +120,8 @@ class MapBuilder:
     def finish(self) -> MapHeader:
         """Normalize the whole set, write, sync, and rename into place. MapError if no place was added."""
         if len(self._records) < 2:
-            raise MapError(f"{self._path}: a map needs at least 2 places, and {len(self._records)} were added")
+            few = f"a map needs at least 2 places, and this drive has {len(self._records)}"
+            raise MapError(f"{self._path}: {few}: use a smaller spacing, or a longer drive")
         self._raw.close()
         self._thumbnails.close()
         mean, deviation = self._statistics()

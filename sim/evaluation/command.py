@@ -56,8 +56,8 @@ def _run(args: argparse.Namespace) -> int:
         if abs(one.ahead_m) > OFFSET_SHARE * args.tolerance_m:
             side = "ahead of" if one.ahead_m > 0 else "behind"
             print(
-                f"{one.name}: the median believed place lies {abs(one.ahead_m):.0f} m {side} the vehicle, near the"
-                f" tolerance of {args.tolerance_m:g} m: measure the camera's offset with `lookback calibrate`, and name"
+                f"{one.name}: the median believed place lies {abs(one.ahead_m):.0f} m {side} the vehicle, and the"
+                f" tolerance is {args.tolerance_m:g} m: measure the camera's offset with `lookback calibrate`, and name"
                 " the config with its [rig] by --config",
                 file=sys.stderr,
             )
