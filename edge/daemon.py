@@ -99,9 +99,10 @@ class Daemon:
 
     def _dated(self, frame: Frame) -> Frame:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
-        pictures = self.parts.pictures
-        before_ns = pictures.age_ns
-        frame = pictures.dated(frame, self._autopilot.vehicle.motion.speed_mps(self._clock_ns()))
+        pictures, vehicle, now_ns = self.parts.pictures, self._autopilot.vehicle, self._clock_ns()
+        before_ns, own = pictures.age_ns, vehicle.position(now_ns)
+        heading = None if own is None or own.heading_deg is None else (own.stamp_ns, own.heading_deg)
+        frame = pictures.dated(frame, vehicle.motion.speed_mps(now_ns), heading)
         age_ns = pictures.age_ns
         if age_ns != before_ns:
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
@@ -307,7 +308,7 @@ class Daemon:
             link=self._autopilot.state,
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
-            withheld=self._autopilot.why_no_position,
+            withheld=parts.pictures.why_no_position or self._autopilot.why_no_position,
             driven_m=self._autopilot.vehicle.motion.driven_m(self._clock_ns()),
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
@@ -324,7 +325,7 @@ class Daemon:
             self._autopilot.positions.use.withdraw()
             return
         time_base = self._autopilot.position_due()
-        if time_base is None or self.parts.pictures.fault is not None:
+        if time_base is None or self.parts.pictures.why_no_position:
             return
         if time_base == "exposure":
             fix = self._estimator.position_at_exposure()
@@ -343,7 +344,9 @@ class Daemon:
             self._autopilot.vehicle.motion.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, self._autopilot.status)
         fix = self._estimator.position_at_exposure()
-        if fix is None or fix.stamp_ns == ros2.judged_ns or health.able != "on the map" or self.parts.pictures.fault:
+        if fix is None or fix.stamp_ns == ros2.judged_ns:
+            return
+        if health.able != "on the map" or self.parts.pictures.why_no_position:
             return
         ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
         report = replace(self._autopilot.vehicle.report(self._clock_ns()), gps="not healthy")

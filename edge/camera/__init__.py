@@ -3,7 +3,8 @@
 `v4l2` and `oak` are devices; `frame` lists what a device did not accept. `stream` is a video stream from the network
 or from a command (`command_output`), with its own clock. `recorded` plays a feed.
 `preprocessing` flips, crops and masks the images of all of them. `newest` is the one thread, which keeps only the
-newest frame of any of them and opens a lost camera again; `picture_check` finds pictures that show nothing, or are old.
+newest frame of any of them and opens a lost camera again; `picture_check` finds pictures that show nothing, or are old;
+`turns` shows how old.
 A further camera is a class like `Camera`, and a line in CAMERAS; or, outside this package, an entry point
 `lookback.cameras`.
 """

@@ -1,12 +1,17 @@
-"""How old pictures are is found from starts and stops, and nothing is found where they are in time."""
+"""How old pictures are is found from starts, stops and turns, and nothing is found where they are in time."""
 
 from __future__ import annotations
 
+import math
+import time
+
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.picture_check import Age, PictureAge, PictureCheck
+from edge.camera.newest import NewestFrame
+from edge.camera.picture_check import FROZEN, UNDATED, Age, PictureAge, PictureCheck
 from edge.feed import Frame
 
 SECOND, FRAME_S = 1_000_000_000, 0.1
@@ -78,3 +83,98 @@ def test_pictures_whose_age_is_not_certain_are_not_used_and_certain_ones_get_the
         corrected.append((frame.stamp_ns - dated.stamp_ns) / 1e9)
     assert usable[100] and not usable[200] and usable[-1]
     assert corrected[200] == 0.0 and corrected[-1] == pytest.approx(3.0, abs=0.5)
+
+
+def heading_deg(at_s: float) -> float:
+    """Bends of different lengths, up to 16 degrees a second; straight on from 75 s to 115 s."""
+    at_s = min(at_s, 75.0)
+    return 40 * math.sin(at_s / 5) + 15 * math.sin(at_s / 1.9 + 1) + 20 * math.sin(at_s / 11)
+
+
+PX_PER_DEG = 4
+ROUND = cv2.GaussianBlur(
+    np.random.default_rng(2).integers(0, 255, (240, 720 * PX_PER_DEG)).astype(np.float32), (0, 0), 6
+)
+ROUND = (ROUND - ROUND.mean()) * 8 + 128
+
+
+def ahead(at_s: float, seed: int, faces_deg: float | None = None) -> NDArray[np.uint8]:
+    """What a camera sees that turns as the vehicle does, with the noise of a sensor."""
+    at_px = round(PX_PER_DEG * (360 + (heading_deg(at_s) if faces_deg is None else faces_deg)))
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, (240, 320))
+    view = (ROUND[:, at_px - 160 : at_px + 160] + noise).clip(0, 255)
+    return np.asarray(view[..., np.newaxis].repeat(3, axis=2), np.uint8)
+
+
+def turned(
+    age_s: float, until_s: float, from_s: float = 0.0, faces_deg: float | None = None, found: PictureAge | None = None
+) -> PictureAge:
+    """Of a vehicle that never stops, whose heading comes three times a second."""
+    found = found or PictureAge()
+    for number, at_s in enumerate(np.arange(from_s, until_s, FRAME_S).tolist()):
+        heading_s = at_s - at_s % 0.3
+        heading = round(heading_s * SECOND), heading_deg(heading_s) % 360
+        found.add(ahead(at_s - age_s, number, faces_deg), round(at_s * SECOND), True, heading)
+    return found
+
+
+@pytest.mark.parametrize("age_s", [2.5, 3.0, 6.0])
+def test_turns_show_how_old_the_pictures_of_a_vehicle_are_that_never_stops(age_s: float) -> None:
+    found = turned(age_s, 30.0)
+    assert not found.age.is_certain and found.age.age_ns / 1e9 == pytest.approx(age_s, abs=0.25)
+    turned(age_s, 50.0, 30.0, found=found)
+    assert found.age.is_certain and found.age.age_ns / 1e9 == pytest.approx(age_s, abs=0.25)
+    certain = found.age
+    turned(age_s, 72.0, 50.0, found=found)
+    assert found.age == certain
+
+
+@pytest.mark.parametrize("age_s", [0.0, 1.0])
+def test_turns_of_pictures_in_time_show_that_they_are(age_s: float) -> None:
+    found = turned(age_s, 30.0)
+    assert found.is_known and found.age == Age()
+
+
+def test_where_the_road_is_straight_or_the_camera_turns_otherwise_nothing_is_known() -> None:
+    assert not turned(3.0, 115.0, from_s=78.0).is_known
+    assert not turned(3.0, 40.0, faces_deg=0.0).is_known
+
+
+def test_no_position_rests_on_a_stream_before_its_age_is_known() -> None:
+    stream, camera = (PictureCheck(None, 0.3, may_be_old=may_be_old) for may_be_old in (True, False))
+    assert (stream.why_no_position, camera.why_no_position) == (UNDATED, "")
+    for number, at_s in enumerate(np.arange(0.0, 16.0, FRAME_S)):
+        frame = Frame(picture(float(at_s), number), round(at_s * SECOND), number)
+        stream.is_usable(stream.dated(frame, speed_mps(float(at_s))), speed_mps(float(at_s)))
+    assert stream.why_no_position == ""
+    for number in range(30):
+        stream.is_usable(Frame(frame.image, frame.stamp_ns + number * SECOND, number), 8.0)
+    assert stream.why_no_position == FROZEN
+
+
+class Endless:
+    """A camera that always has a picture."""
+
+    differences: tuple[str, ...] = ()
+    read_timeout_s = 10.0
+
+    def read(self) -> Frame:
+        time.sleep(0.01)
+        return Frame(picture(0.0, 0), time.monotonic_ns(), 0)
+
+    def close(self) -> None:
+        pass
+
+
+def test_of_a_stream_that_was_opened_again_the_age_is_not_known() -> None:
+    device = NewestFrame(Endless, first_back_off_s=0.0)
+    check = PictureCheck(device, 0.3, may_be_old=True)
+    for number, at_s in enumerate(np.arange(0.0, 16.0, FRAME_S)):
+        check.dated(Frame(picture(float(at_s), number), round(at_s * SECOND), number), speed_mps(float(at_s)))
+    assert check.why_no_position == ""
+    device.reopen("its host is another one")
+    while device.health.reopened == 0:
+        device.take(1.0)
+    check.dated(Frame(picture(17.0, 0), 17 * SECOND, 0), 8.0)
+    assert check.why_no_position == UNDATED
+    device.close()

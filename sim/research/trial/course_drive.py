@@ -51,7 +51,7 @@ class CourseSimulation(Simulation):
         links = shared(link, 2) if draft.has_double else [link]
         super().__init__(draft, links[0], seed, driven)
         late = round(draft.late_s / FRAME_S)
-        shown_m = None if draft.motion == "off" else draft.shown_m
+        shown_m = draft.shown_m if draft.motion != "off" or draft.late_s else None
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
         if not draft.steers:
             self.driver.belief = None
@@ -161,6 +161,7 @@ class CourseDrive(Drive):
         replace = msgspec.structs.replace
         return replace(
             config,
+            camera=replace(config.camera, kind="stream") if draft.late_s else config.camera,
             motion=MotionConfig(use=draft.motion),
             mapping=config.mapping if draft.maps_live else MappingConfig(),
             gates=GatesConfig(doubted_gps=draft.doubted_gps),

@@ -87,6 +87,12 @@ def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> 
     assert not run.failures, line(name, run)
 
 
+def test_old_pictures_of_a_vehicle_that_never_stops_send_no_position(library: RoadLibrary, tmp_path: Path) -> None:
+    """Where their age is not looked for, this drive gets 10 positions 22 m off, 6.4 standard deviations."""
+    run = drive(COURSES["pictures-3"], 70001, LENGTH_M, WORLD, tmp_path, library)
+    assert not run.failures, line("pictures-3", run)
+
+
 def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
     assert {name for case in CASES for name in courses_of(case)} == set(COURSES)
     for one in COURSES.values():
