@@ -300,6 +300,8 @@ class Daemon:
         """Publish the daemon's state; True when what was recognized so far must be dropped."""
         parts = self.parts
         fault = parts.pictures.fault
+        # Not the fault of a single picture, which lasts for a moment: it would be news to the pilot each time.
+        undated = parts.pictures.why_undated if self._autopilot.positions.enabled else ""
         inputs = HealthInputs(
             recognizer=self._recognizer.state,
             frames_used=parts.live_status.frames_used,
@@ -308,7 +310,7 @@ class Daemon:
             link=self._autopilot.state,
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
-            withheld=parts.pictures.why_no_position or self._autopilot.why_no_position,
+            withheld=undated or self._autopilot.why_no_position,
             driven_m=self._autopilot.vehicle.motion.driven_m(self._clock_ns()),
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""

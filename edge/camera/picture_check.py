@@ -215,8 +215,11 @@ class PictureCheck:
     @property
     def why_no_position(self) -> str:
         """Why no position may rest on the pictures, "" if it may."""
-        if self.fault is not None:
-            return self.fault.what
+        return self.why_undated if self.fault is None else self.fault.what
+
+    @property
+    def why_undated(self) -> str:
+        """What is missing until the age of the pictures is known, "" where it is, or nobody doubts it."""
         return UNDATED if self._may_be_old and not self._age.is_known else ""
 
     def dated(self, frame: Frame, speed_mps: float | None, heading: tuple[int, float] | None = None) -> Frame:

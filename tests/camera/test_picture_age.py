@@ -149,7 +149,7 @@ def test_no_position_rests_on_a_stream_before_its_age_is_known() -> None:
     assert stream.why_no_position == ""
     for number in range(30):
         stream.is_usable(Frame(frame.image, frame.stamp_ns + number * SECOND, number), 8.0)
-    assert stream.why_no_position == FROZEN
+    assert (stream.why_no_position, stream.why_undated) == (FROZEN, "")
 
 
 class Endless:
