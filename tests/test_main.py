@@ -69,12 +69,6 @@ def test_what_needs_no_conversion_and_what_is_no_recording(
     assert "test_main.py: neither a feed folder nor a video" in refused(capsys, "import", __file__, *output)
 
 
-def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    assert "file/x: cannot write here: Not a directory" in refused(capsys, "demo", "-o", str(tmp_path / "file" / "x"))
-    assert "has files that are not of a demo" in refused(capsys, "demo", "-o", str(tmp_path / "file"))
-
-
 def test_a_full_disk_behind_standard_output() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
