@@ -1,7 +1,7 @@
 """The command `lookback`: one module a sub-command, see `edge.commands.parser`.
 
-Exit codes: 0 done, 1 a device or link is lost or a check failed, 2 wrong usage, 78 bad configuration, map, model or
-feed (a restart would not help).
+Exit codes: 0 done, 1 a device or link is lost, a disk is full, or a check failed, 2 wrong usage, 78 bad configuration,
+map, model or feed (a restart would not help).
 """
 
 from __future__ import annotations

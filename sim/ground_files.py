@@ -13,6 +13,7 @@ import msgspec
 
 from edge.errors import ConfigError
 from edge.extras import install_command
+from sim.output import writing
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,11 @@ def write_by_suffix(output: Path, writers: Mapping[str, Callable[[], str]]) -> N
     if writer is None:
         raise ConfigError(f"--output: {output}: use a name that ends in one of {', '.join(writers)}")
     try:
-        output.write_text(writer(), encoding="utf-8")
+        text = writer()
     except ModuleNotFoundError as error:
         raise ConfigError(f"{output.suffix} needs {error.name}: {install_command('desk')}") from None
-    except OSError as error:
-        raise ConfigError(f"--output: {output}: cannot write it: {error.strerror}") from None
+    with writing(output) as stream:
+        stream.write(text)
 
 
 def _coordinates(one: GroundLine) -> list[tuple[float, float]]:

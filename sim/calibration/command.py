@@ -22,6 +22,7 @@ from edge.extras import install_command
 from edge.feed import Feed, read_feed
 from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
+from edge.toml_file import read_text
 from sim.calibration.offset import (
     BESIDE_M,
     FEWEST,
@@ -230,7 +231,7 @@ def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str]) -> Non
     """Write values into a config file in one step; its comments, order and other keys stay. ConfigError."""
     import tomlkit
 
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(read_text(path))
     for (section, key), value in lines.items():
         document.setdefault(section, tomlkit.table())[key] = value
     new = tomlkit.dumps(document)

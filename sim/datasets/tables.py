@@ -46,7 +46,7 @@ class Record:
 def read_text(file: Path, hint: str) -> str:
     """A text file; FeedError with a hint where to get it if it is not there."""
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FeedError(f"{file}: cannot read it: {error.strerror}; {hint}") from None
     except UnicodeDecodeError:

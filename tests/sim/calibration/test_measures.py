@@ -162,9 +162,10 @@ def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshol
     assert low <= curve.lowest_for(0.9) < high
 
 
-def test_lines_go_into_the_config_and_comments_stay(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_lines_go_into_the_config_and_comments_stay(encoding: str, tmp_path: Path) -> None:
     file = tmp_path / "lookback.toml"
-    file.write_text("# ours\n[acceptance]\nconfidence_min = 0.6  # guessed\nhold_off_s = 2.0\n")
+    file.write_text("# ours\n[acceptance]\nconfidence_min = 0.6  # guessed\nhold_off_s = 2.0\n", encoding=encoding)
     write_lines(file, {("rig", "ahead_reverse_same_m"): 3.5, ("acceptance", "confidence_min"): 0.5042})
     text = file.read_text()
     assert "# ours" in text

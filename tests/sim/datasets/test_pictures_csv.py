@@ -52,6 +52,13 @@ def test_usual_names_are_understood_and_shown(
     assert "assumed to look ahead; --view rear" in printed
 
 
+def test_a_table_that_excel_saved_is_read(drive: Path, tmp_path: Path) -> None:
+    log = drive / "log.csv"
+    log.write_bytes(b"\xef\xbb\xbf" + log.read_bytes())
+    assert main(["import", str(drive), "-o", str(tmp_path / "feed")]) == 0
+    assert read_feed(tmp_path / "feed").rows[0].lat_deg is not None
+
+
 def test_a_view_that_is_stated_is_not_called_assumed(drive: Path, tmp_path: Path) -> None:
     assert main(["import", str(drive), "-o", str(tmp_path / "feed"), "--view", "front"]) == 0
     assert "assumed" not in read_feed(tmp_path / "feed").header.notes
