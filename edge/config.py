@@ -144,10 +144,11 @@ class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[acceptance]: when a place is believed, and what counts as the same place (section IV-B).
 
-    uniqueness_min: of a place that a scan found, from which it is searched around.
+    confidence_from: probability of being right from which a place is believed. uniqueness_min: of a place that a scan
+    found, from which it is searched around.
     """
 
-    confidence_min: Annotated[float, Meta(gt=0, le=1)] = 0.5
+    confidence_from: Annotated[float, Meta(gt=0, lt=1)] = 0.92
     uniqueness_min: Annotated[float, Meta(ge=1)] = 1.08
     window_m: Positive = 80.0
     window_places: Annotated[int, Meta(ge=1)] = 10

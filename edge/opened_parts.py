@@ -134,7 +134,7 @@ class OpenedParts:
             time.sleep(POLL_S)
 
     def _open_page(self, parts: ExitStack) -> None:
-        self.live_status = LiveStatus(self.recognizer.model_name, self.config.acceptance.confidence_min)
+        self.live_status = LiveStatus(self.recognizer.model_name, self.config.acceptance.confidence_from)
         self.page = open_page(self.config.page, map_view(self.recognizer.map_set))
         if self.page is not None:
             parts.enter_context(closing(self.page))

@@ -185,7 +185,7 @@ def test_options_out_of_range(traverse: Path, street_map: Path, capsys: pytest.C
     at = ("replay", str(traverse), "--map", str(street_map))
     assert "--sequence-length: expected `int` >= 2" in refused(capsys, *at, "--sequence-length", "1")
     assert "--spacing-m: expected `float` > 0" in refused(capsys, *at, "--spacing-m", "-1")
-    assert "--confidence-min: expected `float` <= 1" in refused(capsys, *at, "--confidence-min", "1.2")
+    assert "--confidence-from: expected `float` < 1" in refused(capsys, *at, "--confidence-from", "1.2")
 
 
 def test_distance_that_a_feed_does_not_have(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -116,7 +116,7 @@ class FrameUsed(_Tagged, frozen=True, tag="frame"):
     uniqueness: Annotated[
         float | None, unit("", "lowest cost away from the place over its own; 1 is ambiguous, less is worse than there")
     ] = None
-    confidence: Annotated[float | None, unit("", "how far the recent frames agree on this place, 0 to 1")] = None
+    confidence: Annotated[float | None, unit("", "probability that this place is right, 0 to 1")] = None
     distance: Annotated[float | None, unit("", "mean cosine distance along the matched line")] = None
     direction: Direction | None = None
     order: Order | None = None
@@ -163,7 +163,7 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
     recording: Annotated[str, unit("", "name of the recording that the map has that drive from")] = ""
-    confidence: Annotated[float, unit("", "confidence in the place, 0 to 1")] = 0.0
+    confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1")] = 0.0
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
 

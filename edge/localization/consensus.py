@@ -7,8 +7,9 @@ the vehicle then is:
     offset = along - sign * driven          (sign: 1 forward, -1 reverse; constant on one drive)
     weight = min(uniqueness - 1, 0.15) * sharpness * sqrt(row support)
     live = sum of agreeing weights * (share of the recent weights that agree)^2
-    confidence = (live - others) / (live + others + prior)
-                 * (1 - overrun / slack) * min(1, 2 * pace) * min(1, support / 0.4)
+    agreement = (live - others) / (live + others + prior)
+                * (1 - overrun / slack) * min(1, 2 * pace) * min(1, support / 0.4)
+    odds of confidence = RIGHT_AT_HALF * odds of agreement
 
 Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
 drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
@@ -21,6 +22,7 @@ vehicle that turned off the mapped road must not be believed on it for as long a
 the frames of the first one count here, by whose lines the vehicle is followed, and its own votes must weigh a tenth of
 the prior: what only the second one recognizes is not believed. The weight of a second camera's vote is multiplied by
 the square of the share of its recent votes that agree with it.
+Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -53,7 +55,7 @@ LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
 FEWER_LINES = 1.4
 """By how much more evidence is held against every place where lines against the course are not searched: fewer are left
-to be as good by chance. In 10 km of foreign road the highest confidence was .49 with all lines, .56 without those
+to be as good by chance. In 10 km of foreign road the highest agreement was .49 with all lines, .56 without those
 against the course, and .48 so; on the map .76 of the frames were believed, .82, and .79."""
 SLACK_M = 30.0
 """Meters by which two votes may differ at most: right ones scatter by what is seen from afar, from 8 m back to 25 m
@@ -64,6 +66,9 @@ MOST_UNIQUE = 0.15
 more, and that says nothing about where in it the vehicle is."""
 STILL_LIKE = 0.1
 """The same, for a frame that shows what the place shows."""
+RIGHT_AT_HALF = 11.5
+"""Odds that a place is right where its agreement is a half; a logistic regression with as many frames off the map as on
+it. docs/evaluation.md has how far it holds on roads and recordings that it was not fitted on."""
 
 
 _LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m")
@@ -85,7 +90,7 @@ class ConsensusSettings:
     reach_lines, recent_lines: how far back votes count, and matches are recent, in lengths of a sequence. slack_m,
     drift: by how much two agreeing votes may differ, in all and per meter of odometer. blind_drift: the same per meter
     that was not measured. prior: evidence, in weight per frame of a sequence, that is held against every place.
-    threshold: confidence from which the place is believed.
+    confidence_from: confidence from which the place is believed.
     """
 
     length: int = 40
@@ -98,7 +103,7 @@ class ConsensusSettings:
     drift: float = 0.05
     blind_drift: float = 0.2
     prior: float = 0.003
-    threshold: float = 0.5
+    confidence_from: float = 0.92
 
     @classmethod
     def of(cls, config: Config, drives: Drives, step: float = 1.0, *, some_excluded: bool = False) -> ConsensusSettings:
@@ -110,8 +115,8 @@ class ConsensusSettings:
         slack_m = min(length * spacing_m * step / 4, SLACK_M if drives.is_metric else math.inf)
         slopes = math.tan(math.pi / 4 - limit_rad), math.tan(math.pi / 4 + limit_rad)
         prior = cls.prior * (FEWER_LINES if some_excluded else 1.0)
-        threshold = config.acceptance.confidence_min
-        return cls(length, spacing_m, step, slopes, slack_m=slack_m, prior=prior, threshold=threshold)
+        confidence_from = config.acceptance.confidence_from
+        return cls(length, spacing_m, step, slopes, slack_m=slack_m, prior=prior, confidence_from=confidence_from)
 
     @property
     def line_m(self) -> float:
@@ -153,7 +158,7 @@ class PlaceVote:
 class PlaceBelief:
     """Where the vehicle is by the votes' weighted mean, moved on to the newest frame.
 
-    along_m may lie up to `slack_m` beyond the drive's end. confidence: 0 to 1.
+    along_m may lie up to `slack_m` beyond the drive's end. confidence: probability that it is there.
     """
 
     drive: int
@@ -295,15 +300,16 @@ class PlaceConsensus:
         others = in_reach & ~group & ~(votes["was_believed"] & (overrun_m > settings.slack_m))
         agreeing, against = float(live[leader]), float(weights[others].sum())
         prior = settings.prior * settings.length
-        confidence = max(0.0, (agreeing - against) / (agreeing + against + prior))
+        agreement = max(0.0, (agreeing - against) / (agreeing + against + prior))
         beyond_m = max(0.0, float(own["start_m"]) - along_m, along_m - float(own["end_m"]))
-        confidence *= max(0.0, 1 - beyond_m / settings.slack_m)
-        confidence *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
+        agreement *= max(0.0, 1 - beyond_m / settings.slack_m)
+        agreement *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
         if self._cameras > 1:
             first = float(weights[group & (votes["camera"] == 0)].sum())
-            confidence *= min(1.0, first / (LEAST_OWN * prior))
-        confidence *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
-        is_believed = confidence >= settings.threshold
+            agreement *= min(1.0, first / (LEAST_OWN * prior))
+        agreement *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
+        confidence = probability(agreement)
+        is_believed = confidence >= settings.confidence_from
         votes["was_believed"] |= group & is_believed
         direction: Direction = "forward" if own["sign"] > 0 else "reverse"
         return PlaceBelief(int(own["drive"]), along_m, direction, confidence, is_believed)
@@ -337,6 +343,11 @@ class PlaceConsensus:
     def _overrun_m(self, now_m: Floats) -> Floats:
         """How far each vote's place, moved on to now, lies outside its drive."""
         return np.asarray(np.maximum(0.0, np.maximum(self._votes["start_m"] - now_m, now_m - self._votes["end_m"])))
+
+
+def probability(agreement: float) -> float:
+    """That a place is right whose votes agree so far, 0 to 1."""
+    return RIGHT_AT_HALF * agreement / (RIGHT_AT_HALF * agreement + 1 - agreement)
 
 
 def _within_lap(apart_m: Floats, lap_m: Floats | float) -> Floats:

@@ -74,7 +74,7 @@ class _OneStatus(Collector):
         for state in dict.fromkeys((*STATES, status.state)):
             states.add_metric([state], float(state == status.state))
         yield states
-        yield _gauge("confidence_min", "Confidence from which on a place is believed", {}, status.confidence_min)
+        yield _gauge("confidence_from", "Confidence from which on a place is believed", {}, status.confidence_from)
         newest = status.newest
         if newest is not None and newest.place is not None:
             yield _gauge("uniqueness", "Uniqueness of the newest match", {}, newest.uniqueness or 0.0)

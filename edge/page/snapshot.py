@@ -57,7 +57,7 @@ class Status(msgspec.Struct, frozen=True):
     frames_used: int
     events: int
     fps: float
-    confidence_min: float
+    confidence_from: float
     stages_ms: dict[str, float]
     journal_lost: int
     camera: CameraHealth
@@ -89,9 +89,9 @@ class Snapshot:
 class LiveStatus:
     """Keeps every used frame for a while, which costs microseconds, and makes a snapshot when it is asked for one."""
 
-    def __init__(self, model: str, confidence_min: float, unix_time_s: Callable[[], float] = time.time) -> None:
-        """model: its name, for people. confidence_min: from which on a place is believed."""
-        self._model, self._confidence_min = model, confidence_min
+    def __init__(self, model: str, confidence_from: float, unix_time_s: Callable[[], float] = time.time) -> None:
+        """model: its name, for people. confidence_from: from which on a place is believed."""
+        self._model, self._confidence_from = model, confidence_from
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
@@ -133,7 +133,7 @@ class LiveStatus:
             frames_used=self.frames_used,
             events=self.events,
             fps=self._fps(now_ns),
-            confidence_min=self._confidence_min,
+            confidence_from=self._confidence_from,
             stages_ms=stages_ms,
             journal_lost=journal_lost,
             camera=camera,

@@ -67,8 +67,8 @@ class PlaceMatch:
     uniqueness: lowest cost outside the window around the place over this cost; below 1, another place fits better.
     sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
-    confidence: 0 to 1, how far the recent frames agree on this place. accepted: whether that is enough to believe it;
-    False means off the map, or one of several that look alike.
+    confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
+    means off the map, or one of several that look alike.
     half_width_places: half the number of places around it that are nearly as good.
     parallax: of the two regions alone, None where it is not known.
     event: accepted, and not held off. category: what kind of place the frame shows, of events only.

@@ -119,8 +119,8 @@ def _run(args: argparse.Namespace) -> int:
             f"{args.map}: no whole sequence of {config.sequence_frames} places, so there is nothing to measure"
         )
     chosen = choose(curve, off_map, args.precision)
-    threshold = float(np.ceil(chosen * 1e4) / 1e4)
-    lines["acceptance", "confidence_min"] = threshold
+    threshold = min(float(np.ceil(chosen * 1e6) / 1e6), 1 - 1e-6)
+    lines["acceptance", "confidence_from"] = threshold
     _print_curve(curve, threshold, drive=bool(args.feeds))
     if chosen == DEFAULT:
         print(f"the default is kept: {WHY_DEFAULT}")
@@ -178,12 +178,12 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
     """About 13 points of the curve, and the chosen one."""
-    print(f"  confidence_min  accepted  {'precision' if drive else 'rejected'}")
+    print(f"  confidence_from  accepted  {'precision' if drive else 'rejected'}")
     rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
     for row in rows:
-        print(f"  {curve.thresholds[row]:14.3f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
+        print(f"  {curve.thresholds[row]:13.6f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
     last = int(np.flatnonzero(curve.thresholds >= threshold)[-1]) if (curve.thresholds >= threshold).any() else 0
-    print(f"  {threshold:14.4f}  {curve.accepted[last]:8d}  {curve.precision[last]:9.3f}  chosen")
+    print(f"  {threshold:13.6f}  {curve.accepted[last]:8d}  {curve.precision[last]:9.3f}  chosen")
 
 
 def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
@@ -191,16 +191,16 @@ def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
     if not strangers.answers:
         return
     rejected, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
-    line = f"off the map, estimated from the map alone, {threshold:.4f} rejects {rejected:.1%} of the matches"
+    line = f"off the map, estimated from the map alone, {threshold:.6f} rejects {rejected:.1%} of the matches"
     if rejected < share:
-        line += f", and {needed:.4f} rejects {share:.1%}: if the vehicle may leave the map, choose between the two"
+        line += f", and {needed:.6f} rejects {share:.1%}: if the vehicle may leave the map, choose between the two"
     print(line)
 
 
 def _curve_as_csv(curve: Curve) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["confidence_min", "accepted", "precision"])
+    writer.writerow(["confidence_from", "accepted", "precision"])
     for threshold, accepted, precision in zip(curve.thresholds, curve.accepted, curve.precision, strict=True):
         writer.writerow([f"{threshold:.6f}", accepted, f"{precision:.6f}"])
     return text.getvalue()

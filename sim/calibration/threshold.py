@@ -3,7 +3,7 @@
 From a drive: a match is right if, after the rig's offset, its place is within the tolerance of the vehicle.
 From the map alone: each of its frames is matched to the map without the frame's surroundings. All such matches are
 wrong, as those of a vehicle off the map, and the threshold rejects all but the allowed share of them. On six simulated
-streets of 1 km the threshold for 99 % was 0.09 to 0.57, where other streets driven on those maps needed 0.21 to 0.54:
+streets of 1 km the threshold for 99 % was 0.53 to 0.94, where other streets driven on those maps needed 0.75 to 0.93:
 it may ask for more than the default, and is no reason to go below it. The map alone does not show how well places are
 recognized in other light. If it has no positions and passes a place twice, it shows nothing: the other pass of the same
 place is matched.
@@ -27,7 +27,7 @@ from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
 
-DEFAULT = AcceptanceConfig().confidence_min
+DEFAULT = AcceptanceConfig().confidence_from
 
 
 @dataclass(frozen=True)

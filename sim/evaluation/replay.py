@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
-    parser.add_argument("--confidence-min", type=float, metavar="C", help="minimum confidence of a believed place")
+    parser.add_argument("--confidence-from", type=float, metavar="P", help="probability from which a place is believed")
     parser.add_argument("--all", action="store_true", help="write a line for every used frame, not only for events")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write to this file (default: standard output)"
@@ -90,18 +90,18 @@ def as_line(used: FrameUsed) -> str:
     return msgspec.json.encode(fields).decode() + "\n"
 
 
-def config_for_map(header: MapHeader, length: int | None = None, confidence_min: float | None = None) -> Config:
+def config_for_map(header: MapHeader, length: int | None = None, confidence_from: float | None = None) -> Config:
     """The default settings with regions, normalization and sampling as the map has them."""
-    return with_options(config_as_mapped(header), length, confidence_min)
+    return with_options(config_as_mapped(header), length, confidence_from)
 
 
-def with_options(config: Config, length: int | None, confidence_min: float | None) -> Config:
+def with_options(config: Config, length: int | None, confidence_from: float | None) -> Config:
     """The config with the command's options in place of its own keys. ConfigError names a bad option."""
     sequence, acceptance = config.sequence, config.acceptance
     if length is not None:
         sequence = checked_option(sequence, "--sequence-length", length=length)
-    if confidence_min is not None:
-        acceptance = checked_option(acceptance, "--confidence-min", confidence_min=confidence_min)
+    if confidence_from is not None:
+        acceptance = checked_option(acceptance, "--confidence-from", confidence_from=confidence_from)
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
@@ -120,9 +120,9 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     feed = read_feed(args.feed, feed_options(args))
     maps = open_map_set(args.map)
     if args.config:
-        config = with_options(load_config(args.config), args.sequence_length, args.confidence_min)
+        config = with_options(load_config(args.config), args.sequence_length, args.confidence_from)
     else:
-        config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_min)
+        config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_from)
     feed = preprocessed_feed(feed, config.camera)
     config = config_for_feed(msgspec.structs.replace(config, sampling=sampling_from(args, config.sampling)), feed)
     network = Network.load(args.model) if args.model else network

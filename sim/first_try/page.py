@@ -59,7 +59,7 @@ def _where(tried: Tried, found: Verdict) -> report.Section:
         "" if len(listed) == len(found.stretches) else f"The longest {len(listed)} of {len(found.stretches)}.",
     )
     confidence = np.array([np.nan if one.confidence is None else one.confidence for one in seen.used])
-    least = tried.config.acceptance.confidence_min
+    least = tried.config.acceptance.confidence_from
     wrong = tried.is_wrong
     drawn = [
         report.Figure(

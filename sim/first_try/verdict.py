@@ -163,7 +163,7 @@ def _reason(tried: Tried, row: int) -> str:
     elif not tried.is_on_map[row]:
         why = f"not on the mapped road: no place of the map within {tried.tolerance_m:g} m"
     elif state == "off the map":
-        least = tried.config.acceptance.confidence_min
+        least = tried.config.acceptance.confidence_from
         why = f"not believed: confidence below {least:g}{', and the picture is dark' if is_dark else ''}"
     else:
         why = state

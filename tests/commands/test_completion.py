@@ -25,7 +25,7 @@ def test_bash_completes_commands_options_and_files(capsys: pytest.CaptureFixture
     assert "replay" in complete("re")
     assert "record" in complete("re")
     assert complete("map", "bu") == {"build"}
-    assert "--confidence-min" in complete("replay", "--conf")
+    assert "--confidence-from" in complete("replay", "--conf")
     assert "/etc/hosts" in complete("run", "/etc/host")
 
 

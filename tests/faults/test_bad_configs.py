@@ -53,7 +53,7 @@ SECTIONS: list[tuple[str, str, Any]] = [
     ("sequence", "region_order", "both"),
     ("sequence", "max_gap_s", 0),
     ("acceptance", "uniqueness_min", 0.99),
-    ("acceptance", "confidence_min", 0.0),
+    ("acceptance", "confidence_from", 0.0),
     ("acceptance", "window_m", -80),
     ("acceptance", "window_places", 0),
     ("acceptance", "hold_off_s", -1),

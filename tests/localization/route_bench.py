@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
+from edge.localization.consensus import probability
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map.builder import MapBuilder, Place
@@ -349,10 +350,10 @@ class Bench:
         row = int(np.clip(round(end_m / SPACING_M), 0, places - 1))
         share = len(frames) / LENGTH
         alias, slope = self.alias_now, round(slope / SPACING_M * 50) / 50
-        confidence = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
+        agreement = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
             first + row, first + row, "forward", "same" if self.course.parallax else "swapped",
-            slope, 0.5, 1.2, sharpness=0.2, accepted=confidence >= 0.6, confidence=confidence,
+            slope, 0.5, 1.2, sharpness=0.2, accepted=agreement >= 0.6, confidence=probability(agreement),
             parallax=self.regions.parallax(number, row, slope) if self.course.parallax else None,
         )  # fmt: skip
 

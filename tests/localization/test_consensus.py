@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig
-from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
+from edge.config import AcceptanceConfig, Config, DescriptorConfig
+from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.reference_map import Drives, ModelKey
 from edge.reference_map.builder import Place
 from edge.sequence import Direction
@@ -79,7 +79,12 @@ def test_a_drive_that_was_matched_first_does_not_hold_back_the_one_that_agrees_w
 
     both = _last(_drive(PlaceConsensus(SETTINGS, on_one_spot), on_two_drives))
     assert both.drive == 1
-    assert both.confidence == pytest.approx(alone.confidence, abs=0.02)
+    assert both.confidence == pytest.approx(alone.confidence, abs=0.002)
+
+
+def test_a_place_of_half_the_evidence_is_as_probable_as_is_believed_by_default() -> None:
+    assert probability(0.5) == AcceptanceConfig().confidence_from
+    assert (probability(0.0), probability(1.0)) == (0.0, 1.0)
 
 
 def test_one_match_is_not_believed() -> None:
@@ -119,7 +124,7 @@ def test_votes_may_differ_by_what_a_camera_sees_however_far_apart_the_places_are
         ahead_m = 15.0 if at_m % 100.0 < 50.0 else 0.0
         belief = consensus.update(replace(STRONG, along_m=at_m + ahead_m), at_m)
     assert belief is not None
-    assert belief.confidence > 0.85
+    assert belief.confidence > 0.985
     assert abs(belief.along_m - at_m - 7.5) <= 10.0
 
 

@@ -26,7 +26,7 @@ def gps_at(north_m: float, east_m: float = 0.0) -> GpsFix:
 
 
 def seen(place: int, **changes: Any) -> PlaceMatch:
-    return match(place, **{"confidence": 0.9, **changes})
+    return match(place, **{"confidence": 0.999, **changes})
 
 
 def unseen(place: int, **changes: Any) -> PlaceMatch:
@@ -98,14 +98,14 @@ def test_a_short_stretch_that_is_not_recognized_is_no_warning(route: Route) -> N
 
 
 def test_nothing_is_said_after_a_recognition_that_was_not_firm(route: Route) -> None:
-    assert warned_m(recognized(route, confidence=FIRM - 0.1), on_the_road) is None
+    assert warned_m(recognized(route, confidence=FIRM - 0.02), on_the_road) is None
 
 
 @pytest.mark.parametrize(("weak", "is_warned"), [(5, True), (40, False)])
 def test_a_recognition_stays_firm_through_a_few_weak_frames(route: Route, weak: int, is_warned: bool) -> None:
     one = recognized(route, FROM - weak)
     for place in range(FROM - weak, FROM):
-        one.update(seen(place, confidence=0.6), gps_at(place * SPACING_M))
+        one.update(seen(place, confidence=0.94), gps_at(place * SPACING_M))
     assert (warned_m(one, on_the_road) is not None) == is_warned
 
 
@@ -113,7 +113,7 @@ def test_one_weak_frame_after_70_m_is_no_firm_recognition(route: Route) -> None:
     one, gap = recognized(route, FROM - 36), 35
     for place in range(FROM - 36, FROM - 36 + gap):
         one.update(unseen(place), gps_at(place * SPACING_M))
-    one.update(seen(FROM - 1, confidence=0.6), gps_at((FROM - 1) * SPACING_M))
+    one.update(seen(FROM - 1, confidence=0.94), gps_at((FROM - 1) * SPACING_M))
     assert warned_m(one, on_the_road) is None
 
 

@@ -63,7 +63,7 @@ def snapshot(number: int) -> Snapshot:
         frames_used=number,
         events=1,
         fps=4.0,
-        confidence_min=0.5,
+        confidence_from=0.92,
         stages_ms={"network": 9.5},
         journal_lost=0,
         camera=CameraHealth("running", "", 0, delivered=10, overwritten=2, bad=1),

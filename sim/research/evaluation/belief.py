@@ -160,7 +160,7 @@ def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
     """As `calibrate` would write it; ahead_m: as `offset_m` has it."""
     if way == "forward":
         return RigConfig(ahead_forward_swapped_m=ahead_m)
-    is_known = whole.confidence >= AcceptanceConfig().confidence_min
+    is_known = whole.confidence >= AcceptanceConfig().confidence_from
     parallax = float(np.nanmedian(whole.lag_m[is_known])) / HOME_LEFT_M
     return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M, parallax=max(0.0, parallax))
 
@@ -179,7 +179,7 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
     true_m = query.route_m + ahead_m
     on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
     right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
-    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_min)
+    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_from)
     edges = np.flatnonzero(np.diff(on_map, prepend=False, append=False))
     first_m = [
         float(query.driven_m[enter + believed[enter:leave].argmax()] - query.driven_m[enter])
@@ -243,7 +243,7 @@ def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> 
 def _row(cut: Cut, judged: list[Judged]) -> str:
     cells = []
     acceptance = AcceptanceConfig()
-    for kind, threshold in (("uniqueness", acceptance.uniqueness_min), ("belief", acceptance.confidence_min)):
+    for kind, threshold in (("uniqueness", acceptance.uniqueness_min), ("belief", acceptance.confidence_from)):
         answers: list[Answers] = [getattr(one, kind) for one in judged]
         at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
         precision, recall = at_threshold(joined(answers), threshold)
@@ -253,21 +253,8 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
     return f"| {cut} | {' | '.join(cells)} | {np.median(first_m):.0f} m | {again} |"
 
 
-def reliability(answers: Answers, foreign: Floats) -> Iterator[str]:
-    """Of each tenth of confidence: frames over mapped roads, the share of them that is right, and frames elsewhere.
-
-    foreign: confidence (n,) of frames whose road is on no map.
-    """
-    yield from ("| confidence | frames | right | on other roads |", "|---|---|---|---|")
-    tenths = np.ceil(10 * np.nan_to_num(answers.confidence)).astype(int)
-    for tenth in range(1, 11):
-        claimed, others = tenths == tenth, int((np.ceil(10 * foreign) == tenth).sum())
-        right = f"{answers.correct[claimed].mean():.3f}" if claimed.any() else "-"
-        yield f"| {(tenth - 1) / 10:.1f} to {tenth / 10:.1f} | {claimed.sum()} | {right} | {others} |"
-
-
 def main() -> None:
-    """Print a table for the seeds: R@P100, precision and recall at the default, the first belief; and reliability."""
+    """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True)
@@ -285,7 +272,7 @@ def main() -> None:
 
 
 def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> Iterator[str]:
-    """Each part of the roads mapped, drives over roads that are on no map, and the reliability of the confidence."""
+    """Each part of the roads mapped, and drives over roads that are on no map."""
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     for road, drives in seen:
         for cut, one in judge_world(road, drives, odometer):
@@ -301,11 +288,10 @@ def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> 
         for drive in ds.values()
     ]
     foreign = np.concatenate([np.zeros(0), *(confidence for _, confidence in elsewhere)])
-    believed, most = foreign >= AcceptanceConfig().confidence_min, foreign.max(initial=0.0)
+    believed, most = foreign >= AcceptanceConfig().confidence_from, foreign.max(initial=0.0)
     km = sum(one.driven_m[-1] for one, _ in elsewhere) / 1000
     what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.2f}"
-    yield f"\nOn {km:.0f} km of other roads {what}.\n"
-    yield from reliability(joined([one.belief for cut in CUTS for one in judged[cut]]), foreign)
+    yield f"\nOn {km:.0f} km of other roads {what}."
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ def _passes(road: Described, query: Described, drives: Drives, *, whole: bool, h
     beliefs = believe(road, query, "whole" if whole else "thirds")
     along_m = query.route_m + offset_m(query, beliefs)
     right = np.abs(beliefs.along_m - along_m) <= 40.0
-    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_min)
+    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_from)
     found = []
     for segment in range(1 if whole else 2):
         low_m, high_m = drives.extent_m(segment)

@@ -71,7 +71,7 @@ class Outcome:
         """The default confidence from which a match is accepted; SeqSLAM has the inverse of a uniqueness."""
         default = AcceptanceConfig()
         if self.method.recognizer == "belief":
-            return default.confidence_min
+            return default.confidence_from
         return -1 / default.uniqueness_min if self.method.layer == "pixels" else default.uniqueness_min
 
     def ahead_of_query(self) -> NDArray[np.float64]:

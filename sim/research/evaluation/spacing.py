@@ -113,7 +113,7 @@ Figures = tuple[float, float, float]
 
 
 def _figures(found: list[dict[Cut, Answers]]) -> Figures:
-    threshold = AcceptanceConfig().confidence_min
+    threshold = AcceptanceConfig().confidence_from
     precision = at_threshold(joined([one[cut] for one in found for cut in CUTS]), threshold)[0]
     whole, thirds = (at_threshold(joined([one[cut] for one in found]), threshold)[1] for cut in CUTS)
     return precision, whole, thirds

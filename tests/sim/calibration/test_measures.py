@@ -78,16 +78,16 @@ def test_the_threshold_is_the_lowest_with_that_precision() -> None:
 
 def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_below_the_default() -> None:
     right = [sighting(20, 0.3 + at / 1000) for at in range(99)]
-    strangers = [at / 50 for at in range(41)]
+    strangers = [0.9 + at / 500 for at in range(41)]
 
     def chosen(seen: list[Sighting], off_map: list[float]) -> float:
         return choose(curve_of_drive(seen, RigConfig(), tolerance_m=40, length=20), off_map, 0.9)
 
     assert chosen(right, []) == DEFAULT
-    assert chosen(right, strangers) == pytest.approx(0.72)
-    wrong = [sighting(200, 0.65 + at / 1000) for at in range(20)]
-    better = [sighting(20, 0.75 + at / 1000) for at in range(99)]
-    assert chosen([*better, *wrong], []) == pytest.approx(0.6585)  # 11 of 110 are wrong
+    assert chosen(right, strangers) == pytest.approx(0.972)
+    wrong = [sighting(200, 0.965 + at / 10_000) for at in range(20)]
+    better = [sighting(20, 0.975 + at / 10_000) for at in range(99)]
+    assert chosen([*better, *wrong], []) == pytest.approx(0.96585)  # 11 of 110 are wrong
 
 
 def test_a_precision_that_nothing_reaches_is_one_line() -> None:
@@ -165,11 +165,11 @@ def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshol
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 def test_lines_go_into_the_config_and_comments_stay(encoding: str, tmp_path: Path) -> None:
     file = tmp_path / "lookback.toml"
-    file.write_text("# ours\n[acceptance]\nconfidence_min = 0.6  # guessed\nhold_off_s = 2.0\n", encoding=encoding)
-    write_lines(file, {("rig", "ahead_reverse_same_m"): 3.5, ("acceptance", "confidence_min"): 0.5042})
+    file.write_text("# ours\n[acceptance]\nconfidence_from = 0.6  # guessed\nhold_off_s = 2.0\n", encoding=encoding)
+    write_lines(file, {("rig", "ahead_reverse_same_m"): 3.5, ("acceptance", "confidence_from"): 0.5042})
     text = file.read_text()
     assert "# ours" in text
-    assert "confidence_min = 0.5042  # guessed" in text
+    assert "confidence_from = 0.5042  # guessed" in text
     config = load_config(file)
     assert config.rig.ahead_reverse_same_m == 3.5
     assert config.acceptance.hold_off_s == 2.0

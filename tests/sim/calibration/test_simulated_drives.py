@@ -173,10 +173,10 @@ def test_the_command_prints_the_lines_and_writes_them(
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
-    assert loaded.acceptance.confidence_min == DEFAULT and f"\nconfidence_min = {DEFAULT}\n" in printed
+    assert loaded.acceptance.confidence_from == DEFAULT and f"\nconfidence_from = {DEFAULT}\n" in printed
     assert "# short" in config.read_text()
     lines = (tmp_path / "curve.csv").read_text().splitlines()
-    assert lines[0] == "confidence_min,accepted,precision"
+    assert lines[0] == "confidence_from,accepted,precision"
     assert 0.0 <= float(lines[-1].split(",")[0]) < float(lines[1].split(",")[0]) <= 1.0
 
 

@@ -61,10 +61,10 @@ def test_each_reason_is_named_where_it_holds() -> None:
     tried = replace(tried, gray=gray, faults=("",) * 70 + ("the image is frozen",) * 5 + ("",) * 25)
     found = verdict(tried)
     assert [(one.first, one.why) for one in found.stretches[1:]] == [
-        (50, "not believed: confidence below 0.5"),
-        (60, "not believed: confidence below 0.5, and the picture is dark"),
+        (50, "not believed: confidence below 0.92"),
+        (60, "not believed: confidence below 0.92, and the picture is dark"),
         (70, "the image is frozen"),
-        (75, "not believed: confidence below 0.5, and the picture is dark"),
+        (75, "not believed: confidence below 0.92, and the picture is dark"),
         (80, "not on the mapped road: no place of the map within 40 m"),
     ]
     assert "20% of the query is not on the mapped road" not in " ".join(found.advice)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
-from sim.evaluation.metrics import Answers
-from sim.research.evaluation.belief import Cut, Described, believe, judge, kept, reliability
+from sim.research.evaluation.belief import Cut, Described, believe, judge, kept
 from sim.research.evaluation.spacing import FRAMES, LOST, Case, rows_used
 
 PLACES, SPACING_M = 220, 2.0
@@ -34,28 +33,19 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, 
     mapped, query = road(1), way_home(road(1))
     beliefs = believe(mapped, query, cut)
     mapped_m = np.concatenate([mapped.route_m[start:end] for start, end in kept(cut, PLACES)])
-    believed = beliefs.confidence >= AcceptanceConfig().confidence_min
+    believed = beliefs.confidence >= AcceptanceConfig().confidence_from
     assert np.abs(beliefs.along_m - query.route_m)[believed].max() <= 40.0
     on_map = np.isin(query.route_m, mapped_m)
     assert believed[on_map].mean() > 0.3
     judged = judge(query, mapped_m, beliefs, ahead_m=0.0)
     assert len(judged.first_m) == parts
     assert all(0 < first_m < 140 for first_m in judged.first_m)
-    assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_min].all()
+    assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_from].all()
 
 
 def test_another_road_is_not_believed() -> None:
     beliefs = believe(road(1), way_home(road(2)), "whole")
-    assert beliefs.confidence.max() < AcceptanceConfig().confidence_min
-
-
-def test_reliability_counts_each_tenth_of_confidence() -> None:
-    confidence, right = np.array([np.nan, 0.45, 0.5, 0.5, 0.91]), np.array([False, True, True, False, True])
-    rows = list(reliability(Answers(confidence, right, np.ones(5, dtype=bool)), np.array([0.0, 0.11, 0.2, 1.0])))[2:]
-    assert rows[1] == "| 0.1 to 0.2 | 0 | - | 2 |"
-    assert rows[4] == "| 0.4 to 0.5 | 3 | 0.667 | 0 |"
-    assert rows[9] == "| 0.9 to 1.0 | 1 | 1.000 | 1 |"
-    assert len(rows) == 10
+    assert beliefs.confidence.max() < AcceptanceConfig().confidence_from
 
 
 def test_a_cut_map_keeps_what_its_name_says() -> None:

@@ -62,7 +62,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> PlacedDrive:
     for number in range(790):
         error_m += -0.03 * error_m + noise.normal(0.0, 0.8)
         at = int(np.clip(number + 16 + round(error_m / 2.0), 0, 799))  # the places lie 32 m ahead
-        match = PlaceMatch(at, at, "forward", "swapped", 1.0, 0.5, 1.3, confidence=0.9, accepted=40 < number < 780)
+        match = PlaceMatch(at, at, "forward", "swapped", 1.0, 0.5, 1.3, confidence=0.999, accepted=40 < number < 780)
         frames.append(PlacedFrame(round(number * 2.5), match, 0))
     ground_m = np.array([east_north_m(*moved(*HOME, *point)) for point in line.tolist()])
     true_m = np.column_stack([np.interp(8.0 * TIME_S, np.arange(len(line)), axis) for axis in ground_m.T])

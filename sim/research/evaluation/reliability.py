@@ -1,0 +1,171 @@
+"""Whether a confidence of 0.7 is right in 7 of 10 frames: on simulated roads, and on real streets front against rear.
+
+    python -m sim.research.evaluation.reliability --fitted 2017 2129 2237 2339 --other 3011 3023 --length 1200 \\
+        --feeds FEEDS --cache FOLDER [--page docs/evaluation.md --picture docs/pictures/reliability.png]
+
+Frames on the map count as much as all frames off it: those where a part of the road is not mapped, and drives over
+roads that are on no map. `--fitted` names the roads that `consensus.RIGHT_AT_HALF` was fitted on, and prints what they
+give today. Of real streets each scene is recognized on the map of all scenes, and on that of all others.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+
+from edge.config import SequenceConfig
+from edge.localization.consensus import RIGHT_AT_HALF
+from edge.recognizer import model_key
+from sim.evaluation.figures import to_png
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.as_run import config_of, match_as_run
+from sim.research.evaluation.belief import Described, Driven, believe, judge_world, worlds
+from sim.research.evaluation.method_runner import MethodRunner
+from sim.research.evaluation.plan import NetworkPlan, Pair, TraversePlan, load_plan
+from sim.research.evaluation.run import Folders, find_plan, open_runner
+from sim.research.evaluation.scores import joined
+from sim.research.trial.table import put_between
+
+TENTHS = 10
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Claims:
+    """Frames with a confidence (n,), whether they are right, and weights: 1 for all on the map, 1 for all off it."""
+
+    confidence: Floats
+    right: NDArray[np.bool_]
+    weight: Floats
+
+    @classmethod
+    def of(cls, mapped: Answers, foreign: Floats) -> Claims:
+        """mapped: answers over mapped roads. foreign: confidence (n,) of frames whose road is on no map."""
+        confidence = np.nan_to_num(np.concatenate([mapped.confidence, foreign]))
+        right = np.concatenate([mapped.correct, np.zeros(len(foreign), bool)])
+        on_map = np.concatenate([mapped.has_truth, np.zeros(len(foreign), bool)])
+        weight = np.where(on_map, 1 / max(1, on_map.sum()), 1 / max(1, (~on_map).sum()))
+        return cls(confidence, right, weight)
+
+    def tenths(self) -> Iterator[tuple[int, float, float]]:
+        """Of each tenth of confidence: how many frames, the mean of what they claim, and the share that is right."""
+        tenth = np.ceil(TENTHS * self.confidence).clip(1, TENTHS).astype(int)
+        for one in range(1, TENTHS + 1):
+            chosen = (tenth == one) & (self.confidence > 0)
+            weight = self.weight[chosen]
+            if not chosen.any():
+                yield 0, np.nan, np.nan
+                continue
+            shares = weight / weight.sum()
+            yield int(chosen.sum()), float(shares @ self.confidence[chosen]), float(shares @ self.right[chosen])
+
+    def fitted(self) -> float:
+        """RIGHT_AT_HALF by a logistic regression on the odds of the agreement, whose power stays 1."""
+        known = (self.confidence > 0) & (self.confidence < 1)
+        p, weight, right = self.confidence[known], self.weight[known], self.right[known]
+        agreement, found = np.log(p / (1 - p)) - np.log(RIGHT_AT_HALF), np.log(RIGHT_AT_HALF)
+        for _ in range(50):
+            guess = 1 / (1 + np.exp(-agreement - found))
+            found += weight @ (right - guess) / (weight @ (guess * (1 - guess)))
+        return float(np.exp(found))
+
+
+def of_roads(seen: Sequence[tuple[Described, dict[str, Driven]]]) -> Claims:
+    """Each drive over its own road with each part of it mapped, and over every other one's map."""
+    mapped = [judged.belief for road, drives in seen for _, judged in judge_world(road, drives, 1.0)]
+    foreign = [
+        believe(road, drive.front, "whole").confidence
+        for (road, _), (_, others) in permutations(seen, 2)
+        for drive in others.values()
+    ]
+    return Claims.of(joined(mapped), np.concatenate(foreign))
+
+
+def of_streets(feeds: Path) -> Claims:
+    """The scenes of `real_front_rear` on the map of all of them, and each on the map of all others."""
+    path = find_plan(Path("real_front_rear"))
+    plan = load_plan(path)
+    front, rear = plan.traverses["front"].feeds, plan.traverses["rear"].feeds
+    traverses = dict(plan.traverses)
+    for scene, seen in zip(front, rear, strict=True):
+        traverses[scene] = TraversePlan(feeds=(scene,))
+        traverses[f"without {scene}"] = TraversePlan(feeds=tuple(one for one in rear if one != seen))
+    plan = msgspec.structs.replace(plan, traverses=traverses, networks={"shipped": NetworkPlan()})
+    runner = open_runner(plan, Folders(path.parent, feeds, feeds, feeds))
+    mapped = joined([runner.run(pair, "Lookback").answers for pair in plan.pairs])
+    foreign = [_elsewhere(runner, pair, scene) for pair in plan.pairs for scene in front]
+    return Claims.of(mapped, np.concatenate(foreign))
+
+
+def _elsewhere(runner: MethodRunner, pair: Pair, scene: str) -> Floats:
+    """Confidence of each frame of a scene on the map of all others, from its first whole sequence on."""
+    reference, query = runner.traverse(f"without {scene}"), runner.traverse(scene)
+    network = runner.descriptions.network("shipped", "fc6")
+    raw = tuple(runner.descriptions.raw(one, "shipped", "fc6", "left-right") for one in (reference, query))
+    length = runner.sequence_length(pair)
+    config = config_of(pair, reference, query, SequenceConfig(length=length), runner.plan.region_width)
+    matches = match_as_run(reference, query, (raw[0], raw[1]), config, model_key(network), "belief")
+    return matches.confidence[length - 1 :]
+
+
+def rows_of(claims: dict[str, Claims]) -> Iterator[str]:
+    """A Markdown table: of each set and each tenth of confidence, how many frames claim what, and what is right."""
+    yield f"| confidence | {' | '.join(f'{name}: frames, claimed, right' for name in claims)} |"
+    yield "|" + "---|" * (len(claims) + 1)
+    for tenth, of_sets in enumerate(zip(*(one.tenths() for one in claims.values()), strict=True)):
+        cells = [f"{count}, {claimed:.2f}, {right:.2f}" if count else "-" for count, claimed, right in of_sets]
+        yield f"| {tenth / TENTHS:.1f} to {(tenth + 1) / TENTHS:.1f} | {' | '.join(cells)} |"
+
+
+def plot(claims: dict[str, Claims]) -> bytes:
+    """What is claimed and what is right, as PNG; a tenth with more frames has a larger mark."""
+    figure, axes = plt.subplots(figsize=(5.0, 4.4))
+    axes.plot([0, 1], [0, 1], color="#888888", lw=0.8)
+    axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color="#888888", alpha=0.15, lw=0)
+    for (name, one), marker in zip(claims.items(), "os^D", strict=False):
+        count, claimed, right = np.array(list(one.tenths())).T
+        line = axes.plot(claimed, right, lw=0.8, alpha=0.6)[0]
+        axes.scatter(claimed, right, 8 + 3 * np.sqrt(count), marker=marker, color=line.get_color(), label=name)
+    axes.set(xlabel="confidence", ylabel="share that is right", xlim=(0, 1.02), ylim=(0, 1.02))
+    axes.legend(fontsize=8, loc="upper left")
+    axes.grid(alpha=0.3)
+    return to_png(figure)
+
+
+def main() -> None:
+    """Print, write and draw how right the confidence is."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fitted", type=int, nargs="+", required=True, help="seeds of the roads that it was fitted on")
+    parser.add_argument("--other", type=int, nargs="+", required=True, help="seeds of roads that it was not fitted on")
+    parser.add_argument("--length", type=float, default=1200.0, help="of the roads, m")
+    parser.add_argument("--feeds", type=Path, help="folder with the recordings of the plan real_front_rear")
+    parser.add_argument("--cache", type=Path, required=True, help="keeps the descriptors of the roads")
+    parser.add_argument("--page", type=Path, help="write the table between its marks on this page")
+    parser.add_argument("--picture", type=Path, help="draw it into this file")
+    args = parser.parse_args()
+    args.cache.mkdir(parents=True, exist_ok=True)
+    claims = {
+        "roads it was fitted on": of_roads(list(worlds(args.fitted, args.length, args.cache, both=False))),
+        "other roads": of_roads(list(worlds(args.other, args.length, args.cache, both=False))),
+    }
+    if args.feeds:
+        claims["real streets"] = of_streets(args.feeds)
+    half = claims["roads it was fitted on"].fitted()
+    rows = [*rows_of(claims), "", f"Fitted anew: RIGHT_AT_HALF is {half:.1f}."]
+    print("\n".join(rows))
+    if args.page:
+        put_between(("<!-- reliability: begin -->", "<!-- reliability: end -->"), args.page, "\n".join(rows))
+    if args.picture:
+        args.picture.write_bytes(plot(claims))
+
+
+if __name__ == "__main__":
+    main()

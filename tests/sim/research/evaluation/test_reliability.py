@@ -1,0 +1,38 @@
+"""How right a confidence is: what counts how much, and a fit that finds what made the data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.localization.consensus import RIGHT_AT_HALF, probability
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.reliability import Claims, rows_of
+
+
+def test_frames_on_the_map_count_as_much_as_all_off_it() -> None:
+    on_map = np.array([True, True, True, True, False])
+    mapped = Answers(np.array([0.55, 0.55, 0.55, 0.95, 0.55]), np.array([True, True, False, True, False]), on_map)
+    claims = Claims.of(mapped, np.array([0.0, 0.0, 0.55, np.nan]))
+    tenths = list(claims.tenths())
+    # Three of four on the map, of which two are right, and two of five off it.
+    assert tenths[5][1:] == pytest.approx((0.55, 2 / 4 / (3 / 4 + 2 / 5)))
+    assert tenths[9][1:] == pytest.approx((0.95, 1.0))
+    assert [count for count, _, _ in tenths] == [0, 0, 0, 0, 0, 5, 0, 0, 0, 1]
+    rows = list(rows_of({"roads": claims}))
+    assert rows[2:4] == ["| 0.0 to 0.1 | - |", "| 0.1 to 0.2 | - |"]
+    assert rows[7] == "| 0.5 to 0.6 | 5, 0.55, 0.43 |"
+
+
+@pytest.mark.parametrize("at_half", [4.0, RIGHT_AT_HALF, 30.0])
+def test_the_fit_finds_the_odds_by_which_the_frames_are_right(at_half: float) -> None:
+    rng = np.random.default_rng(1)
+    agreement = rng.random(40_000)
+    odds = at_half * agreement / (1 - agreement)
+    right = rng.random(len(agreement)) < odds / (1 + odds)
+    claimed = np.array([probability(float(one)) for one in agreement])
+    claims = Claims(claimed, right, np.full(len(right), 1 / len(right)))
+    assert claims.fitted() == pytest.approx(at_half, rel=0.05)
+    if at_half == RIGHT_AT_HALF:
+        for count, mean, share in claims.tenths():
+            assert share == pytest.approx(mean, abs=4 * np.sqrt(0.25 / count))
