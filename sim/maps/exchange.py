@@ -99,11 +99,12 @@ def apply(folder: Path, delta: Path, require_signature_by: Path | None = None) -
     with AtomicFolder(folder / "delta") as building:
         _unpack(delta, building.path)
         new, tallies = maps_in(building.path), _tallies(building.path)
-        _best(tallies)
-        headers = {path: open_map(path, every_file=True).header for path in new}
-        for path, header in headers.items():
-            if require_signature_by is not None:
-                check_signature(path, header, require_signature_by)
+        with _named_by(delta, building.path):
+            _best(tallies)
+            headers = {path: open_map(path, every_file=True).header for path in new}
+            for path, header in headers.items():
+                if require_signature_by is not None:
+                    check_signature(path, header, require_signature_by)
         there = {read_header(path).header_sha256: path.name for path in _maps(folder)}
         added = {path: header.header_sha256 for path, header in headers.items() if header.header_sha256 not in there}
         for path, sha256 in added.items():
@@ -227,6 +228,15 @@ def _reading(delta: Path) -> Iterator[tarfile.TarFile]:
         raise MapError(f"{delta}: cut off, or not a delta ({error}); copy it again") from None
     except OSError as error:
         raise MapError(f"{delta}: cannot read it: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _named_by(delta: Path, place: Path) -> Iterator[None]:
+    """Whoever reads what is wrong has the delta, and not the folder in which it was unpacked."""
+    try:
+        yield
+    except MapError as error:
+        raise MapError(str(error).replace(f"{place}{os.sep}", f"{delta}: ")) from None
 
 
 def _unpack(delta: Path, place: Path) -> None:

@@ -97,7 +97,9 @@ def test_retired_drives_are_not_sent(tmp_path: Path) -> None:
     assert write_delta(tmp_path / "maps", None, tmp_path / "delta").drives == 1
 
 
-def test_a_drive_that_is_not_signed_as_asked_adds_nothing(fleet: list[Path], tmp_path: Path) -> None:
+def test_a_drive_that_is_not_signed_as_asked_adds_nothing(
+    fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     public = make_key(tmp_path / "key")
     office = Path(shutil.copytree(fleet[1], tmp_path / "office"))
     sign_map(office / "shared", tmp_path / "key")
@@ -112,6 +114,7 @@ def test_a_drive_that_is_not_signed_as_asked_adds_nothing(fleet: list[Path], tmp
         str(public),
     ]
     assert main(command) == 78
+    assert f"{tmp_path / 'delta'}: monday: not signed" in capsys.readouterr().err
     assert content(tmp_path / "vehicle") == {}
     sign_map(office / "monday", tmp_path / "key")
     write_delta(office, None, tmp_path / "delta")
