@@ -141,9 +141,7 @@ def layers_in_short(scores: Sequence[CourseScore]) -> str:
         [
             *table,
             "",
-            "Worse on layers:",
-            "",
-            *worse,
+            *(["Worse on layers:", "", *worse] if worse else ["Worse on layers: none."]),
             "",
             f"Fails on both, and no less on one map: {'; '.join(others) or 'none'}.",
         ]

@@ -361,6 +361,9 @@ def test_in_short_layers_show_what_is_worse_on_them() -> None:
         "",
         "Fails on both, and no less on one map: no worse.",
     ]
+    *_, none_worse, _, none_fails = layers_in_short([alone[0], layered[0], alone[4], layered[4]]).splitlines()
+    assert none_worse == "Worse on layers: none."
+    assert none_fails == "Fails on both, and no less on one map: none."
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
