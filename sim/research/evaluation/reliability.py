@@ -1,11 +1,11 @@
 """Whether a confidence of 0.7 is right in 7 of 10 frames: on simulated roads, and on real streets front against rear.
 
-    python -m sim.research.evaluation.reliability --fitted 2017 2129 2237 2339 --other 3011 3023 --length 1200 \\
+    python -m sim.research.evaluation.reliability --roads 2017 2129 2237 2339 --roads 3037 3049 --length 1200 \\
         --feeds FEEDS --cache FOLDER [--page docs/evaluation.md --picture docs/pictures/reliability.png]
 
 Frames on the map count as much as all frames off it: those where a part of the road is not mapped, and drives over
-roads that are on no map. `--fitted` names the roads that `consensus.RIGHT_AT_HALF` was fitted on, and prints what they
-give today. Of real streets each scene is recognized on the map of all scenes, and on that of all others.
+roads that are on no map. Each `--roads` is a set of seeds, whose frames alone also give a `consensus.RIGHT_AT_HALF`. Of
+real streets each scene is recognized on the map of all scenes, and on that of all others.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def plot(claims: dict[str, Claims]) -> bytes:
     for (name, one), marker in zip(claims.items(), "os^D", strict=False):
         count, claimed, right = np.array(list(one.tenths())).T
         line = axes.plot(claimed, right, lw=0.8, alpha=0.6)[0]
-        axes.scatter(claimed, right, 8 + 3 * np.sqrt(count), marker=marker, color=line.get_color(), label=name)
+        axes.scatter(claimed, right, 10 + 20 * np.log10(1 + count), marker=marker, color=line.get_color(), label=name)
     axes.set(xlabel="confidence", ylabel="share that is right", xlim=(0, 1.02), ylim=(0, 1.02))
     axes.legend(fontsize=8, loc="upper left")
     axes.grid(alpha=0.3)
@@ -143,8 +143,9 @@ def plot(claims: dict[str, Claims]) -> bytes:
 def main() -> None:
     """Print, write and draw how right the confidence is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fitted", type=int, nargs="+", required=True, help="seeds of the roads that it was fitted on")
-    parser.add_argument("--other", type=int, nargs="+", required=True, help="seeds of roads that it was not fitted on")
+    parser.add_argument(
+        "--roads", type=int, nargs="+", action="append", required=True, help="seeds of a set of roads; may be repeated"
+    )
     parser.add_argument("--length", type=float, default=1200.0, help="of the roads, m")
     parser.add_argument("--feeds", type=Path, help="folder with the recordings of the plan real_front_rear")
     parser.add_argument("--cache", type=Path, required=True, help="keeps the descriptors of the roads")
@@ -153,13 +154,13 @@ def main() -> None:
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     claims = {
-        "roads it was fitted on": of_roads(list(worlds(args.fitted, args.length, args.cache, both=False))),
-        "other roads": of_roads(list(worlds(args.other, args.length, args.cache, both=False))),
+        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache, both=False)))
+        for seeds in args.roads
     }
     if args.feeds:
         claims["real streets"] = of_streets(args.feeds)
-    half = claims["roads it was fitted on"].fitted()
-    rows = [*rows_of(claims), "", f"Fitted anew: RIGHT_AT_HALF is {half:.1f}."]
+    fits = ", ".join(f"{one.fitted():.1f} by {name}" for name, one in claims.items())
+    rows = [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."]
     print("\n".join(rows))
     if args.page:
         put_between(("<!-- reliability: begin -->", "<!-- reliability: end -->"), args.page, "\n".join(rows))
