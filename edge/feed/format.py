@@ -163,10 +163,15 @@ def _parse_measure(where: str, column: str, text: str | None) -> float | None:
         value = math.nan
     if not math.isfinite(value):
         raise FeedError(f"{where}: {column}: {text!r} is not a number")
-    limit = LIMITS.get(column, math.inf)
-    if abs(value) > limit:
-        raise FeedError(f"{where}: {column}: {value:g} is not between {-limit:g} and {limit:g} degrees")
+    check_degrees(where, column, value)
     return value
+
+
+def check_degrees(where: str, column: str, value: float | None) -> None:
+    """FeedError for a latitude or a longitude that is not on the earth; None is not known."""
+    limit = LIMITS.get(column, math.inf)
+    if value is not None and abs(value) > limit:
+        raise FeedError(f"{where}: {column}: {value:g} is not between {-limit:g} and {limit:g} degrees")
 
 
 def stays_inside(name: str) -> bool:

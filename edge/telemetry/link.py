@@ -18,6 +18,7 @@ import os
 import socket
 import termios
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import serial
@@ -115,7 +116,7 @@ class SerialLink:
         try:
             self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
         except (OSError, termios.error) as error:  # SerialException is an OSError
-            raise LinkLost(f"{device}: {_why_not_open(error)}") from None
+            raise LinkLost(f"{device}: {_why_not_open(device, error)}") from None
 
     def receive(self) -> bytes:
         """See Link. pyserial reports an unplugged port in three ways, and all of them end here."""
@@ -149,7 +150,7 @@ class SerialLink:
             self._port.close()
 
 
-def _why_not_open(error: Exception) -> str:
+def _why_not_open(device: str, error: Exception) -> str:
     """Why a port does not open, and what to do about it."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
@@ -158,6 +159,8 @@ def _why_not_open(error: Exception) -> str:
         return "in use by another program; stop it (ModemManager? a ground station?)"
     if number == errno.EACCES:
         return "not permitted; add the user to the group that owns it (dialout)"
+    if Path(device).exists() and not Path(device).is_char_device():
+        return "no serial port; name a device, such as /dev/ttyACM0"
     return f"cannot open it: {error}"
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
+from edge.feed.format import LIMITS, check_degrees
 from edge.feed.sampling import Sampler
 from sim.datasets import Traverse
 from sim.traverse import driven_m
@@ -152,8 +153,10 @@ def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
 
 
 def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:
-    """The row of a feed that a chosen row becomes."""
+    """The row of a feed that a chosen row becomes; FeedError where its position is not on the earth."""
     row = traverse.rows[chosen.index]
+    for column in LIMITS:
+        check_degrees(f"{traverse.source}: {row.file}", column, getattr(row, column))
     extra = {"source_file": row.file, "source_frame": str(chosen.index), **row.extra}
     return replace(row, distance_m=chosen.distance_m, extra=extra)
 

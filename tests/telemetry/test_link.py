@@ -188,7 +188,7 @@ def test_a_missing_port_and_a_file_that_is_no_port_say_so(tmp_path: Path) -> Non
         open_link(f"serial:{tmp_path}/none:57600")
     file = tmp_path / "file"
     file.touch()
-    with pytest.raises(LinkLost, match=f"{file}: cannot open it"):
+    with pytest.raises(LinkLost, match=f"{file}: no serial port; name a device"):
         open_link(f"serial:{file}:57600")
 
 
