@@ -87,8 +87,12 @@ class BootClock:
         self._requested_ns = now_ns
 
     def read_timesync(self, tc1_ns: int, ts1_ns: int, now_ns: int) -> None:
-        """TIMESYNC: the answer `tc1_ns` to the request of `ts1_ns`; or, with 0, its own request, stamped `ts1_ns`."""
-        if self._is_of_another((tc1_ns or ts1_ns) // 1_000_000, now_ns):
+        """TIMESYNC: the answer `tc1_ns` to the request of `ts1_ns`; or, with 0, its own request, stamped `ts1_ns`.
+
+        Only after a stamp of a message, which shows whether it is of the same clock: an answer that came first and was
+        3 s ahead put this clock off by half of that for a whole drive.
+        """
+        if self._newest_ms < 0 or self._is_of_another((tc1_ns or ts1_ns) // 1_000_000, now_ns):
             return
         if tc1_ns == 0:
             self.add_stamp(ts1_ns, now_ns)

@@ -227,6 +227,7 @@ def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_mo
 def test_our_timesync_answers_are_taken_and_those_of_others_are_not() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
+    vehicle.handle(speaker.fix(101_900, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
     for sent_ns in range(2 * S, 8 * S, S // 2):
         vehicle.session.clock.requested(sent_ns)
         answer = speaker.say(mavlink.MAVLink_timesync_message(sent_ns + 2_000_000 + 100 * S, sent_ns))
@@ -239,6 +240,7 @@ def test_our_timesync_answers_are_taken_and_those_of_others_are_not() -> None:
 def test_the_autopilots_own_timesync_requests_tell_its_time() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)
+    vehicle.handle(speaker.fix(76_900, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
     vehicle.handle(speaker.say(mavlink.MAVLink_timesync_message(0, 77 * S)), 2 * S)
     assert vehicle.boot_time_s(3 * S) == pytest.approx(78.0)
 
