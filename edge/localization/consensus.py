@@ -69,7 +69,7 @@ STILL_LIKE = 0.1
 RIGHT_AT_HALF = 11.5
 """Odds that a place is right where its agreement is a half. Logistic regressions, with as many frames off the map as on
 it, gave 17.1 on four simulated roads and 11.7 on two others: the more cautious one. docs/evaluation.md has how far it
-holds on roads and recordings that it was not fitted on."""
+holds on two more roads and on real streets."""
 
 
 _LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m")

@@ -101,6 +101,7 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
         order=match.order,
         uniqueness=round(match.uniqueness, 4),
         category=match.category or "",
+        confidence=round(match.confidence, 3),
         map=UNSET if match.map is None else match.map,
     )
 

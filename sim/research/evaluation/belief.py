@@ -290,7 +290,7 @@ def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> 
     foreign = np.concatenate([np.zeros(0), *(confidence for _, confidence in elsewhere)])
     believed, most = foreign >= AcceptanceConfig().confidence_from, foreign.max(initial=0.0)
     km = sum(one.driven_m[-1] for one, _ in elsewhere) / 1000
-    what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.2f}"
+    what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.3f}"
     yield f"\nOn {km:.0f} km of other roads {what}."
 
 
