@@ -175,7 +175,7 @@ def test_gps_that_was_never_heard_is_unknown_and_nothing_is_sent(rig: Rig, lost:
     assert len(rig.journalled(FixSent)) == sent
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
     assert rig.connection.why_no_position == "GPS is unknown: no GPS_RAW_INT"
-    rig.wire.loses = lambda one: False
+    rig.wire.loses = None
     rig.run(60.0, lambda: rig.connection.vehicle.session.gps.state(rig.now_ns) != "unknown")
     rig.run(2.0)
     assert rig.send_position(rig.fix())

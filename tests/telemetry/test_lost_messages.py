@@ -99,7 +99,7 @@ def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(vision: Rig) ->
     vision.wire.loses = lambda message: message.get_type() == "COMMAND_LONG" and message.command == SET_EKF_SOURCE_SET
     stream(vision, 4.0)
     assert vision.autopilot.inputs.source_set == 1
-    vision.wire.loses = loses()
+    vision.wire.loses = None
     stream(vision, 8.0)
     assert vision.autopilot.inputs.source_set == 2
     assert [(one.number, one.result) for one in vision.journalled(SourceSetAnswered)] == [
@@ -124,7 +124,7 @@ def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(vision
     vision.wire.loses = loses_answers(SET_EKF_SOURCE_SET)
     stream(vision, 30.0)
     assert 6 <= selections(vision).count(2) <= 8
-    vision.wire.loses = loses()
+    vision.wire.loses = None
     stream(vision, 20.0)
     before = len(selections(vision))
     stream(vision, 20.0)
@@ -199,7 +199,7 @@ def test_a_silent_link_is_no_reason_to_forget_the_bound(lost_gps: Rig, silent_s:
     lost_gps.wire.loses = lambda message: True
     lost_gps.run(silent_s)
     assert lost_gps.connection.state == "waiting"
-    lost_gps.wire.loses = loses()
+    lost_gps.wire.loses = None
     after_m = uncertainty_after(lost_gps, 6.0)
     assert before_m is not None and after_m is not None
     assert before_m < after_m < before_m + 0.05 * 1.6 * 8.0 * (silent_s + 6.0)
@@ -217,7 +217,7 @@ def test_a_bound_is_not_remembered_after_a_reboot_while_the_link_was_silent(lost
     lost_gps.run(3.0)
     lost_gps.autopilot.reboot()
     lost_gps.run(5.0)
-    lost_gps.wire.loses = loses()
+    lost_gps.wire.loses = None
     assert uncertainty_after(lost_gps, 8.0) is None
 
 
@@ -249,6 +249,6 @@ def test_heartbeats_alone_are_no_permission(lost_gps: Rig, silent_s: float) -> N
     assert not lost_gps.send_position(lost_gps.fix())
     assert len(lost_gps.journalled(FixSent)) == sent
     assert lost_gps.journalled(FixWithheld)[-1].reason == "GPS is unknown: no GPS_RAW_INT"
-    lost_gps.wire.loses = loses()
+    lost_gps.wire.loses = None
     lost_gps.run(3.0)
     assert lost_gps.send_position(lost_gps.fix())
