@@ -168,10 +168,12 @@ class SimulatedAutopilot:
                 self.handle(message)
         for message in self.mission.step(now_s):
             self.send(message)
-        for message_id, due_s in list(self._due_s.items()):
-            if now_s >= due_s:
-                self._due_s[message_id] = max(due_s + self._period_s[message_id], now_s)
-                self._send_kind(message_id)
+        due = [message_id for message_id, due_s in self._due_s.items() if now_s >= due_s]
+        for message_id in due:
+            self._due_s[message_id] = max(self._due_s[message_id] + self._period_s[message_id], now_s)
+        if due:
+            snapshot = self._snapshot()
+            self.send(*(one for one in (ENCODERS[message_id](snapshot) for message_id in due) if one is not None))
 
     @property
     def _uses_gps(self) -> bool:
@@ -204,10 +206,10 @@ class SimulatedAutopilot:
             self.send(message)
         return message is not None
 
-    def send(self, message: Message) -> None:
-        """Send any message, as the autopilot itself."""
-        if not self.loses(message, True):
-            self._link.send(self._codec.encode(message))
+    def send(self, *messages: Message) -> None:
+        """Send any messages, as the autopilot itself; those of one call leave together."""
+        if data := b"".join(self._codec.encode(one) for one in messages if not self.loses(one, True)):
+            self._link.send(data)
 
     def handle(self, message: Message) -> None:
         """Do what a message asks for, whoever sent it."""
