@@ -14,15 +14,14 @@ import pytest
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.journal.records import PlaceFix
-from edge.page import snapshot
 from sim.journal import records_of
 
 ROWS = 80
 LAP = 2 * (ROWS - 1)
 """Frames there and back."""
 DAY = 24 * 3600 * 5
-HISTORY, WARM_UP_LAPS = 400, 4
-"""Of the page, in frames, and until it is full, and every new frame of it replaces an old one."""
+WARM_UP_LAPS = 16
+"""Until the page's history of 2400 frames is full, and every new frame of it replaces an old one."""
 ROUND_LAPS = 3
 """Memory is compared at its lowest of so many laps: texts and journal lines come and go with periods of their own."""
 BLOCKS_PER_FRAME = 0.1
@@ -43,9 +42,7 @@ def test_a_day(
     proc: Any,
     tmp_path: Path,
     figures: Callable[[str], None],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(snapshot, "HISTORY", HISTORY)
     feed = FeedImages(read_feed(street / "feed"))
     drive = [feed.read(row) for row in range(ROWS)]
     there_and_back = [*drive, *drive[-2:0:-1]]
