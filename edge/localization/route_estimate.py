@@ -286,13 +286,9 @@ class RouteEstimate:
 
     def _slopes(self, displacement_m: Vector) -> NDArray[np.float64]:
         """Of `truly` against heading error, scale error and the share of what is doubtful, (2, 3)."""
-        heading_rad, scale, doubt = self.mean[2:5].tolist()
-        moved_m, doubtful_m = _turned(displacement_m.reshape(2, 2), heading_rad)
-        east_m, north_m = (moved_m + doubt * doubtful_m).tolist()
-        doubtful_east_m, doubtful_north_m = ((1 + scale) * doubtful_m).tolist()
-        of_east = (1 + scale) * north_m, east_m, doubtful_east_m
-        of_north = -(1 + scale) * east_m, north_m, doubtful_north_m
-        return np.array([of_east, of_north])
+        scale, doubtful_m = 1 + self.mean[3], _turned(displacement_m[2:], self.mean[2])
+        turned = _turned(displacement_m[:2], self.mean[2]) + self.mean[DOUBT] * doubtful_m
+        return np.column_stack([scale * np.array([turned[1], -turned[0]]), turned, scale * doubtful_m])
 
     def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:
         """How a measurement along `direction` depends on the state; errors: on those of matches."""

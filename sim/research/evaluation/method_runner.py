@@ -134,7 +134,7 @@ class MethodRunner:
             sampling = msgspec.structs.replace(sampling, by="distance", spacing_m=spacing_m)
         reference, query = self.traverse(pair.reference, sampling), self.traverse(pair.query, sampling)
         length = length or self.sequence_length(pair, sampling)
-        matches = self._match(pair, method, reference, query, length)
+        matches = self.match(pair, method, reference, query, length)
         ahead = self.offset(pair, text)
         errors = true_errors(reference, query, pair, ahead)
         judged = judged_queries(errors, length, query.drives())
@@ -156,14 +156,8 @@ class MethodRunner:
             self._ahead[key] = float(np.median(ahead)) if len(ahead) >= FEWEST else 0.0
         return self._ahead[key]
 
-    def _match(
-        self,
-        pair: Pair,
-        method: Method,
-        reference: Traverse,
-        query: Traverse,
-        length: int,
-    ) -> Matches:
+    def match(self, pair: Pair, method: Method, reference: Traverse, query: Traverse, length: int) -> Matches:
+        """What a method answers on two traverses by the settings of a pair, before anything is judged."""
         if method.layer == "pixels":
             if len(reference.paths) > 1 or len(query.paths) > 1:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")

@@ -21,12 +21,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from edge.config import SequenceConfig
 from edge.localization.consensus import RIGHT_AT_HALF
-from edge.recognizer import model_key
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.as_run import config_of, match_as_run
 from sim.research.evaluation.belief import Described, Driven, believe, judge_world, worlds
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, TraversePlan, load_plan
@@ -107,13 +104,8 @@ def of_streets(feeds: Path) -> Claims:
 
 def _elsewhere(runner: MethodRunner, pair: Pair, scene: str) -> Floats:
     """Confidence of each frame of a scene on the map of all others, from its first whole sequence on."""
-    reference, query = runner.traverse(f"without {scene}"), runner.traverse(scene)
-    network = runner.descriptions.network("shipped", "fc6")
-    raw = tuple(runner.descriptions.raw(one, "shipped", "fc6", "left-right") for one in (reference, query))
-    length = runner.sequence_length(pair)
-    config = config_of(pair, reference, query, SequenceConfig(length=length), runner.plan.region_width)
-    matches = match_as_run(reference, query, (raw[0], raw[1]), config, model_key(network), "belief")
-    return matches.confidence[length - 1 :]
+    reference, query, length = runner.traverse(f"without {scene}"), runner.traverse(scene), runner.sequence_length(pair)
+    return runner.match(pair, runner.method("Lookback"), reference, query, length).confidence[length - 1 :]
 
 
 def rows_of(claims: dict[str, Claims]) -> Iterator[str]:
