@@ -240,6 +240,12 @@ def test_the_stated_risk_is_what_decides() -> None:
     assert reason(far, gates=GatesConfig(risk=1.0), uncertainty_m=None) is None
 
 
+def test_a_place_that_is_less_certain_may_be_further_from_the_autopilot() -> None:
+    far = msgspec.structs.replace(FIX, lat_deg=16 * METRE_DEG)
+    assert reason(far) == "not confirmed by another place yet"
+    assert reason(msgspec.structs.replace(far, sigma_along_m=10.0)) is None
+
+
 def test_bayes() -> None:
     assert wrong_probability(0.5, 1e-3) == pytest.approx(0.5)
     assert wrong_probability(1e-3, 0.08) == pytest.approx(1e-6 / (1e-6 + 0.999 * 0.08))

@@ -42,6 +42,16 @@ def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(
     assert ("wrong" in turned) == is_called
 
 
+def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it() -> None:
+    estimator = PositionEstimator(settings(RigConfig()))
+    known_m = []
+    for gps_sigma_m, is_aided in ((3.0, True), (None, False), (None, True), (3.0, True)):
+        report = Report(0, gps_sigma_m=gps_sigma_m, driven_m=100.0, is_aided=is_aided)
+        estimator.bind_by_gps(report)
+        known_m.append(estimator.uncertainty_m(report))
+    assert known_m == [3.0, None, None, 3.0]
+
+
 def test_positions_are_estimated_in_one_place() -> None:
     """The daemon, the trial, the replays and the hours of the protection level put nothing together themselves."""
     found = set()
