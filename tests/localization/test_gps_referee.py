@@ -203,6 +203,22 @@ def test_after_a_gap_the_vehicle_s_own_motion_says_whether_gps_or_the_map_is_wro
         assert states[-1] == "wrong"
 
 
+@pytest.mark.parametrize(("before_m", "after_m"), [(8.0, -30.0), (-8.0, 30.0)])
+def test_after_a_gap_gps_is_held_against_where_it_was_when_it_agreed(before_m: float, after_m: float) -> None:
+    """It was honest there, and to one side of the places by its usual error; 38 m from there is not where it goes."""
+    referee, states = GpsReferee(1e-3, 0.01), []
+    for row in range(500):
+        at_m = row * SPACING_M
+        if 400.0 <= at_m < 650.0:
+            referee.update(None)
+            continue
+        off_m = before_m if at_m < 400.0 else after_m
+        recording = "out" if at_m < 400.0 else "another"
+        states.append(referee.update(comparison(at_m, (off_m, 0.0), recording=recording, moved_m=at_m)).state)
+    assert states[199] == "agrees"
+    assert states[-1] == "wrong"
+
+
 def test_gps_that_is_jammed_first_is_called_when_it_is_back() -> None:
     referee = GpsReferee(1e-3, 0.01)
     drive(lambda at_m: (0.0, 0.0), 300.0, 1, referee)
