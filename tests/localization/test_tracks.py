@@ -98,6 +98,25 @@ def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(
     assert beside_m(without.filter.at_exposure()) == pytest.approx(0.0, abs=0.01)
 
 
+def test_false_matches_a_kilometer_away_do_not_move_where_gps_had_the_vehicle(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    """So far away, local meters get another origin. This vehicle drives 2 m beside where the map expects it."""
+    drive = Drive(open_filter(RigConfig(sigma_across_m=4.0)), 40)
+    drive.go(LENGTH, lambda _: None)
+    lat_deg = LAT_DEG + drive.place * SPACING_M * METRE_DEG
+    drive.filter.bind(VehiclePosition(drive.stamp_ns, lat_deg, 153.0 - 2.0 / 99_255, 0.0, 0.0, 10.0), 1.0)
+    drive.go(3, partial(match_further, 230))
+    far = drive.filter.at_exposure()
+    assert far is not None and far.disputed
+    assert drive.north_m(far) == pytest.approx(1000 + (drive.place + 30) * SPACING_M, abs=1.0)
+    drive.go(30, lambda _: None)
+    drive.go(1)
+    found = drive.filter.at_exposure()
+    assert found is not None and not found.disputed
+    assert beside_m(found) == pytest.approx(2.0, abs=0.5)
+
+
 def test_gps_that_disagrees_with_the_matches_begins_no_track(open_filter: Callable[..., RouteFilter]) -> None:
     drive = Drive(open_filter(), 40)
     drive.go(LENGTH, lambda _: None)
