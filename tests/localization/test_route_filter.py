@@ -74,6 +74,20 @@ def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_filter: Cal
     assert beside_m(fix) == pytest.approx(3.5, abs=0.01), "left of north is west"
 
 
+@pytest.mark.parametrize(("direction", "turned_deg"), [("forward", 0.0), ("reverse", 180.0)])
+def test_its_heading_is_that_of_the_road_where_it_is_not_where_it_looks(
+    map_set: MapSet, direction: str, turned_deg: float
+) -> None:
+    """On a road that turns by a tenth of a degree with each place; the camera sees 13 places ahead."""
+    places = map_set.places.copy()
+    places["heading_deg"] = 0.1 * (np.arange(len(places)) % 200)
+    rig = RigConfig(ahead_forward_swapped_m=26.0, ahead_reverse_swapped_m=26.0)
+    drive = warm(RouteFilter(Route(replace(map_set, places=places)), settings(rig)), 100, direction)
+    fix = drive.filter.at_exposure()
+    assert fix is not None and fix.heading_deg is not None
+    assert fix.heading_deg == pytest.approx(turned_deg + 0.1 * (drive.place - drive.sign * 13), abs=0.05)
+
+
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
 @pytest.mark.parametrize("left_m", [5.0, 8.0, 0.0])
 def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
