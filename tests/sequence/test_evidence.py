@@ -62,15 +62,17 @@ def test_without_meters_the_window_is_in_places() -> None:
     assert match(costs, unknown).uniqueness == pytest.approx(1.25)
 
 
-def test_the_same_street_in_another_segment_is_not_elsewhere() -> None:
+@pytest.mark.parametrize(("beside_m", "uniqueness"), [(0.0, 1.5), (9.0, 1.5), (11.0, 1.001)])
+def test_the_same_street_in_another_segment_is_not_elsewhere(beside_m: float, uniqueness: float) -> None:
     costs = np.full(100, 1500)
     costs[10], costs[60] = 1000, 1001
     segment_of = np.repeat(np.arange(2, dtype=np.int32), 50)
     position = np.tile(np.column_stack([np.arange(50) * 2.0, np.zeros(50)]), (2, 1))
+    position[50:, 1] = beside_m
     route = np.tile(np.arange(50) * 2.0, 2)
     known = Neighborhood(position, route, segment_of, CONFIG)
     unknown = Neighborhood(np.full((100, 2), np.nan), route, segment_of, CONFIG)
-    assert match(costs, known).uniqueness == pytest.approx(1.5)
+    assert match(costs, known).uniqueness == pytest.approx(uniqueness)
     assert match(costs, unknown).uniqueness == pytest.approx(1.001)
 
 
