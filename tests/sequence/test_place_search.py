@@ -32,16 +32,21 @@ CONFIG = Config(
 @pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])
 def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
     """12 km of places 2 m apart going north in two segments, each neighbor a little alike."""
-    rng = np.random.default_rng(3)
-    raw = rng.normal(size=(PLACES + 2, 2, 48))
-    raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
-    path = tmp_path_factory.mktemp("maps") / "long.map"
+    return build(tmp_path_factory.mktemp("maps") / "long.map", raw_descriptors(), has_positions=request.param)
+
+
+def raw_descriptors() -> np.ndarray:
+    raw = np.random.default_rng(3).normal(size=(PLACES + 2, 2, 48))
+    return np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
+
+
+def build(path: Path, raw: np.ndarray, *, has_positions: bool) -> ReferenceMap:
     key = ModelKey("test", "0" * 64, "fc6", 48)
     with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
         for index in range(PLACES):
             if index % 3000 == 0:
                 builder.begin_segment("drive", "front")
-            lat_deg, lon_deg = (index * 2 * DEGREES_A_METRE, 0.0) if request.param else (np.nan, np.nan)
+            lat_deg, lon_deg = (index * 2 * DEGREES_A_METRE, 0.0) if has_positions else (np.nan, np.nan)
             builder.add(raw[index], Place(index, lat_deg, lon_deg, route_m=index * 2.0))
         builder.finish()
     return open_map(path)
@@ -49,6 +54,10 @@ def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="module")
 def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
+    return look_at(long_map)
+
+
+def look_at(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
     """What a normalized query shows at a place: the place on another day."""
     rng = np.random.default_rng(5)
     half_sum, half_difference = long_map.descriptors.astype(np.float32)
@@ -65,8 +74,16 @@ def is_unique(match: PlaceMatch) -> bool:
 class Drive:
     """Feeds a search with one place after another, as the recognizer does, and counts what each frame matched."""
 
-    def __init__(self, reference_map: ReferenceMap, look: Callable[[int], np.ndarray], config: Config = CONFIG) -> None:
+    def __init__(
+        self,
+        reference_map: ReferenceMap,
+        look: Callable[[int], np.ndarray],
+        config: Config = CONFIG,
+        believed_after: int = 1,
+    ) -> None:
+        """believed_after: unique matches in a row, from which the place is believed."""
         self.search = PlaceSearch(MapSet.of(reference_map), config)
+        self._believed_after, self._unique = believed_after, 0
         self._look = look
         self._ring: list[np.ndarray] = []
 
@@ -74,7 +91,8 @@ class Drive:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
         match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
-        self.search.follow(match.place_index if match and is_unique(match) else None)
+        self._unique = self._unique + 1 if match and is_unique(match) else 0
+        self.search.follow(match.place_index if match and self._unique >= self._believed_after else None)
         return match
 
     def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
@@ -113,6 +131,18 @@ def test_around_a_position_the_answers_are_those_of_the_whole_map(
     assert len(parts_used) >= 3
 
 
+@pytest.mark.parametrize("off_m", [-199.0, 199.0])
+def test_a_place_is_searched_wherever_a_position_may_be_wrong(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], off_m: float
+) -> None:
+    if math.isnan(long_map.places["lat_deg"][0]):
+        pytest.skip("needs positions")
+    drive = range(1400, 2000)
+    matches = Drive(long_map, look).go(drive, lambda place: close_to(place, off_m, 200.0))
+    found = zip(matches[LENGTH:], drive[LENGTH:], strict=True)
+    assert all(match is not None and abs(match.place - place) <= 1 for match, place in found)
+
+
 def test_without_a_position_the_map_is_gone_through_and_then_followed(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
@@ -138,6 +168,15 @@ def test_without_a_position_the_map_is_gone_through_and_then_followed(
     assert len(drive.search.part.places) <= LIMIT
 
 
+def test_of_two_stretches_that_look_alike_neither_is_found_wherever_the_slices_are(tmp_path: Path) -> None:
+    raw = raw_descriptors()
+    raw[4000:4300] = raw[1000:1300]
+    twice = build(tmp_path / "twice.map", raw, has_positions=False)
+    drive = Drive(twice, look_at(twice))
+    assert set(drive.go(range(1050, 1050 + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))))) == {None}
+    assert drive.search.part is None
+
+
 def test_a_wrong_position_is_found_out(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
@@ -147,6 +186,18 @@ def test_a_wrong_position_is_found_out(long_map: ReferenceMap, look: Callable[[i
     believed = [match for match in matches if match and is_unique(match)]
     assert believed
     assert all(500 <= match.place <= 500 + frames for match in believed)
+
+
+def test_what_was_found_is_followed_before_it_can_be_believed(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    """The map has been gone through in ten frames, and what a second time would find is as old as that."""
+    config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES * SLICE_SHARE // 10))
+    drive = range(1000, 1050)
+    matches = Drive(long_map, look, config, believed_after=15).go(drive)
+    found = [(place, match) for place, match in zip(drive, matches, strict=True) if match is not None]
+    assert len(found) == len(drive) - (LENGTH - 1) - 9
+    assert all(abs(match.place - place) <= 1 for place, match in found[1:])
 
 
 def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
