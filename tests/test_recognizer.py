@@ -143,6 +143,7 @@ def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_wit
     halt(recognizer, frames[19], 3)
     found = recognizer.observe(frames[23], 23 * FRAME_NS)
     assert found == expected.observe(frames[23], 23 * FRAME_NS, Travel(missed=3))
+    assert recognizer.observe(frames[24], 24 * FRAME_NS) == expected.observe(frames[24], 24 * FRAME_NS), "once"
 
 
 def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
