@@ -70,6 +70,21 @@ def test_wheels_that_pause_for_long_say_no_speed(apart_s: int, is_known: bool) -
     assert (vehicle.motion.speed_mps((5 + apart_s) * S) is not None) == is_known
 
 
+def test_wheels_that_reported_before_the_link_was_lost_say_nothing_afterwards() -> None:
+    """Another vehicle may be on the port."""
+    speaker = Speaker()
+    vehicle = unaided(speaker)
+    run_away(vehicle, speaker, wheels_mps=9.0)
+    vehicle.reset_link()
+    for tenth in range(81, 110):
+        if tenth in (82, 92):
+            vehicle.handle(speaker.heartbeat(), tenth * S // 10)
+        vehicle.motion.is_aided = False
+        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), tenth * S // 10)
+    assert vehicle.session.number == 2
+    assert vehicle.motion.displacement(tenth * S // 10) is None
+
+
 def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)

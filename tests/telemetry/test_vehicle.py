@@ -146,6 +146,9 @@ def test_the_link_is_lost_after_five_silent_seconds_and_comes_back() -> None:
     vehicle.handle(speaker.heartbeat(), 21 * S)
     assert vehicle.connected
     assert vehicle.session.number == 2
+    vehicle.reset_link()
+    vehicle.handle(speaker.heartbeat(), 22 * S)
+    assert not vehicle.connected, "the port was lost, and one heartbeat may be noise"
 
 
 def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> None:
